@@ -5,7 +5,9 @@ from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, evaluat
 from soft_tendon_env.mechanics.motion.implicit_euler import later_matrices
 from soft_tendon_env.model.step_control import LOOSEST_STRAIN
 
-METHOD = Extrapolated(6, 2, with_inertia=True, freeze_jacobian=True, strain_tolerance=LOOSEST_STRAIN)
+METHOD = Extrapolated(
+    6, 2, with_inertia=True, freeze_jacobian=True, strain_tolerance=LOOSEST_STRAIN
+)
 
 
 @kernel

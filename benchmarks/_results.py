@@ -22,8 +22,14 @@ APPENDIX = Path(__file__).parent.parent / "docs" / "appendix"
 def parser_of(doc: str) -> argparse.ArgumentParser:
     """Parser with the options of all benchmarks whose tables are in the documentation."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="try the script: few, small and short cases")
-    parser.add_argument("--write-docs", action="store_true", help="write the table, the CSV file and the picture of the documentation too")
+    parser.add_argument(
+        "--quick", action="store_true", help="try the script: few, small and short cases"
+    )
+    parser.add_argument(
+        "--write-docs",
+        action="store_true",
+        help="write the table, the CSV file and the picture of the documentation too",
+    )
     parser.add_argument("--out", type=Path, default=Path("out"))
     return parser
 
@@ -34,7 +40,8 @@ def folders(arguments: argparse.Namespace, docs: Path = APPENDIX) -> list[Path]:
 
 
 def write_block(arguments: argparse.Namespace, page: Path, name: str, text: str) -> None:
-    """Print a block of a page, and write it there with --write-docs. Raises as soft_tendon_env.evaluation.pages.Page."""
+    """Print a block of a page, and write it there with --write-docs. Raises as
+    soft_tendon_env.evaluation.pages.Page."""
     print(f"\n{text}\n")
     Page(str(page) if arguments.write_docs else None, [name]).write(name, text)
 
@@ -73,7 +80,9 @@ def processor() -> str:
     """The processor's name."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 

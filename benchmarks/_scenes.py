@@ -1,4 +1,5 @@
-"""Arms that the benchmarks measure: scenes that ship with passive fields, a new one too. The paper's comes first."""
+"""Arms that the benchmarks measure: scenes that ship with passive fields, a new one too. The
+paper's comes first."""
 
 from soft_tendon_env.scene.file import SHIPPED, scene_names
 from soft_tendon_env.scene.passive_fields import SUFFIX
@@ -12,4 +13,5 @@ def names(ending: str) -> tuple[str, ...]:
 
 WITH_FIELDS = names(SUFFIX)
 SOFT_ARMS = tuple(name for name in names(f"_loaded{SUFFIX}") if name != "catheter")
-"""Those with fields for no load and for loads, but the stiff wire, which tests/hard_cases measures."""
+"""Those with fields for no load and for loads, but the stiff wire, which tests/hard_cases
+measures."""

@@ -1,4 +1,5 @@
-"""The tensions that the benchmarks run on: a second of lively pulls on five of the paper's ten tendons.
+"""The tensions that the benchmarks run on: a second of lively pulls on five of the paper's ten
+tendons.
 
 The same as in tests/data/trajectories.json and examples/paper_trajectory.py.
 """

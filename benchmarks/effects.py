@@ -1,10 +1,13 @@
-"""CPU time of effects, their compilation on first use, and the tip error without them: a section of docs/appendix/speed.md.
+"""CPU time of effects, their compilation on first use, and the tip error without them: a section of
+docs/appendix/speed.md.
 
     python benchmarks/effects.py [--quick] [--write-docs] [--out out]
 
-Costs are CPU times of an evaluation of the equation of motion of the paper's arm (10 coordinates, 6 intervals per piece), measured in turns
-and divided by those without effects: medians. The row of loads inside the strain (`strain.include_loads`) is relative to the arm without
-gravity. Compilation is the CPU time of the first step in a new process, everything but the effect compiled, minus that without the effect.
+Costs are CPU times of an evaluation of the equation of motion of the paper's arm (10 coordinates, 6
+intervals per piece), measured in turns and divided by those without effects: medians. The row of
+loads inside the strain (`strain.include_loads`) is relative to the arm without gravity. Compilation
+is the CPU time of the first step in a new process, everything but the effect compiled, minus that
+without the effect.
 """
 
 import json
@@ -20,7 +23,15 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _results import (
+    APPENDIX,
+    folders,
+    markdown_table,
+    parser_of,
+    write_block,
+    write_csv,
+    write_picture,
+)
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
@@ -40,24 +51,48 @@ class Case(NamedTuple):
 
 
 DOWN = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-PUSH = {"at": 0.8, "force": [0.0, 0.5, 0.0], "signal": {"type": "pulse", "start": 0.5, "duration": 0.2}}
+PUSH = {
+    "at": 0.8,
+    "force": [0.0, 0.5, 0.0],
+    "signal": {"type": "pulse", "start": 0.5, "duration": 0.2},
+}
 AWAY = [
     {"type": "sphere", "position": [2.0, 0.0, 0.0], "radius": 0.1},
-    {"type": "capsule", "position": [0.0, 2.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius": 0.1, "length": 1.0},
+    {
+        "type": "capsule",
+        "position": [0.0, 2.0, 0.0],
+        "axis": [0.0, 0.0, 1.0],
+        "radius": 0.1,
+        "length": 1.0,
+    },
     {"type": "box", "position": [0.0, 0.0, 2.0], "size": [0.4, 0.1, 0.3]},
 ]
 LATE = {"time_constant": 0.02, "delay": 0.013}
 CASES = {
     "contact": Case({"effects.contact.obstacles": AWAY}, "paper_among_obstacles", {}),
     "moving_base": Case(
-        {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]}, "three_tendon", {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]}
+        {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]},
+        "three_tendon",
+        {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]},
     ),
     "gravity": Case(DOWN, "three_tendon", DOWN),
-    "tip_load": Case({"effects.tip_load.force": [0.0, 0.0, -0.1]}, "three_tendon", {"effects.tip_load": {"mass": 0.01}}),
-    "fluid": Case({"effects.fluid": {"density": 1000.0, "current": [0.0, 0.2, 0.0]}}, "underwater", {}),
-    "disturbance": Case({"effects.disturbance.loads": [PUSH]}, "three_tendon", {"effects.disturbance.loads": [{**PUSH, "at": 0.3}]}),
+    "tip_load": Case(
+        {"effects.tip_load.force": [0.0, 0.0, -0.1]},
+        "three_tendon",
+        {"effects.tip_load": {"mass": 0.01}},
+    ),
+    "fluid": Case(
+        {"effects.fluid": {"density": 1000.0, "current": [0.0, 0.2, 0.0]}}, "underwater", {}
+    ),
+    "disturbance": Case(
+        {"effects.disturbance.loads": [PUSH]},
+        "three_tendon",
+        {"effects.disturbance.loads": [{**PUSH, "at": 0.3}]},
+    ),
     "nonlinear_elasticity": Case(
-        {"effects.nonlinear_elasticity.bending": 5.0}, "three_tendon", {"effects.nonlinear_elasticity.bending": 3.0}
+        {"effects.nonlinear_elasticity.bending": 5.0},
+        "three_tendon",
+        {"effects.nonlinear_elasticity.bending": 3.0},
     ),
     "viscoelastic_memory": Case(
         {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
@@ -65,8 +100,16 @@ CASES = {
         {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
     ),
     "actuators": Case({"effects.actuators": LATE}, "three_tendon", {"effects.actuators": LATE}),
-    "tendon_elasticity": Case({"effects.tendon_elasticity": {"stiffness": 1.0, "displacement_limits": [0.0, 10.0]}}, "-", {}),
-    "tendon_friction": Case({"effects.tendon_friction.coefficient": 0.2}, "three_tendon", {"effects.tendon_friction.coefficient": 0.2}),
+    "tendon_elasticity": Case(
+        {"effects.tendon_elasticity": {"stiffness": 1.0, "displacement_limits": [0.0, 10.0]}},
+        "-",
+        {},
+    ),
+    "tendon_friction": Case(
+        {"effects.tendon_friction.coefficient": 0.2},
+        "three_tendon",
+        {"effects.tendon_friction.coefficient": 0.2},
+    ),
 }
 EVERYTHING, INSIDE = "all together", "loads inside"
 LEFT_OUT = ("disturbance",)  # of the page, not of the chart: it costs what gravity does
@@ -91,14 +134,25 @@ def main() -> None:
     quick = arguments.quick
     together = {key: value for case in CASES.values() for key, value in case.on_paper.items()}
     inside = {**DOWN, "strain.include_loads": True}
-    arms = {"": {}, **{name: case.on_paper for name, case in CASES.items()}, EVERYTHING: together, INSIDE: inside}
+    arms = {
+        "": {},
+        **{name: case.on_paper for name, case in CASES.items()},
+        EVERYTHING: together,
+        INSIDE: inside,
+    }
     evaluation, in_step = costs(arms, turns=2 if quick else 41)
-    compiling = compile_times({name: arms[name] for name in (["gravity"] if quick else [*CASES, EVERYTHING])})
+    compiling = compile_times(
+        {name: arms[name] for name in (["gravity"] if quick else [*CASES, EVERYTHING])}
+    )
     rows = []
     for name in (*CASES, EVERYTHING, INSIDE):
         seconds = f"{compiling[name]:.1f}" if name in compiling else "-"
         scene = CASES[name].scene if name in CASES else "-"
-        off = "-" if scene == "-" else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
+        off = (
+            "-"
+            if scene == "-"
+            else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
+        )
         rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
     for folder in folders(arguments):
         write_csv(folder / "effects.csv", HEADER, rows)
@@ -121,11 +175,20 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
     for often in (evaluate_often, evaluate_force_often):
         ready, times = {}, {name: [] for name in arms}
         for name, changes in arms.items():
-            model, random = model_on(ste.load_scene("paper").replace(changes), INTERVALS), np.random.default_rng(0)
+            model, random = (
+                model_on(ste.load_scene("paper").replace(changes), INTERVALS),
+                np.random.default_rng(0),
+            )
             scratch = make_scratch(model.arm, 3)
             scratch.work.xi[:] = model.arm.rod.reference_strain
             scratch.work.u_is_command[0] = 1.0
-            ready[name] = (model.arm, np.full(10, 3.0), random.uniform(0.0, 5.0, 10), random.normal(size=10), scratch)
+            ready[name] = (
+                model.arm,
+                np.full(10, 3.0),
+                random.uniform(0.0, 5.0, 10),
+                random.normal(size=10),
+                scratch,
+            )
             often(*ready[name], 5)
         for _ in range(turns):
             for name, arguments in ready.items():
@@ -138,7 +201,8 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
 
 
 def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """CPU seconds that the first step takes longer than without effects, by name, with no effect's machine code in the cache."""
+    """CPU seconds that the first step takes longer than without effects, by name, with no effect's
+    machine code in the cache."""
     folder, found = cache_folder(), {}
     if folder is None:
         return found
@@ -148,7 +212,11 @@ def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
         def first_step(changes: dict[str, Any]) -> float:
             environment = {**os.environ, "NUMBA_CACHE_DIR": temporary, "SOFT_TENDON_ENV_QUIET": "1"}
             command = [sys.executable, "-c", FIRST_STEP, json.dumps(changes)]
-            return float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+            return float(
+                subprocess.run(
+                    command, env=environment, check=True, capture_output=True, text=True
+                ).stdout
+            )
 
         shutil.copytree(folder, cache)
         first_step({})
@@ -160,7 +228,11 @@ def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
 
 def forget_effects(cache: Path) -> None:
     """Delete the machine code of all effects."""
-    for file in (*cache.glob("*/effects_*/*"), *cache.glob("*/contact_*/*"), *cache.glob("*/mechanics_*/effects._entry*")):
+    for file in (
+        *cache.glob("*/effects_*/*"),
+        *cache.glob("*/contact_*/*"),
+        *cache.glob("*/mechanics_*/effects._entry*"),
+    ):
         file.unlink()
 
 
@@ -170,17 +242,30 @@ def left_out(name: str, case: Case, seconds: float) -> float:
     table = motion_tensions(scene, "smooth", 0, seconds)
     tips = []
     for own in (scene, scene.replace({f"effects.{name}": None})):
-        tips.append(ste.simulate(ste.build_model(own, "scene"), table, len(table) * HOLD, HOLD).tip_pose[:, :3, 3])
+        tips.append(
+            ste.simulate(ste.build_model(own, "scene"), table, len(table) * HOLD, HOLD).tip_pose[
+                :, :3, 3
+            ]
+        )
     return float(np.linalg.norm(tips[0] - tips[1], axis=1).max())
 
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6, 3), constrained_layout=True)
     places = np.arange(len(rows))
-    axes.barh(places - 0.2, [float(row[1]) for row in rows], 0.4, color="#2e6f95", label="evaluation")
-    axes.barh(places + 0.2, [float(row[2]) for row in rows], 0.4, color="#edae49", label="in a step")
+    axes.barh(
+        places - 0.2, [float(row[1]) for row in rows], 0.4, color="#2e6f95", label="evaluation"
+    )
+    axes.barh(
+        places + 0.2, [float(row[2]) for row in rows], 0.4, color="#edae49", label="in a step"
+    )
     axes.axvline(1.0, color="black", linewidth=0.8)
-    axes.set(yticks=places, yticklabels=[row[0] for row in rows], xlabel="CPU time, without effects = 1", xlim=(0.9, None))
+    axes.set(
+        yticks=places,
+        yticklabels=[row[0] for row in rows],
+        xlabel="CPU time, without effects = 1",
+        xlim=(0.9, None),
+    )
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=8)
     write_picture(figure, path)

@@ -1,11 +1,13 @@
-"""What one evaluation of the equations of motion costs, by number of coordinates, kind of strain and effect; and what starting costs.
+"""What one evaluation of the equations of motion costs, by number of coordinates, kind of strain
+and effect; and what starting costs.
 
     python benchmarks/evaluation.py [--repeats 75] [--evaluations 100] [--no-start] [--out out]
 
-An evaluation is everything that the equations of motion need at one state (mechanics.terms.evaluate), to the accuracy of the time
-steps. "at one state": the same state again, whose strain is known. "along the motion": states 5 ms apart on the input, each strain
-predicted from the one before and solved for. "in a step": the same without stiffness and damping, which a time step computes at its start
-alone. "paired difference": to the first arm, in a step.
+An evaluation is everything that the equations of motion need at one state
+(mechanics.terms.evaluate), to the accuracy of the time steps. "at one state": the same state again,
+whose strain is known. "along the motion": states 5 ms apart on the input, each strain predicted
+from the one before and solved for. "in a step": the same without stiffness and damping, which a
+time step computes at its start alone. "paired difference": to the first arm, in a step.
 """
 
 import argparse
@@ -37,7 +39,9 @@ ALL = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
 def constant_strain(strains: list[str]) -> dict:
     """Changes to a scene: these strains constant on each half, the others rigid."""
-    return {"strain": {"type": "explicit", "modes": [{"strains": strains, "order": 0, "span": "piece"}]}}
+    return {
+        "strain": {"type": "explicit", "modes": [{"strains": strains, "order": 0, "span": "piece"}]}
+    }
 
 
 def moments(order: int) -> dict:
@@ -62,9 +66,16 @@ ARMS = (
     (
         "paper + gravity + tip load",
         "paper",
-        {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.force": [0.0, 0.0, -0.1]},
+        {
+            "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+            "effects.tip_load.force": [0.0, 0.0, -0.1],
+        },
     ),
-    ("paper + gravity inside the strain", "paper", {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}),
+    (
+        "paper + gravity inside the strain",
+        "paper",
+        {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True},
+    ),
     (
         "paper_16dof + gravity inside the strain",
         "paper_16dof",
@@ -92,7 +103,8 @@ def evaluate_often(arm, u, q, q_dot, count, work):
 
 @kernel
 def evaluate_along(arm, u, q, q_dot, count, in_step, work):
-    """The states (count, n) in turn, each strain predicted from the one before; in a step without stiffness and damping."""
+    """The states (count, n) in turn, each strain predicted from the one before; in a step without
+    stiffness and damping."""
     for i in range(count):
         if i > 0:
             predict_strain(arm.strain, q[i], q[i - 1], work)
@@ -105,8 +117,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=75)
     parser.add_argument("--evaluations", type=int, default=100, help="per repeat, at most 200")
-    parser.add_argument("--arms", type=int, default=len(ARMS), help="how many of the arms, from the first")
-    parser.add_argument("--no-start", action="store_true", help="do not measure compilation and start, which takes a minute")
+    parser.add_argument(
+        "--arms", type=int, default=len(ARMS), help="how many of the arms, from the first"
+    )
+    parser.add_argument(
+        "--no-start",
+        action="store_true",
+        help="do not measure compilation and start, which takes a minute",
+    )
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     print(f"{machine()}; median of {arguments.repeats} x {arguments.evaluations} evaluations\n")
@@ -114,11 +132,25 @@ def main() -> None:
     prepared = [prepare(*arm, arguments.evaluations) for arm in ARMS[: arguments.arms]]
     times = measure(prepared, arguments.repeats)
     base = np.median(times[0, -1])
-    header = ("arm", "coordinates", *(f"{what}, µs" for what in WAYS), "ratio to paper", "paired difference, µs")
+    header = (
+        "arm",
+        "coordinates",
+        *(f"{what}, µs" for what in WAYS),
+        "ratio to paper",
+        "paired difference, µs",
+    )
     rows = []
     for arm, own in zip(prepared, times, strict=True):
         ratio, difference = np.median(own[-1]) / base, np.median(own[-1] - times[0, -1])
-        rows.append((arm.label, arm.coordinates, *(f"{np.median(way):.2f}" for way in own), f"{ratio:.2f}", f"{difference:+.2f}"))
+        rows.append(
+            (
+                arm.label,
+                arm.coordinates,
+                *(f"{np.median(way):.2f}" for way in own),
+                f"{ratio:.2f}",
+                f"{difference:+.2f}",
+            )
+        )
     print(markdown_table(header, rows))
     write_csv(arguments.out / "evaluation.csv", header, rows)
     draw(rows, arguments.out / "evaluation.png")
@@ -137,8 +169,12 @@ class Prepared(NamedTuple):
 
 def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared:
     """Compiled or loaded, with the strain of the first state known."""
-    model = ste.build_model(ste.load_scene(scene).replace({"integrator.step": STEP, **changes}), "scene")
-    quiet = ste.build_model(model.scene.replace({"effects": {}}), "scene")  # its own motion would compile steps for every set of effects
+    model = ste.build_model(
+        ste.load_scene(scene).replace({"integrator.step": STEP, **changes}), "scene"
+    )
+    quiet = ste.build_model(
+        model.scene.replace({"effects": {}}), "scene"
+    )  # its own motion would compile steps for every set of effects
     u = tension_table(STEP)
     motion = ste.simulate(quiet, u, DURATION, STEP)
     u = np.concatenate([u, u[-1:]])
@@ -182,13 +218,17 @@ def draw(rows: list[tuple], picture: Path) -> None:
     axes.barh(names, [float(row[4]) for row in rows], color="#2e6f95")
     axes.bar_label(axes.containers[0], fmt="%.1f", padding=3)
     axes.invert_yaxis()
-    axes.set(xlabel="CPU time [µs]", title="One evaluation of the equations of motion in a step  (coordinates)")
+    axes.set(
+        xlabel="CPU time [µs]",
+        title="One evaluation of the equations of motion in a step  (coordinates)",
+    )
     axes.spines[["top", "right"]].set_visible(False)
     write_picture(figure, picture)
 
 
 def report_start() -> None:
-    """Time to the end of the first step of a new process, with nothing compiled before and with everything."""
+    """Time to the end of the first step of a new process, with nothing compiled before and with
+    everything."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "SOFT_TENDON_ENV_QUIET": "1"}
         print("\nfrom the start of a process's imports to the end of its first step:")
@@ -199,7 +239,13 @@ def report_start() -> None:
 
 def first_step(environment: dict[str, str]) -> tuple[float, float]:
     """Wall and CPU seconds."""
-    done = subprocess.run([sys.executable, "-c", FIRST_STEP], env=environment, check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_STEP],
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     wall, cpu = map(float, done.stdout.split())
     return wall, cpu
 

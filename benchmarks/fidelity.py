@@ -1,10 +1,12 @@
-"""Tip error and CPU time per control period of the fidelity presets: a section of docs/appendix/speed.md.
+"""Tip error and CPU time per control period of the fidelity presets: a section of
+docs/appendix/speed.md.
 
     python benchmarks/fidelity.py [--scenes paper ...] [--quick] [--write-docs] [--out out]
 
-Largest distance of the tip from a converged reference over 2 s, in the worst of three motions of each kind, of which no passive mode was
-made. Evaluations are the mean over the usual kinds. CPU time is that of a vector environment with 64 rows, everything included, on one
-thread, under motions like `redrawn`. `scene` is each arm as its file says: no passive modes, fixed steps.
+Largest distance of the tip from a converged reference over 2 s, in the worst of three motions of
+each kind, of which no passive mode was made. Evaluations are the mean over the usual kinds. CPU
+time is that of a vector environment with 64 rows, everything included, on one thread, under motions
+like `redrawn`. `scene` is each arm as its file says: no passive modes, fixed steps.
 """
 
 import time
@@ -13,7 +15,15 @@ from pathlib import Path
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _results import (
+    APPENDIX,
+    folders,
+    markdown_table,
+    parser_of,
+    write_block,
+    write_csv,
+    write_picture,
+)
 from _scenes import SOFT_ARMS
 from tqdm import tqdm
 
@@ -28,7 +38,14 @@ SHOWN = ("paper", "three_tendon", "helical")  # arms on the page
 SEEDS = range(100, 103)
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
 HELD, ROWS, STEPS = 5, 64, 400  # control periods
-HEADER = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us per env step]", *(f"{kind} [mm]" for kind in KINDS))
+HEADER = (
+    "scene",
+    "fidelity",
+    "coordinates",
+    "evaluations",
+    "CPU [us per env step]",
+    *(f"{kind} [mm]" for kind in KINDS),
+)
 
 
 def main() -> None:
@@ -36,7 +53,11 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=SOFT_ARMS, choices=SOFT_ARMS)
     arguments = parser.parse_args()
     seeds, seconds, steps = (SEEDS[:1], 0.2, 2 * HELD) if arguments.quick else (SEEDS, 2.0, STEPS)
-    rows = [row for name in tqdm(arguments.scenes, desc="arms", leave=False) for row in measured(name, seeds, seconds, steps)]
+    rows = [
+        row
+        for name in tqdm(arguments.scenes, desc="arms", leave=False)
+        for row in measured(name, seeds, seconds, steps)
+    ]
     for folder in folders(arguments):
         write_csv(folder / "fidelity.csv", HEADER, rows)
         draw(rows, folder / "fidelity.png")
@@ -44,16 +65,31 @@ def main() -> None:
 
 
 def table_of(rows: list[tuple[str, ...]]) -> str:
-    """A row for every preset of SHOWN, with the worst error of the usual motions and that of wild ones; the CSV file has all arms."""
-    header = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us]", "usual [mm]", "wild [mm]")
-    shown = [(*row[:5], max(row[5 : 5 + len(USUAL)], key=float), row[-1]) for row in rows if row[0] in SHOWN and row[1] in PRESETS]
+    """A row for every preset of SHOWN, with the worst error of the usual motions and that of wild
+    ones; the CSV file has all arms."""
+    header = (
+        "scene",
+        "fidelity",
+        "coordinates",
+        "evaluations",
+        "CPU [us]",
+        "usual [mm]",
+        "wild [mm]",
+    )
+    shown = [
+        (*row[:5], max(row[5 : 5 + len(USUAL)], key=float), row[-1])
+        for row in rows
+        if row[0] in SHOWN and row[1] in PRESETS
+    ]
     return markdown_table(header, shown)
 
 
 def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[str, ...]]:
     """A row for every preset, and for the scene as its file says."""
     scene = ste.load_scene(name)
-    inputs = {kind: [motion_tensions(scene, kind, seed, seconds) for seed in seeds] for kind in KINDS}
+    inputs = {
+        kind: [motion_tensions(scene, kind, seed, seconds) for seed in seeds] for kind in KINDS
+    }
     exact = {}
     for kind in KINDS:
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
@@ -66,20 +102,42 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         errors, evaluations = [], []
         for kind in KINDS:
             runs = [ste.simulate(model, table, HOLD * len(table), HOLD) for table in inputs[kind]]
-            apart = [np.linalg.norm(run.tip_pose[:, :3, 3] - tips, axis=1) for run, tips in zip(runs, exact[kind], strict=True)]
+            apart = [
+                np.linalg.norm(run.tip_pose[:, :3, 3] - tips, axis=1)
+                for run, tips in zip(runs, exact[kind], strict=True)
+            ]
             errors.append(f"{1e3 * np.max(apart):.3g}")
             evaluations += [run.evaluations / len(run.time[1:]) for run in runs if kind in USUAL]
-        rows.append((name, label, str(model.coordinate_count), f"{np.mean(evaluations):.1f}", f"{microseconds:.0f}", *errors))
+        rows.append(
+            (
+                name,
+                label,
+                str(model.coordinate_count),
+                f"{np.mean(evaluations):.1f}",
+                f"{microseconds:.0f}",
+                *errors,
+            )
+        )
     return rows
 
 
 def cost(scene: Scene, steps: int) -> float:
     """CPU seconds of one environment step."""
     quarter = max(tendon.tension_limits[1] for tendon in scene.tendons) / 4.0
-    options = {"scene": scene, "fidelity": "scene", "action": "tension", "tension_limits": [0.0, quarter], "threads": 1}
+    options = {
+        "scene": scene,
+        "fidelity": "scene",
+        "action": "tension",
+        "tension_limits": [0.0, quarter],
+        "threads": 1,
+    }
     envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=ROWS, **options)
     envs.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps // HELD, *envs.action_space.shape)).astype(np.float32)
+    actions = (
+        np.random.default_rng(0)
+        .uniform(-1.0, 1.0, (steps // HELD, *envs.action_space.shape))
+        .astype(np.float32)
+    )
     envs.step(actions[0])
     started = time.process_time()
     for step in range(steps):
@@ -94,7 +152,13 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
         errors = [max(map(float, row[5 : 5 + len(USUAL)])) for row in chosen]
         axes.loglog([float(row[4]) for row in chosen], errors, "o", label=name)
         for row, error in zip(chosen, errors, strict=True):
-            axes.annotate(row[1], (float(row[4]), error), xytext=(4, 4), textcoords="offset points", fontsize=7)
+            axes.annotate(
+                row[1],
+                (float(row[4]), error),
+                xytext=(4, 4),
+                textcoords="offset points",
+                fontsize=7,
+            )
     axes.set(xlabel="CPU time [us per environment step]", ylabel="largest tip error [mm]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")

@@ -1,9 +1,11 @@
-"""Coverage of the intervals of an identification: how often they hold the truth in simulated experiments with noise.
+"""Coverage of the intervals of an identification: how often they hold the truth in simulated
+experiments with noise.
 
     python benchmarks/identification.py [--experiments 100] [--fidelity fine] [--quick] [--out out]
 
-Each experiment draws another hanging arm with three tendons (stiffness and density within 30 %), whose model is "fine", and 20 holds with
-noise of 0.5 mm in every marker coordinate. Young's modulus, density and Poisson's ratio are asked for; bending does not show the last.
+Each experiment draws another hanging arm with three tendons (stiffness and density within 30 %),
+whose model is "fine", and 20 holds with noise of 0.5 mm in every marker coordinate. Young's
+modulus, density and Poisson's ratio are asked for; bending does not show the last.
 """
 
 import argparse
@@ -29,11 +31,19 @@ ASKED = ("segments.*.young_modulus", "segments.*.density", "segments.*.poisson_r
 HOLDS, NOISE, LARGEST = 20, 5e-4, 4.0  # [m], [N]
 SPREAD = 0.3  # of the logarithms of the first two
 NU = 0.9  # of the scene's Poisson ratio
-HEADER = ("model", "parameter", "truth in the interval", "median width", "told to be unseen", "CPU s each")
+HEADER = (
+    "model",
+    "parameter",
+    "truth in the interval",
+    "median width",
+    "told to be unseen",
+    "CPU s each",
+)
 
 
 class Tried(NamedTuple):
-    """One experiment: whether intervals hold the truth, their widths in parts of it, whether parameters are told to be unseen."""
+    """One experiment: whether intervals hold the truth, their widths in parts of it, whether
+    parameters are told to be unseen."""
 
     hit: np.ndarray
     width: np.ndarray
@@ -48,9 +58,13 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two experiments, one fidelity")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-    count, fidelities = (2, ["fine"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
+    count, fidelities = (
+        (2, ["fine"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
+    )
     print(f"{machine()}; {count} experiments\n")
-    tried = {fidelity: [experiment(fidelity, seed) for seed in range(count)] for fidelity in fidelities}
+    tried = {
+        fidelity: [experiment(fidelity, seed) for seed in range(count)] for fidelity in fidelities
+    }
     rows = [row for fidelity, found in tried.items() for row in table(fidelity, found)]
     print(markdown_table(HEADER, rows))
     write_csv(arguments.out / "identification.csv", HEADER, rows)
@@ -60,7 +74,12 @@ def main() -> None:
 def markers() -> MarkerSet:
     """Three markers off the axis."""
     offsets = ((0.0, 0.0, 0.012), (0.0, 0.012, 0.0), (0.0, 0.0, 0.012))
-    return MarkerSet(markers={f"m{i}": Marker(arc_length=0.1 * (i + 1), offset=offset) for i, offset in enumerate(offsets)})
+    return MarkerSet(
+        markers={
+            f"m{i}": Marker(arc_length=0.1 * (i + 1), offset=offset)
+            for i, offset in enumerate(offsets)
+        }
+    )
 
 
 @functools.cache
@@ -77,25 +96,45 @@ def experiment(fidelity: str, seed: int) -> Tried:
     x = np.array([*random.uniform(-SPREAD, SPREAD, 2), np.log(NU)])
     command = random.uniform(0.0, LARGEST, (HOLDS, 3))
     command[np.arange(HOLDS), random.integers(3, size=HOLDS)] = 0.0
-    still = [Recording(f"{i}", "simulated", u[None], np.zeros((1, 3, 3)), 0.0, {}) for i, u in enumerate(command)]
+    still = [
+        Recording(f"{i}", "simulated", u[None], np.zeros((1, 3, 3)), 0.0, {})
+        for i, u in enumerate(command)
+    ]
     positions = Readings(robot, still).positions(x)
     positions = positions + NOISE * random.normal(size=positions.shape)
-    holds = [Recording(own.name, own.where, own.command, at[None], 0.0, {}) for own, at in zip(still, positions, strict=True)]
+    holds = [
+        Recording(own.name, own.where, own.command, at[None], 0.0, {})
+        for own, at in zip(still, positions, strict=True)
+    ]
     model, start = plants(fidelity), time.process_time()
     readings = Readings(model, holds)
     found = fit(readings)
     spread = intervals(found, readings)
     truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
     hit = (spread.low <= truth) & (truth <= spread.high)
-    return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)
+    return Tried(
+        hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start
+    )
 
 
 def table(fidelity: str, found: list[Tried]) -> list[tuple[str, ...]]:
     """A row for each parameter."""
-    hit, unseen = (np.sum([getattr(own, name) for own in found], axis=0) for name in ("hit", "unseen"))
-    width, seconds = np.median([own.width for own in found], axis=0), np.median([own.seconds for own in found])
+    hit, unseen = (
+        np.sum([getattr(own, name) for own in found], axis=0) for name in ("hit", "unseen")
+    )
+    width, seconds = (
+        np.median([own.width for own in found], axis=0),
+        np.median([own.seconds for own in found]),
+    )
     return [
-        (fidelity, name, f"{hit[i]} of {len(found)}", f"{100 * width[i]:.1f} %", f"{unseen[i]} of {len(found)}", f"{seconds:.2f}")
+        (
+            fidelity,
+            name,
+            f"{hit[i]} of {len(found)}",
+            f"{100 * width[i]:.1f} %",
+            f"{unseen[i]} of {len(found)}",
+            f"{seconds:.2f}",
+        )
         for i, name in enumerate(ASKED)
     ]
 

@@ -1,9 +1,10 @@
-"""Learning curves of the agents that ship for TipPose, over the seeds of their trainings: a picture and a CSV file of docs/results.
+"""Learning curves of the agents that ship for TipPose, over the seeds of their trainings: a picture
+and a CSV file of docs/results.
 
     python benchmarks/learning_curves.py [--quick] [--write-docs] [--out out]
 
-Errors are geometric means over the validation episodes of a training that did not diverge, with interquartile means and intervals over its
-seeds.
+Errors are geometric means over the validation episodes of a training that did not diverge, with
+interquartile means and intervals over its seeds.
 """
 
 from pathlib import Path
@@ -31,13 +32,25 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(6.0, 4.0), constrained_layout=True)
     for algorithm in ALGORITHMS:
         curves = curves_of(algorithm)
-        steps, minutes = curves.values("steps")[0].astype(int), curves.values("seconds").mean(axis=0) / 60.0
+        steps, minutes = (
+            curves.values("steps")[0].astype(int),
+            curves.values("seconds").mean(axis=0) / 60.0,
+        )
         errors, seeds = 1e3 * curves.values("typical"), len(curves.rows)
         middle, (low, high) = interquartile_mean(errors), bootstrap_interval(errors)
         axes.plot(minutes, middle, color=drawn[algorithm].rgb, label=with_seeds(algorithm, seeds))
         axes.fill_between(minutes, low, high, color=drawn[algorithm].rgb, alpha=0.2, linewidth=0)
-        rows += [(algorithm, seeds, *row) for row in zip(steps, minutes, middle, low, high, strict=True)]
-        ends.append((algorithm, seeds, steps[-1], *(number(float(values[-1])) for values in (minutes, middle, low, high))))
+        rows += [
+            (algorithm, seeds, *row) for row in zip(steps, minutes, middle, low, high, strict=True)
+        ]
+        ends.append(
+            (
+                algorithm,
+                seeds,
+                steps[-1],
+                *(number(float(values[-1])) for values in (minutes, middle, low, high)),
+            )
+        )
     set_log_scale(axes, axes.yaxis)
     axes.set(xlabel="time of training [min]", ylabel="position [mm] RMS, validation episodes")
     axes.grid(alpha=0.3)

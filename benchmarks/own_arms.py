@@ -1,9 +1,11 @@
-"""Error that each preset keeps on twelve arms that do not ship: a section of docs/appendix/accuracy.md.
+"""Error that each preset keeps on twelve arms that do not ship: a section of
+docs/appendix/accuracy.md.
 
     python benchmarks/own_arms.py [--arms spring ...] [--quick] [--write-docs] [--out out]
 
-Largest distance of the tip from full physics, at rest under twelve sets of tensions within limits and over 2 s in two motions of each
-usual kind, none of which the trial had. The trial's CPU time is that of one thread; CPU of a step is that of 20 ms in `simulate`.
+Largest distance of the tip from full physics, at rest under twelve sets of tensions within limits
+and over 2 s in two motions of each usual kind, none of which the trial had. The trial's CPU time is
+that of one thread; CPU of a step is that of 20 ms in `simulate`.
 """
 
 import time
@@ -11,7 +13,15 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _results import (
+    APPENDIX,
+    folders,
+    markdown_table,
+    parser_of,
+    write_block,
+    write_csv,
+    write_picture,
+)
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -23,34 +33,68 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 
 RESTS, SEEDS, REFERENCE = 12, range(100, 102), 1e-4  # of the length
 SHOWN = "standard"  # in the page's table; the CSV file and the picture have all presets
-HEADER = ("arm", "fidelity", "asked [%]", "at rest [%]", "in motion [%]", "coordinates", "intervals", "trial [s]", "CPU of a step [us]")
+HEADER = (
+    "arm",
+    "fidelity",
+    "asked [%]",
+    "at rest [%]",
+    "in motion [%]",
+    "coordinates",
+    "intervals",
+    "trial [s]",
+    "CPU of a step [us]",
+)
 
 
 def rod(
-    length: float, young_modulus: float, radius: object, density: float = 1100.0, damping: float = 0.01, **more: object
+    length: float,
+    young_modulus: float,
+    radius: object,
+    density: float = 1100.0,
+    damping: float = 0.01,
+    **more: object,
 ) -> dict[str, object]:
     """A segment; damping: as a share of Young's modulus [s]."""
-    material = {"young_modulus": young_modulus, "poisson_ratio": 0.45, "density": density, "damping": damping * young_modulus}
+    material = {
+        "young_modulus": young_modulus,
+        "poisson_ratio": 0.45,
+        "density": density,
+        "damping": damping * young_modulus,
+    }
     return {"length": length, "radius": radius, **material, **more}
 
 
-def around(offset: float, limits: tuple[float, float], count: int = 3, **more: object) -> list[dict[str, object]]:
+def around(
+    offset: float, limits: tuple[float, float], count: int = 3, **more: object
+) -> list[dict[str, object]]:
     """Straight tendons evenly around the axis."""
     angles = 2.0 * np.pi * np.arange(count) / count
     offsets = [[float(offset * np.cos(angle)), float(offset * np.sin(angle))] for angle in angles]
-    return [{"routing": {"type": "straight", "offset": place}, "tension_limits": limits, **more} for place in offsets]
+    return [
+        {"routing": {"type": "straight", "offset": place}, "tension_limits": limits, **more}
+        for place in offsets
+    ]
 
 
 def helix(rate: float, phase: float) -> dict[str, object]:
-    return {"routing": {"type": "helix", "radius": 0.006, "angular_rate": rate, "phase": phase}, "tension_limits": (0.0, 6.0)}
+    return {
+        "routing": {"type": "helix", "radius": 0.006, "angular_rate": rate, "phase": phase},
+        "tension_limits": (0.0, 6.0),
+    }
 
 
-def spring(gravity: tuple[float, float, float], turns: float = 3.0, length: float = 0.6, pitch: float = 0.2) -> dict[str, object]:
+def spring(
+    gravity: tuple[float, float, float], turns: float = 3.0, length: float = 0.6, pitch: float = 0.2
+) -> dict[str, object]:
     """A wire of several turns under its weight."""
     rate = 2.0 * np.pi * turns / length
     curvature = (rate * float(np.sin(pitch)), 0.0, rate * float(np.cos(pitch)))
     tendons = around(0.002, (0.0, 1.0), 4)[:2]
-    return {"segments": [rod(length, 2e7, 0.004, damping=5e-5, curvature=curvature)], "tendons": tendons, "effects": weight(*gravity)}
+    return {
+        "segments": [rod(length, 2e7, 0.004, damping=5e-5, curvature=curvature)],
+        "tendons": tendons,
+        "effects": weight(*gravity),
+    }
 
 
 def weight(*gravity: float) -> dict[str, object]:
@@ -63,7 +107,11 @@ ARMS: dict[str, dict[str, object]] = {
         "tendons": around(0.02, (0.0, 60.0)),
         "effects": {"tip_load": {"force": (0.0, 0.0, -5.0)}},
     },
-    "sags": {"segments": [rod(0.3, 3e5, 0.012, damping=0.02)], "tendons": around(0.009, (0.0, 4.0)), "effects": weight(0.0, 0.0, -9.81)},
+    "sags": {
+        "segments": [rod(0.3, 3e5, 0.012, damping=0.02)],
+        "tendons": around(0.009, (0.0, 4.0)),
+        "effects": weight(0.0, 0.0, -9.81),
+    },
     "helices, hangs": {
         "segments": [rod(0.3, 4e5, 0.01)],
         "tendons": [helix(41.9, 0.0), helix(-41.9, 90.0), *around(0.006, (0.0, 6.0))],
@@ -88,16 +136,28 @@ ARMS: dict[str, dict[str, object]] = {
     },
     "pretension": {"segments": [rod(0.4, 1e6, 0.012)], "tendons": around(0.01, (4.0, 20.0))},
     "curved, tapered, stands": {
-        "segments": [rod(0.5, 6e5, {"type": "linear", "base": 0.02, "tip": 0.006}, curvature=(0.0, 3.0, 0.0))],
-        "tendons": [{"routing": {"type": "surface", "angle": angle}, "tension_limits": (0.0, 8.0)} for angle in (0.0, 120.0, 240.0)],
+        "segments": [
+            rod(0.5, 6e5, {"type": "linear", "base": 0.02, "tip": 0.006}, curvature=(0.0, 3.0, 0.0))
+        ],
+        "tendons": [
+            {"routing": {"type": "surface", "angle": angle}, "tension_limits": (0.0, 8.0)}
+            for angle in (0.0, 120.0, 240.0)
+        ],
         "effects": weight(-9.81, 0.0, 0.0),
     },
     "tendons end midway": {
         "segments": [rod(0.4, 1e6, 0.013)],
-        "tendons": [*around(0.01, (0.0, 12.0), end=0.17), *around(0.008, (0.0, 6.0), start=0.05, end=0.31)],
+        "tendons": [
+            *around(0.01, (0.0, 12.0), end=0.17),
+            *around(0.008, (0.0, 6.0), start=0.05, end=0.31),
+        ],
         "effects": {"tip_load": {"force": (0.0, 0.1, 0.0)}},
     },
-    "slender": {"segments": [rod(0.5, 2e7, 0.0025)], "tendons": around(0.002, (0.0, 6.0)), "effects": weight(0.0, 0.0, -9.81)},
+    "slender": {
+        "segments": [rod(0.5, 2e7, 0.0025)],
+        "tendons": around(0.002, (0.0, 6.0)),
+        "effects": weight(0.0, 0.0, -9.81),
+    },
 }
 
 
@@ -105,8 +165,14 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--arms", nargs="+", default=[*ARMS], choices=[*ARMS])
     arguments = parser.parse_args()
-    names, count, seconds = (arguments.arms[:1], 1, 0.1) if arguments.quick else (arguments.arms, RESTS, 2.0)
-    rows = [row for name in tqdm(names, desc="arms", leave=False) for row in measured(name, count, seconds)]
+    names, count, seconds = (
+        (arguments.arms[:1], 1, 0.1) if arguments.quick else (arguments.arms, RESTS, 2.0)
+    )
+    rows = [
+        row
+        for name in tqdm(names, desc="arms", leave=False)
+        for row in measured(name, count, seconds)
+    ]
     for folder in folders(arguments):
         write_csv(folder / "own_arms.csv", HEADER, rows)
         draw(rows, folder / "own_arms.png")
@@ -119,25 +185,46 @@ def measured(name: str, count: int, seconds: float) -> list[tuple[str, ...]]:
     scene = ste.Scene.parse({"name": name, **ARMS[name]}, name)
     low, high = np.array([tendon.tension_limits for tendon in scene.tendons]).T
     rests = [*(low + np.random.default_rng(1).random((count, low.size)) * (high - low))]
-    motions = [motion_tensions(scene, kind, seed, seconds) for kind in USUAL for seed in SEEDS[:count]]
+    motions = [
+        motion_tensions(scene, kind, seed, seconds) for kind in USUAL for seed in SEEDS[:count]
+    ]
     exact = reference_motions(scene, [*rests, *motions], REFERENCE * rod_length(scene)).tips
     return [row(scene, preset, rests, motions, exact) for preset in PRESETS]
 
 
 def row(
-    scene: Scene, preset: str, rests: list[np.ndarray], motions: list[np.ndarray], exact: tuple[np.ndarray | None, ...]
+    scene: Scene,
+    preset: str,
+    rests: list[np.ndarray],
+    motions: list[np.ndarray],
+    exact: tuple[np.ndarray | None, ...],
 ) -> tuple[str, ...]:
     asked, started = accuracy_of(scene, preset), time.process_time()
     found, trial = search(scene, asked), time.process_time() - started
     model = ste.build_model(found.of(scene), "scene")
-    still = [distance(tip_path(model, tension), tip) for tension, tip in zip(rests, exact, strict=False)]
+    still = [
+        distance(tip_path(model, tension), tip) for tension, tip in zip(rests, exact, strict=False)
+    ]
     tip_path(model, motions[0])
     started = time.process_time()
-    moving = [distance(tip_path(model, table), tips) for table, tips in zip(motions, exact[len(rests) :], strict=True)]
-    cost = 1e6 * HOLD * (time.process_time() - started) / sum(HOLD * len(table) for table in motions)
+    moving = [
+        distance(tip_path(model, table), tips)
+        for table, tips in zip(motions, exact[len(rests) :], strict=True)
+    ]
+    cost = (
+        1e6 * HOLD * (time.process_time() - started) / sum(HOLD * len(table) for table in motions)
+    )
     errors = [f"{100.0 * np.nanmax(values) / rod_length(scene):.2g}" for values in (still, moving)]
     sizes = str(model.coordinate_count), str(model.grid.real.sum())
-    return scene.name, preset, f"{100.0 * asked.share:g}", *errors, *sizes, f"{trial:.1f}", f"{cost:.0f}"
+    return (
+        scene.name,
+        preset,
+        f"{100.0 * asked.share:g}",
+        *errors,
+        *sizes,
+        f"{trial:.1f}",
+        f"{cost:.0f}",
+    )
 
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
@@ -145,7 +232,12 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.set_prop_cycle(color=plt.get_cmap("Paired").colors)  # twelve
     for name in dict.fromkeys(row[0] for row in rows):
         chosen = [row for row in rows if row[0] == name]
-        axes.loglog([float(row[2]) for row in chosen], [max(float(row[3]), float(row[4])) for row in chosen], "o-", label=name)
+        axes.loglog(
+            [float(row[2]) for row in chosen],
+            [max(float(row[3]), float(row[4])) for row in chosen],
+            "o-",
+            label=name,
+        )
     axes.axline((0.1, 0.1), (1.0, 1.0), color="0.5", label="asked")
     axes.set(xlabel="asked [% of the length]", ylabel="largest error of the tip [%]")
     axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -1,10 +1,14 @@
-"""A peer's learning task in three ways: PPO with their settings, PPO with this package's, and the analytic policy gradient.
+"""A peer's learning task in three ways: PPO with their settings, PPO with this package's, and the
+analytic policy gradient.
 
-    python benchmarks/peer_learning.py [--ways theirs ours apg] [--seeds 1] [--steps 0] [--quick] [--write-docs] [--out out]
+    python benchmarks/peer_learning.py [--ways theirs ours apg] [--seeds 1] [--steps 0] [--quick]
+    [--write-docs] [--out out]
 
-The task is `examples/follow_ball.py`, SoRoMoX's study of parallel reinforcement learning written anew. Times are of training, without
-compilation, to the first update at which the last 100 whole episodes had this mean return: wall time, and CPU time of the process. What
-their logs say stands beside: of another simulator, on a GPU that is not named, of an arm with another damping of torsion, stretch, shear.
+The task is `examples/follow_ball.py`, SoRoMoX's study of parallel reinforcement learning written
+anew. Times are of training, without compilation, to the first update at which the last 100 whole
+episodes had this mean return: wall time, and CPU time of the process. What their logs say stands
+beside: of another simulator, on a GPU that is not named, of an arm with another damping of torsion,
+stretch, shear.
 """
 
 import argparse
@@ -38,9 +42,23 @@ THEIR_LOGS = (
     ("PyElastica in their study, PPO, the better of two runs", "99", "5,885", "98"),
 )
 THEIR_HEADER = ("their logs", "wall time to 0 [s]", "to 100 [s]", "at the end")
-THEIRS = "What their logs say, on a GPU that is not named (PyElastica: a CPU), of a rod with another damping of torsion, stretch and shear:"
+THEIRS = (
+    "What their logs say, on a GPU that is not named (PyElastica: a CPU), of a rod with another"
+    " damping of torsion, stretch and shear:"
+)
 DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "appendix" / "peers.md", "peer learning"
-HEADER = ("way", "seed", "wall time to 0 [s]", "to 100 [s]", "CPU time to 0 [s]", "to 100 [s]", "steps to 0", "to 100", "at the end", "of")
+HEADER = (
+    "way",
+    "seed",
+    "wall time to 0 [s]",
+    "to 100 [s]",
+    "CPU time to 0 [s]",
+    "to 100 [s]",
+    "steps to 0",
+    "to 100",
+    "at the end",
+    "of",
+)
 
 
 def annealed(first: float, last: float) -> Callable[[float], float]:
@@ -51,15 +69,39 @@ def annealed(first: float, last: float) -> Callable[[float], float]:
 def theirs(seed: int) -> BaseAlgorithm:
     """PPO with the settings of their study."""
     env = VecNormalize(make_env("full"))
-    return PPO("MlpPolicy", env, n_steps=200, batch_size=428, learning_rate=3e-4, gamma=0.99, gae_lambda=0.95, seed=seed, device="cpu")
+    return PPO(
+        "MlpPolicy",
+        env,
+        n_steps=200,
+        batch_size=428,
+        learning_rate=3e-4,
+        gamma=0.99,
+        gae_lambda=0.95,
+        seed=seed,
+        device="cpu",
+    )
 
 
 def ours(seed: int) -> BaseAlgorithm:
     """PPO as `configs/ppo_tip_pose_nominal.toml` has it."""
     env = VecNormalize(make_env("error"), norm_obs=False, gamma=0.95)
-    kept: dict[str, Any] = {"n_steps": 32, "batch_size": 512, "n_epochs": 10, "target_kl": 0.03, "gamma": 0.95}
+    kept: dict[str, Any] = {
+        "n_steps": 32,
+        "batch_size": 512,
+        "n_epochs": 10,
+        "target_kl": 0.03,
+        "gamma": 0.95,
+    }
     network = {"net_arch": [128, 128], "log_std_init": -1.0}
-    return PPO("MlpPolicy", env, learning_rate=annealed(1e-3, 1e-4), policy_kwargs=network, seed=seed, device="cpu", **kept)
+    return PPO(
+        "MlpPolicy",
+        env,
+        learning_rate=annealed(1e-3, 1e-4),
+        policy_kwargs=network,
+        seed=seed,
+        device="cpu",
+        **kept,
+    )
 
 
 def apg(seed: int) -> BaseAlgorithm:
@@ -83,11 +125,14 @@ WAYS = {
 
 
 def make_env(observation: str, rows: int = ROWS) -> VecEnv:
-    return make_sb3_vec_env(follow_ball.ID, rows, threads=1, observation=observation, **follow_ball.OPTIONS)
+    return make_sb3_vec_env(
+        follow_ball.ID, rows, threads=1, observation=observation, **follow_ball.OPTIONS
+    )
 
 
 class Curve(BaseCallback):
-    """Mean returns of the last whole episodes, as theirs, after every rollout: `points` of (steps, wall time [s], CPU time [s], return)."""
+    """Mean returns of the last whole episodes, as theirs, after every rollout: `points` of (steps,
+    wall time [s], CPU time [s], return)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -100,24 +145,45 @@ class Curve(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        whole = [episode["r"] for episode in self.model.ep_info_buffer or () if episode["l"] == follow_ball.PERIODS]
+        whole = [
+            episode["r"]
+            for episode in self.model.ep_info_buffer or ()
+            if episode["l"] == follow_ball.PERIODS
+        ]
         if len(whole) == EPISODES:
             wall, cpu = time.perf_counter() - self._began[0], time.process_time() - self._began[1]
-            self.points.append((self.num_timesteps, wall, cpu, follow_ball.their_return(float(np.mean(whole)))))
+            self.points.append(
+                (self.num_timesteps, wall, cpu, follow_ball.their_return(float(np.mean(whole))))
+            )
 
     def first_at(self, wanted: float) -> tuple[Any, ...]:
-        """Steps, wall time [s] and CPU time [s] at the first mean return of at least so much, dashes where there was none."""
+        """Steps, wall time [s] and CPU time [s] at the first mean return of at least so much,
+        dashes where there was none."""
         return next((point[:3] for point in self.points if point[3] >= wanted), ("-",) * 3)
 
 
 def trained(name: str, seed: int, steps: int) -> tuple[Curve, tuple[Any, ...]]:
-    """The curve of a training and its row of the table. What compiles does so before, in a training of another seed."""
+    """The curve of a training and its row of the table. What compiles does so before, in a training
+    of another seed."""
     way, curve = WAYS[name], Curve()
     way.make(seed + 1).learn(1)
     way.make(seed).learn(steps or way.steps, callback=curve)
-    (first, wall, cpu), (there, to_there, cpu_there) = (curve.first_at(wanted) for wanted in RETURNS)
+    (first, wall, cpu), (there, to_there, cpu_there) = (
+        curve.first_at(wanted) for wanted in RETURNS
+    )
     end = curve.points[-1] if curve.points else ("-", "-", "-", "-")
-    return curve, (way.title, seed, shown(wall), shown(to_there), shown(cpu), shown(cpu_there), first, there, shown(end[3]), end[0])
+    return curve, (
+        way.title,
+        seed,
+        shown(wall),
+        shown(to_there),
+        shown(cpu),
+        shown(cpu_there),
+        first,
+        there,
+        shown(end[3]),
+        end[0],
+    )
 
 
 def shown(value: Any) -> str:
@@ -142,9 +208,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--ways", nargs="+", choices=list(WAYS), default=list(WAYS))
     parser.add_argument("--seeds", type=int, default=1, help="how many")
-    parser.add_argument("--steps", type=int, default=0, help="of every training; 0: as many as each way has")
+    parser.add_argument(
+        "--steps", type=int, default=0, help="of every training; 0: as many as each way has"
+    )
     parser.add_argument("--quick", action="store_true", help="a few episodes, to try it")
-    parser.add_argument("--write-docs", action="store_true", help=f"write the tables into {DOCS.name}")
+    parser.add_argument(
+        "--write-docs", action="store_true", help=f"write the tables into {DOCS.name}"
+    )
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK])
@@ -158,7 +228,9 @@ def main() -> None:
             curve, row = trained(name, seed, steps)
             curves[name].append(curve)
             rows.append(row)
-    text = f"{markdown_table(HEADER, rows)}\n\n{THEIRS}\n\n{markdown_table(THEIR_HEADER, THEIR_LOGS)}"
+    text = (
+        f"{markdown_table(HEADER, rows)}\n\n{THEIRS}\n\n{markdown_table(THEIR_HEADER, THEIR_LOGS)}"
+    )
     print(f"{machine()}; {ROWS} arms with PPO, {follow_ball.ROWS} with APG\n\n{text}\n")
     page.write(BLOCK, text)
     write_csv(arguments.out / "peer_learning.csv", HEADER, rows)

@@ -2,8 +2,9 @@
 
     python benchmarks/robot_loop.py [--seconds 20] [--policy filtered:tracking] [--out out]
 
-The robot is a simulated arm in this process. A fault happens half a second after the beginning of a run of its own; "from the fault" counts
-from there to the last command, which lets the tendons go, and "from its notice" from when the watchdog or the loop saw it.
+The robot is a simulated arm in this process. A fault happens half a second after the beginning of a
+run of its own; "from the fault" counts from there to the last command, which lets the tendons go,
+and "from its notice" from when the watchdog or the loop saw it.
 """
 
 import argparse
@@ -37,11 +38,20 @@ HEADER = (
     "stopped by",
 )
 HANGS = 0.5  # [s], longer than any patience
-FAULTS = ("tracker lost", "port lost", "NaN measured", "reading hangs", "policy hangs", "policy raises", "Ctrl-C")
+FAULTS = (
+    "tracker lost",
+    "port lost",
+    "NaN measured",
+    "reading hangs",
+    "policy hangs",
+    "policy raises",
+    "Ctrl-C",
+)
 
 
 class Faulty(SimulatedRobot):
-    """A simulated robot with one of FAULTS, or none, from `begins` [s] of its clock on. `slack_at`: when the last command was slack."""
+    """A simulated robot with one of FAULTS, or none, from `begins` [s] of its clock on. `slack_at`:
+    when the last command was slack."""
 
     fault, begins, slack_at = "", math.inf, math.nan
 
@@ -89,7 +99,10 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{machine()}; {arguments.policy} at 50 Hz\n")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = [row_of("no fault", arguments, arguments.seconds), *(row_of(fault, arguments, 2.0) for fault in FAULTS)]
+    rows = [
+        row_of("no fault", arguments, arguments.seconds),
+        *(row_of(fault, arguments, 2.0) for fault in FAULTS),
+    ]
     print(markdown_table(HEADER, rows))
     write_csv(arguments.out / "robot_loop.csv", HEADER, rows)
     draw(rows[1:], arguments.out / "robot_loop.png")
@@ -112,7 +125,16 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     since = f"{1e3 * (robot.slack_at - robot.begins):.0f}" if fault in FAULTS else "-"
     timing, noticed = report.timing, 1e3 * report.stop.seconds
     late = [f"{1e3 * value:.3f}" for value in (timing.p50, timing.p99, timing.worst)]
-    return fault, timing.periods, timing.overruns, *late, f"{noticed:.0f}", since, log.read_text().count("\n") - 2, report.stop.cause
+    return (
+        fault,
+        timing.periods,
+        timing.overruns,
+        *late,
+        f"{noticed:.0f}",
+        since,
+        log.read_text().count("\n") - 2,
+        report.stop.cause,
+    )
 
 
 def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
@@ -126,7 +148,10 @@ def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
 def draw(rows: list[tuple[object, ...]], path: Path) -> None:
     """A bar for each fault."""
     figure, axes = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
-    axes.barh([str(row[0]) for row in rows], [float(str(row[HEADER.index("from the fault [ms]")])) for row in rows])
+    axes.barh(
+        [str(row[0]) for row in rows],
+        [float(str(row[HEADER.index("from the fault [ms]")])) for row in rows],
+    )
     axes.set(xlabel="from the fault to slack tendons [ms]")
     axes.invert_yaxis()
     write_picture(figure, path, dpi=150)

@@ -1,13 +1,16 @@
-"""Growth of cost with the size of the problem, memory per row, and what more cores should give: a section of docs/appendix/speed.md.
+"""Growth of cost with the size of the problem, memory per row, and what more cores should give: a
+section of docs/appendix/speed.md.
 
     python benchmarks/scaling.py [--quick] [--write-docs] [--out out]
 
-- One size changes at a time, with its consequences: each tendon of the statics-based strain is a coordinate, and each segment has its own
-  intervals. Costs are the smallest CPU times of several turns, in which all sizes are measured one after the other.
+- One size changes at a time, with its consequences: each tendon of the statics-based strain is a
+  coordinate, and each segment has its own intervals. Costs are the smallest CPU times of several
+  turns, in which all sizes are measured one after the other.
 - Exponents: the slope p of log(cost) against log(size), cost ~ size^p.
 - Memory: allocated by Python and NumPy after twenty steps, per row.
-- Cores: predicted. Python and NumPy take a + b per row on one thread, the compiled part c per row, which threads share, at least eight rows
-  each; a, b and c are measured on one thread. Rates of processes are predicted to add up, since they share memory bandwidth alone.
+- Cores: predicted. Python and NumPy take a + b per row on one thread, the compiled part c per row,
+  which threads share, at least eight rows each; a, b and c are measured on one thread. Rates of
+  processes are predicted to add up, since they share memory bandwidth alone.
 """
 
 import itertools
@@ -25,7 +28,15 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _results import (
+    APPENDIX,
+    folders,
+    markdown_table,
+    parser_of,
+    write_block,
+    write_csv,
+    write_picture,
+)
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
@@ -83,12 +94,21 @@ def main() -> None:
     rows, shares = [], {}
     for family in FAMILIES:
         sizes = family.sizes[:2] if quick else family.sizes
-        rows += cost_rows(family.what, "evaluation", sizes, evaluation_costs(family, sizes, turns=2 if quick else 15))
+        rows += cost_rows(
+            family.what,
+            "evaluation",
+            sizes,
+            evaluation_costs(family, sizes, turns=2 if quick else 15),
+        )
         if family.what != "effects" or not quick:
-            rows += cost_rows(family.what, "env step", sizes, step_costs(family, sizes, turns=1 if quick else 5))
+            rows += cost_rows(
+                family.what, "env step", sizes, step_costs(family, sizes, turns=1 if quick else 5)
+            )
     for fidelity in ("fast",) if quick else ("fast", "standard"):
         shares[fidelity] = measured_shares(fidelity, turns=1 if quick else 5)
-        rows += cost_rows(f"rows, {fidelity}", "step of all rows", shares[fidelity].rows, shares[fidelity].whole)
+        rows += cost_rows(
+            f"rows, {fidelity}", "step of all rows", shares[fidelity].rows, shares[fidelity].whole
+        )
     for folder in folders(arguments):
         write_csv(folder / "scaling.csv", HEADER, rows)
         draw(rows, folder / "scaling.png")
@@ -97,14 +117,21 @@ def main() -> None:
 
 
 def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:
-    """The segment of `four_tendon` cut into equal segments, with straight tendons evenly around it."""
+    """The segment of `four_tendon` cut into equal segments, with straight tendons evenly around
+    it."""
     scene = ste.load_scene("four_tendon")
     table = scene_to_dict(scene)
     segment, tendon = table["segments"][0], table["tendons"][0]
     angles = 2.0 * np.pi * np.arange(tendons) / tendons
-    offsets = [[float(y), float(z)] for y, z in 0.01 * np.stack([np.cos(angles), np.sin(angles)], axis=1)]
-    table["segments"] = [{**segment, "length": segment["length"] / segments} for _ in range(segments)]
-    table["tendons"] = [{**tendon, "routing": {**tendon["routing"], "offset": offset}} for offset in offsets]
+    offsets = [
+        [float(y), float(z)] for y, z in 0.01 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    ]
+    table["segments"] = [
+        {**segment, "length": segment["length"] / segments} for _ in range(segments)
+    ]
+    table["tendons"] = [
+        {**tendon, "routing": {**tendon["routing"], "offset": offset}} for offset in offsets
+    ]
     return ste.Scene.parse(table, "scaling")
 
 
@@ -112,27 +139,45 @@ def of_tendons(size: int) -> tuple[ste.Scene, int]:
     """Helices of different rates, so that every one is a coordinate and none brings intervals."""
     table = scene_to_dict(straight_arm(size))
     for i, tendon in enumerate(table["tendons"]):
-        tendon["routing"] = {"type": "helix", "radius": 0.01, "angular_rate": 2.0 * (i - (size - 1) / 2), "phase": 360.0 * i / size}
+        tendon["routing"] = {
+            "type": "helix",
+            "radius": 0.01,
+            "angular_rate": 2.0 * (i - (size - 1) / 2),
+            "phase": 360.0 * i / size,
+        }
     return ste.Scene.parse(table, "scaling").replace(STATICS_BASED), 16
 
 
 def of_coordinates(size: int) -> tuple[ste.Scene, int]:
     """Explicit strains of growing order, six fields each."""
     order = size // 6 - 1
-    strain = {"type": "explicit", "modes": [{"strains": [*ANGULAR, "stretch", "shear_y", "shear_z"], "order": order, "span": "rod"}]}
+    strain = {
+        "type": "explicit",
+        "modes": [
+            {"strains": [*ANGULAR, "stretch", "shear_y", "shear_z"], "order": order, "span": "rod"}
+        ],
+    }
     return straight_arm(3).replace({"strain": strain}), 16
 
 
 def of_effects(size: int) -> tuple[ste.Scene, int]:
-    changes = {f"effects.{name}": values for name, values in itertools.islice(EFFECTS.items(), size - 1)}
+    changes = {
+        f"effects.{name}": values for name, values in itertools.islice(EFFECTS.items(), size - 1)
+    }
     return ste.load_scene("paper").replace(changes), 6
 
 
 FAMILIES = (
-    Family("intervals", (8, 16, 32, 64, 128), lambda size: (ste.load_scene("three_tendon").replace(STATICS_BASED), size)),
+    Family(
+        "intervals",
+        (8, 16, 32, 64, 128),
+        lambda size: (ste.load_scene("three_tendon").replace(STATICS_BASED), size),
+    ),
     Family("coordinates", (6, 12, 24, 48, 72), of_coordinates),
     Family("tendons", (4, 8, 16, 32), of_tendons),
-    Family("segments", (1, 2, 4, 8, 16), lambda size: (straight_arm(4, size).replace(STATICS_BASED), 4)),
+    Family(
+        "segments", (1, 2, 4, 8, 16), lambda size: (straight_arm(4, size).replace(STATICS_BASED), 4)
+    ),
     Family("effects", (1, 2, 3, 4, 5, 6, 7), of_effects),
 )
 
@@ -142,10 +187,16 @@ def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> list[f
     ready, best = [], [np.inf] * len(sizes)
     for size in sizes:
         model = model_on(*family.scene(size))
-        n, scratch, random = model.coordinate_count, make_scratch(model.arm, 3), np.random.default_rng(0)
+        n, scratch, random = (
+            model.coordinate_count,
+            make_scratch(model.arm, 3),
+            np.random.default_rng(0),
+        )
         scratch.work.xi[:] = model.arm.rod.reference_strain
         q = random.uniform(0.0, 1.0, n) * 0.1 * model.coordinate_scale()
-        ready.append((model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch))
+        ready.append(
+            (model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch)
+        )
         evaluate_force_often(*ready[-1], 5)
     for _ in range(turns):
         for i, arguments in enumerate(ready):
@@ -160,8 +211,17 @@ def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
     ready, best = [], [np.inf] * len(sizes)
     for size in sizes:
         scene, intervals = family.scene(size)
-        own = scene.replace({"quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}})
-        ready.append(stepping(16, scene=own, fidelity="scene", target={"type": "hold", "tension": [0.0] * len(scene.tendons)}))
+        own = scene.replace(
+            {"quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}}
+        )
+        ready.append(
+            stepping(
+                16,
+                scene=own,
+                fidelity="scene",
+                target={"type": "hold", "tension": [0.0] * len(scene.tendons)},
+            )
+        )
     for _ in range(turns):
         for i, step in enumerate(ready):
             best[i] = min(best[i], cpu_of(step) / 16)
@@ -170,9 +230,20 @@ def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
 
 def stepping(rows: int, threads: int = 1, **options: Any) -> Callable[[], gym.vector.VectorEnv]:
     """Steps an environment for PERIODS with small random actions; returns it."""
-    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=rows, threads=threads, max_episode_steps=None, action="tension", **options)
+    envs = gym.make_vec(
+        "TendonRod-TipPose-v0",
+        num_envs=rows,
+        threads=threads,
+        max_episode_steps=None,
+        action="tension",
+        **options,
+    )
     envs.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1.0, -0.8, (PERIODS, *envs.action_space.shape)).astype(np.float32)
+    actions = (
+        np.random.default_rng(0)
+        .uniform(-1.0, -0.8, (PERIODS, *envs.action_space.shape))
+        .astype(np.float32)
+    )
     envs.step(actions[0])
 
     def step() -> gym.vector.VectorEnv:
@@ -238,9 +309,14 @@ class Clock:
 HEADER = ("what grows", "cost", "size", "CPU [us]")
 
 
-def cost_rows(what: str, cost: str, sizes: Sequence[int], seconds: Sequence[float]) -> list[tuple[str, ...]]:
+def cost_rows(
+    what: str, cost: str, sizes: Sequence[int], seconds: Sequence[float]
+) -> list[tuple[str, ...]]:
     """A row for every size."""
-    return [(what, cost, str(size), f"{1e6 * value:.3g}") for size, value in zip(sizes, seconds, strict=True)]
+    return [
+        (what, cost, str(size), f"{1e6 * value:.3g}")
+        for size, value in zip(sizes, seconds, strict=True)
+    ]
 
 
 def curves(rows: Sequence[tuple[str, ...]]) -> dict[tuple[str, str], np.ndarray]:
@@ -265,10 +341,21 @@ def growth_table(rows: Sequence[tuple[str, ...]]) -> str:
 
 def cores_table(shares: dict[str, Shares]) -> str:
     """Rows a second that are predicted."""
-    header = ("cores", *(f"{fidelity}, {way}" for fidelity in shares for way in (f"{MANY} rows", "64 rows per core")))
+    header = (
+        "cores",
+        *(
+            f"{fidelity}, {way}"
+            for fidelity in shares
+            for way in (f"{MANY} rows", "64 rows per core")
+        ),
+    )
     table = []
     for cores in CORES:
-        rates = [rate for share in shares.values() for rate in (share.rate(MANY, cores), cores * share.rate(64, 1))]
+        rates = [
+            rate
+            for share in shares.values()
+            for rate in (share.rate(MANY, cores), cores * share.rate(64, 1))
+        ]
         table.append((str(cores), *(f"{rate:,.0f}" for rate in rates)))
     return markdown_table(header, table)
 
@@ -276,11 +363,23 @@ def cores_table(shares: dict[str, Shares]) -> str:
 def memory_table(quick: bool) -> str:
     """Kilobytes that a process grows by per row, of each task."""
     few, many = (2, 8) if quick else (8, 128)
-    tasks, fidelities = (("TipPose",), ("fast",)) if quick else (("TipPose", "Shape", "Reach"), ("fast", "standard"))
+    tasks, fidelities = (
+        (("TipPose",), ("fast",))
+        if quick
+        else (("TipPose", "Shape", "Reach"), ("fast", "standard"))
+    )
     environment, rows = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, []
     for task in tasks:
-        commands = [[sys.executable, "-c", GROWTH, f"TendonRod-{task}-v1", own, str(few), str(many)] for own in fidelities]
-        grown = [subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout for command in commands]
+        commands = [
+            [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v1", own, str(few), str(many)]
+            for own in fidelities
+        ]
+        grown = [
+            subprocess.run(
+                command, env=environment, check=True, capture_output=True, text=True
+            ).stdout
+            for command in commands
+        ]
         rows.append((task, *(f"{json.loads(own) / 1024:.0f}" for own in grown)))
     return markdown_table(("task", *(f"{fidelity} [kB per row]" for fidelity in fidelities)), rows)
 

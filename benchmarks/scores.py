@@ -2,7 +2,8 @@
 
     python benchmarks/scores.py [--quick] [--write-docs] [--out out]
 
-Mean return of episodes of 10 s at `standard`, and mean over episodes of the RMS error after the first second, over the evaluation seeds.
+Mean return of episodes of 10 s at `standard`, and mean over episodes of the RMS error after the
+first second, over the evaluation seeds.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,11 @@ from soft_tendon_env.policies import load_policy, policy_options
 PAGE = Path(__file__).parent.parent / "docs" / "reference" / "environments.md"
 PERIOD, SECONDS, FIDELITY = 0.02, 10.0, {"fidelity": "standard"}
 LARGEST = {"idle": 0.0, "random": 1.0}  # action
-NAMED = {"PPO that ships": "ppo", "best agent that ships": "agent", "MPC with the exact model": "predictive"}
+NAMED = {
+    "PPO that ships": "ppo",
+    "best agent that ships": "agent",
+    "MPC with the exact model": "predictive",
+}
 
 
 class RandomPolicy:
@@ -30,14 +35,25 @@ class RandomPolicy:
     def __init__(self, largest: float, actions: int) -> None:
         self.largest, self.actions, self.generator = largest, actions, np.random.default_rng(0)
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        return self.largest * self.generator.uniform(-1.0, 1.0, (len(episode_start), self.actions)), None
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        return self.largest * self.generator.uniform(
+            -1.0, 1.0, (len(episode_start), self.actions)
+        ), None
 
 
 def main() -> None:
     arguments = parser_of(__doc__).parse_args()
     seeds, seconds = (EVALUATION_SEEDS[:1], 1.2) if arguments.quick else (EVALUATION_SEEDS, SECONDS)
-    header = ("policy", *(f"{IDS[task]}: {what}" for task in IDS for what in ("return", "error [mm]")))
+    header = (
+        "policy",
+        *(f"{IDS[task]}: {what}" for task in IDS for what in ("return", "error [mm]")),
+    )
     rows = [
         [policy, *(text for task in IDS for text in scores(task, policy, seeds, seconds))]
         for policy in tqdm([*LARGEST, *NAMED], leave=False)
@@ -49,8 +65,14 @@ def main() -> None:
 def scores(task: str, name: str, seeds: Sequence[int], seconds: float) -> tuple[str, str]:
     """Mean return and error [mm] of a policy."""
     options = policy_options(NAMED[name], task, FIDELITY) if name in NAMED else FIDELITY
-    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=round(seconds / PERIOD), **options)
-    policy = load_policy(NAMED[name], envs) if name in NAMED else RandomPolicy(LARGEST[name], envs.single_action_space.shape[0])
+    envs = gym.make_vec(
+        IDS[task], num_envs=len(seeds), max_episode_steps=round(seconds / PERIOD), **options
+    )
+    policy = (
+        load_policy(NAMED[name], envs)
+        if name in NAMED
+        else RandomPolicy(LARGEST[name], envs.single_action_space.shape[0])
+    )
     found = evaluate_rows(policy, envs, list(seeds))
     envs.close()
     error = np.mean([next(iter(score.errors.values())).rms for score in found])

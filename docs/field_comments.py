@@ -1,4 +1,5 @@
-"""Fields of classes as one table in the API pages, with the comment behind each: shapes and units stand there, `q: Array  # (n,)`."""
+"""Fields of classes as one table in the API pages, with the comment behind each: shapes and units
+stand there, `q: Array  # (n,)`."""
 
 import ast
 import re
@@ -8,29 +9,55 @@ import griffe
 
 
 class FieldComments(griffe.Extension):
-    """Turns the annotated fields of a class without docstrings of their own into the section "Attributes" of the class."""
+    """Turns the annotated fields of a class without docstrings of their own into the section
+    "Attributes" of the class."""
 
     def on_class_members(self, *, cls: griffe.Class, **kwargs: Any) -> None:
-        fields = [field for field in cls.attributes.values() if not field.name.startswith("_") and is_field(field)]
+        fields = [
+            field
+            for field in cls.attributes.values()
+            if not field.name.startswith("_") and is_field(field)
+        ]
         if not fields or cls.docstring is None:
             return
-        if not any(section.kind is griffe.DocstringSectionKind.attributes for section in cls.docstring.parsed):
-            rows = [griffe.DocstringAttribute(field.name, description=description(field), annotation=field.annotation) for field in fields]
+        if not any(
+            section.kind is griffe.DocstringSectionKind.attributes
+            for section in cls.docstring.parsed
+        ):
+            rows = [
+                griffe.DocstringAttribute(
+                    field.name, description=description(field), annotation=field.annotation
+                )
+                for field in fields
+            ]
             cls.docstring.parsed.append(griffe.DocstringSectionAttributes(rows))
         for field in fields:
             cls.del_member(field.name)
 
 
 def is_field(attribute: griffe.Attribute) -> bool:
-    """Whether it is annotated in the class itself: those of NamedTuples, dataclasses and configurations are, properties and class variables
-    are not."""
+    """Whether it is annotated in the class itself: those of NamedTuples, dataclasses and
+    configurations are, properties and class variables are not."""
     of_class = {"class-attribute", "instance-attribute"} & attribute.labels == {"class-attribute"}
-    return attribute.annotation is not None and attribute.docstring is None and "property" not in attribute.labels and not of_class
+    return (
+        attribute.annotation is not None
+        and attribute.docstring is None
+        and "property" not in attribute.labels
+        and not of_class
+    )
 
 
 def description(field: griffe.Attribute) -> str:
-    """The description of a pydantic Field, or the comment at the end of the field's line, and its default."""
+    """The description of a pydantic Field, or the comment at the end of the field's line, and its
+    default."""
     value = str(field.value) if field.value is not None else ""
     comment = re.search(r"  # (.+)$", field.lines[-1]) if field.lines else None
-    texts = [comment[1]] if comment else [ast.literal_eval(found[1]) for found in re.finditer(r"description=('[^']*'|\"[^\"]*\")", value)]
+    texts = (
+        [comment[1]]
+        if comment
+        else [
+            ast.literal_eval(found[1])
+            for found in re.finditer(r"description=('[^']*'|\"[^\"]*\")", value)
+        ]
+    )
     return "; ".join(texts + [f"default `{value}`"] if value and "Field(" not in value else texts)

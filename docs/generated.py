@@ -2,8 +2,9 @@
 
     python docs/generated.py [--list] [PAGE or PICTURE ...]
 
-What is current, made at a commit since which no code or configuration has changed (see soft_tendon_env/evaluation/pages.py), is left as it
-is: a stopped command goes on. --list only says what is not current.
+What is current, made at a commit since which no code or configuration has changed (see
+soft_tendon_env/evaluation/pages.py), is left as it is: a stopped command goes on. --list only says
+what is not current.
 """
 
 import argparse
@@ -46,7 +47,12 @@ def has_changed(commit: str | None) -> bool:
     """Whether SOURCES differ from those of a commit, or that is not known."""
     if commit is None or commit.endswith("+"):
         return True
-    return subprocess.run(["git", "diff", "--quiet", commit, "--", *SOURCES], cwd=ROOT, capture_output=True).returncode != 0
+    return (
+        subprocess.run(
+            ["git", "diff", "--quiet", commit, "--", *SOURCES], cwd=ROOT, capture_output=True
+        ).returncode
+        != 0
+    )
 
 
 class Made(Configuration):
@@ -65,18 +71,26 @@ class Made(Configuration):
         return [*([] if self.page is None else [self.page]), *self.pictures]
 
     def stamps(self) -> list[Stamp | None]:
-        """Stamps of the blocks, or of the page, or of the pictures. Raises ValueError, FileNotFoundError."""
+        """Stamps of the blocks, or of the page, or of the pictures. Raises ValueError,
+        FileNotFoundError."""
         if self.page is None:
             kept = read_json(STAMPS) if STAMPS.exists() else {}
             return [
-                Stamp(*(kept[name][key] for key in Stamp._fields)) if name in kept and (ROOT / name).is_file() else None
+                (
+                    Stamp(*(kept[name][key] for key in Stamp._fields))
+                    if name in kept and (ROOT / name).is_file()
+                    else None
+                )
                 for name in self.pictures
             ]
         page = ROOT / self.page
         if not self.blocks and not page.exists():
             return [None]
         text = read_text(page)
-        between = [text.removeprefix(before).removesuffix(after) for before, after in (around_markers(page, name) for name in self.blocks)]
+        between = [
+            text.removeprefix(before).removesuffix(after)
+            for before, after in (around_markers(page, name) for name in self.blocks)
+        ]
         return [read_stamp(part) for part in between or [text]]
 
     def stale(self) -> str | None:
@@ -87,7 +101,10 @@ class Made(Configuration):
             if stamp.command != self.command and not self.command.startswith("make "):
                 return f"was made by `{stamp.command}`"
             if has_changed(stamp.commit):
-                return f"code or configuration has changed since {stamp.commit[:10] if stamp.commit else stamp.made}"
+                return (
+                    "code or configuration has changed since"
+                    f" {stamp.commit[:10] if stamp.commit else stamp.made}"
+                )
         return None
 
     def make(self) -> bool:
@@ -98,8 +115,15 @@ class Made(Configuration):
         for name in self.pictures if self.copied_from is not None else ():
             shutil.copyfile(ROOT / self.copied_from / Path(name).name, ROOT / name)
         if self.page is None:
-            stamp = Stamp.of([str(ROOT / words[0]), *words[1:]] if program == "python" else ["soft-tendon", *words])
-            kept = {**(read_json(STAMPS) if STAMPS.exists() else {}), **dict.fromkeys(self.pictures, stamp._asdict())}
+            stamp = Stamp.of(
+                [str(ROOT / words[0]), *words[1:]]
+                if program == "python"
+                else ["soft-tendon", *words]
+            )
+            kept = {
+                **(read_json(STAMPS) if STAMPS.exists() else {}),
+                **dict.fromkeys(self.pictures, stamp._asdict()),
+            }
             STAMPS.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n")
         return True
 
@@ -126,11 +150,13 @@ def not_current() -> dict[Made, str]:
 
 
 def overview() -> str:
-    """A page of the documentation: every block with the command and commit that made it. Raises ValueError, OSError."""
+    """A page of the documentation: every block with the command and commit that made it. Raises
+    ValueError, OSError."""
     head = """# Generated tables and pictures
 
-`make tables` makes these tables and pictures anew where the code or the configuration has changed since. Each table carries a line with the
-command, the commit and the day. "-" stands for a table that was made before it carried such a line.
+`make tables` makes these tables and pictures anew where the code or the configuration has changed
+since. Each table carries a line with the command, the commit and the day. "-" stands for a table
+that was made before it carried such a line.
 """
     rows = [head, "| made | command | commit | day |", "|---|---|---|---|"]
     for made in listed():
@@ -162,19 +188,33 @@ def say(stale: dict[Made, str]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="PAGE", help="pages or pictures, by default all that are not current")
-    parser.add_argument("--list", action="store_true", help="say what is not current, and make nothing")
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="PAGE",
+        help="pages or pictures, by default all that are not current",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="say what is not current, and make nothing"
+    )
     arguments = parser.parse_args()
     known = [name for made in listed() for name in made.names]
     if unknown := [name for name in arguments.names if name not in known]:
         parser.error(f"{unknown[0]} is not in docs/generated.toml: {', '.join(known)}")
-    stale = {made: why for made, why in not_current().items() if not arguments.names or {*arguments.names} & {*made.names}}
+    stale = {
+        made: why
+        for made, why in not_current().items()
+        if not arguments.names or {*arguments.names} & {*made.names}
+    }
     if arguments.list or not stale:
         say(stale)
         print(f"{len(stale)} to be made")
         return 0
     unknown = [made.names[0] for made in stale if made.minutes is None]
-    print(f"{len(stale)} to be made: about {sum(made.minutes or 0.0 for made in stale):.1f} minutes", flush=True)
+    print(
+        f"{len(stale)} to be made: about {sum(made.minutes or 0.0 for made in stale):.1f} minutes",
+        flush=True,
+    )
     if unknown:
         print(f"not measured yet, and not in this: {', '.join(unknown)}", flush=True)
     failed = []

@@ -1,4 +1,5 @@
-"""MkDocs hook: equations in LaTeX, $...$ within a line and $$...$$ by themselves, as MathML, which browsers draw without any script."""
+"""MkDocs hook: equations in LaTeX, $...$ within a line and $$...$$ by themselves, as MathML, which
+browsers draw without any script."""
 
 import html
 import re
@@ -21,12 +22,19 @@ def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
         tag, opening, latex = match[1], match[2], html.unescape(match[3]).strip()
         try:
             found = convert(latex, display="block" if opening == "[" else "inline")
-        except Exception as error:  # latex2mathml has an exception for every mistake, without a common class
-            raise PluginError(f"{page.file.src_path}: {latex!r} is no equation: {type(error).__name__}") from error
+        except (
+            Exception
+        ) as error:  # latex2mathml has an exception for every mistake, without a common class
+            raise PluginError(
+                f"{page.file.src_path}: {latex!r} is no equation: {type(error).__name__}"
+            ) from error
         if len(re.findall(r"(?<!\\)\{", latex)) != len(re.findall(r"(?<!\\)\}", latex)):
             raise PluginError(f"{page.file.src_path}: braces of the equation {latex!r} do not pair")
         if unknown := NOT_UNDERSTOOD.search(found):
-            raise PluginError(f"{page.file.src_path}: {unknown[0]} in the equation {latex!r} is not among what latex2mathml converts")
+            raise PluginError(
+                f"{page.file.src_path}: {unknown[0]} in the equation {latex!r} is not among what"
+                " latex2mathml converts"
+            )
         return f'<{tag} class="equation">{found}</{tag}>'
 
     return EQUATION.sub(mathml, content)

@@ -2,9 +2,10 @@
 
     python examples/circle.py [--fidelity standard] [--seconds 8] [--out out]
 
-The controller is the simplest that there is: the tensions that would hold the tip on the circle if the arm were at rest, from the
-inverse of the statics at a few places around it. What the arm's motion adds to that is the error that is left.
-Open the recording with `rerun out/circle.rrd`, if a viewer is at hand.
+The controller is the simplest that there is: the tensions that would hold the tip on the circle if
+the arm were at rest, from the inverse of the statics at a few places around it. What the arm's
+motion adds to that is the error that is left. Open the recording with `rerun out/circle.rrd`, if a
+viewer is at hand.
 """
 
 import argparse
@@ -18,7 +19,9 @@ from tqdm import tqdm
 import soft_tendon_env as ste
 from soft_tendon_env.recording import RerunFile, Rollout, collect
 
-LIMIT = 10.0  # [N]; this circle needs tendons that push a little: pulling alone shortens the arm by some millimetres
+# [N]; this circle needs tendons that push a little: pulling alone shortens the arm by some
+# millimetres
+LIMIT = 10.0
 PLACES = 24  # around the circle, where the statics are inverted
 TURN = 4.0  # [s]
 PERIOD = 0.02  # [s] of control
@@ -39,7 +42,9 @@ def main() -> None:
         control_period=PERIOD,
     )
     env.reset()
-    rollout = collect(env, Feedforward(tensions_around(env.unwrapped), env.spec.max_episode_steps), seed=0)
+    rollout = collect(
+        env, Feedforward(tensions_around(env.unwrapped), env.spec.max_episode_steps), seed=0
+    )
     report(rollout)
     with RerunFile(recording) as file:
         file.write(rollout)
@@ -62,7 +67,9 @@ class Feedforward:
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fidelity", choices=("fast", "standard", "fine"), default="standard")
-    parser.add_argument("--seconds", type=float, default=8.0, help="of simulated time, more than 2 and at most 10")
+    parser.add_argument(
+        "--seconds", type=float, default=8.0, help="of simulated time, more than 2 and at most 10"
+    )
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the recording")
     arguments = parser.parse_args()
     if not SETTLED < arguments.seconds <= 10.0:
@@ -85,7 +92,10 @@ def report(rollout: Rollout) -> None:
     after = round(SETTLED / PERIOD)
     errors = (rollout.scalars[name][after:] for name in ("position_error", "angle_error"))
     position, angle = (np.sqrt(np.mean(error**2)) for error in errors)
-    print(f"\nAfter {SETTLED:g} s: root mean square position error {1e3 * position:.1f} mm, angle error {np.degrees(angle):.2f} degrees,")
+    print(
+        f"\nAfter {SETTLED:g} s: root mean square position error {1e3 * position:.1f} mm, angle"
+        f" error {np.degrees(angle):.2f} degrees,"
+    )
     print(f"mean reward {rollout.scalars['reward'][after:].mean():.3f} (of at most 1).")
 
 

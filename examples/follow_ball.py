@@ -1,8 +1,10 @@
-"""A scene, a target and a task of your own, learned: the tip follows a ball on a sphere. `python examples/follow_ball.py` takes 10 s of a
-core and needs the extra `agents`.
+"""A scene, a target and a task of your own, learned: the tip follows a ball on a sphere.
+`python examples/follow_ball.py` takes 10 s of a core and needs the extra `agents`.
 
-The task is that of SoRoMoX's study of parallel reinforcement learning (`paper_results/secVf_parallel_rl`), written anew, with its rod of
-one piece of constant strain, which lies along x here. `benchmarks/peer_learning.py` trains on it in three ways, beside their times."""
+The task is that of SoRoMoX's study of parallel reinforcement learning
+(`paper_results/secVf_parallel_rl`), written anew, with its rod of one piece of constant strain,
+which lies along x here. `benchmarks/peer_learning.py` trains on it in three ways, beside their
+times."""
 
 import argparse
 import time
@@ -20,8 +22,17 @@ from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 
 ID, ROWS = "TendonRod-FollowBall-v0", 32
-PERIOD, PERIODS, WINDOW = 1.0 / 15.0, 105, 15  # [s] between actions; how many an episode has, and a gradient goes through
-LEAST, MOST = -2.5, 1.5  # rewards of a period that count as 0 and 1: a tip that is further off or leaves faster than ever seen, and a hit
+PERIOD, PERIODS, WINDOW = (
+    1.0 / 15.0,
+    105,
+    15,
+)  # [s] between actions; how many an episode has, and a gradient goes through
+LEAST, MOST = (
+    -2.5,
+    1.5,
+    # rewards of a period that count as 0 and 1: a tip that is further off or leaves faster than
+    # ever seen, and a hit
+)
 
 SCENE = ste.Scene(
     name="ball_arm",
@@ -42,7 +53,13 @@ SCENE = ste.Scene(
     ],
     strain={
         "type": "explicit",
-        "modes": [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 0, "span": "rod"}],
+        "modes": [
+            {
+                "strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
+                "order": 0,
+                "span": "rod",
+            }
+        ],
     },
     quadrature={"intervals": 4},
 )
@@ -50,7 +67,8 @@ SCENE = ste.Scene(
 
 @register_target
 class Ball(Target):
-    """`{"type": "ball"}`: a ball at `speed` [m/s] on a random path on the upper half of a sphere, to its end, back, and so on."""
+    """`{"type": "ball"}`: a ball at `speed` [m/s] on a random path on the upper half of a sphere,
+    to its end, back, and so on."""
 
     type: Literal["ball"] = "ball"
     speed: float = 0.015
@@ -66,7 +84,9 @@ class Ball(Target):
         s = 2.0 * np.pi * np.linspace(0.0, 1.0, 2001)
         theta = np.clip(theta + swing * np.sin(waves * s + phase), 1e-3, 0.5 * np.pi - 1e-3)
         phi = phi + turns * s
-        directions = np.stack([np.cos(theta), np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)], axis=1)
+        directions = np.stack(
+            [np.cos(theta), np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)], axis=1
+        )
         return BallCourse(0.1 * directions + [0.15, 0.0, 0.0], self.speed)
 
 
@@ -74,16 +94,27 @@ class BallCourse(PoseCourse):
     def __init__(self, points, speed):
         steps = np.diff(points, axis=0)
         lengths = np.linalg.norm(steps, axis=1)
-        self.points, self.way, self.directions, self.speed = points, np.cumsum([0.0, *lengths]), steps / lengths[:, None], speed
+        self.points, self.way, self.directions, self.speed = (
+            points,
+            np.cumsum([0.0, *lengths]),
+            steps / lengths[:, None],
+            speed,
+        )
 
     def sample(self, times):
         end = self.way[-1]
         gone = self.speed * times % (2.0 * end)
         at, sign = end - np.abs(end - gone), np.where(gone < end, 1.0, -1.0)
         pose, twist = np.tile(np.eye(4), (times.size, 1, 1)), np.zeros((times.size, 6))
-        pose[:, :3, 3] = np.stack([np.interp(at, self.way, column) for column in self.points.T], axis=1)
-        piece = np.clip(np.searchsorted(self.way, at, side="right") - 1, 0, len(self.directions) - 1)
-        twist[:, 3:] = self.speed * sign[:, None] * self.directions[piece]  # the ball's frame does not turn
+        pose[:, :3, 3] = np.stack(
+            [np.interp(at, self.way, column) for column in self.points.T], axis=1
+        )
+        piece = np.clip(
+            np.searchsorted(self.way, at, side="right") - 1, 0, len(self.directions) - 1
+        )
+        twist[:, 3:] = (
+            self.speed * sign[:, None] * self.directions[piece]
+        )  # the ball's frame does not turn
         return pose_samples(pose, twist)
 
 
@@ -99,11 +130,14 @@ def ball_error(seen):
 
 @register_reward_term
 def following(tracking):
-    """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm, from LEAST to MOST as 0 to 1."""
+    """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm,
+    from LEAST to MOST as 0 to 1."""
     off = tracking.tip_pose[:, :3, 3] - tracking.target_pose[:, :3, 3]
     apart = tip_velocity(tracking.reading) - tracking.target.tip_twist[:, 0, 3:]
     leaving = (off * apart).sum(axis=1) / np.maximum(tracking.distance, 1e-9)
-    reward = 1.5 * (tracking.distance < 0.01) - tracking.distance / 0.2 - np.maximum(leaving, 0.0) / 0.3
+    reward = (
+        1.5 * (tracking.distance < 0.01) - tracking.distance / 0.2 - np.maximum(leaving, 0.0) / 0.3
+    )
     return np.clip((reward - LEAST) / (MOST - LEAST), 0.0, 1.0)
 
 
@@ -118,35 +152,70 @@ register_task(
         description="Follow a ball on a sphere with the tip.",
         target="ball",
         observations={
-            "full": ("tip_position", "tip_velocity", "command", "ball_position", "ball_velocity"),  # theirs
-            "error": ("tip_position", "tip_velocity", "command", "ball_error", "ball_velocity"),  # what it tells is the same
+            "full": (
+                "tip_position",
+                "tip_velocity",
+                "command",
+                "ball_position",
+                "ball_velocity",
+            ),  # theirs
+            "error": (
+                "tip_position",
+                "tip_velocity",
+                "command",
+                "ball_error",
+                "ball_velocity",
+            ),  # what it tells is the same
         },
         errors=(POSITION,),
         reward={"following": 1.0},
         groups={
             "tip_velocity": Group("the tip's velocity", tip_velocity, lambda u: u.length),
-            "ball_position": Group("the ball's position", lambda o: o.target.tip_pose[:, 0, :3, 3], lambda u: u.length),
+            "ball_position": Group(
+                "the ball's position", lambda o: o.target.tip_pose[:, 0, :3, 3], lambda u: u.length
+            ),
             "ball_error": Group("from the tip to the ball", ball_error, lambda u: 0.1 * u.length),
-            "ball_velocity": Group("the ball's velocity", lambda o: o.target.tip_twist[:, 0, 3:], lambda u: 0.1 * u.length),
+            "ball_velocity": Group(
+                "the ball's velocity",
+                lambda o: o.target.tip_twist[:, 0, 3:],
+                lambda u: 0.1 * u.length,
+            ),
         },
     ),
     max_episode_steps=PERIODS,
 )
-OPTIONS = {"scene": SCENE, "fidelity": "scene", "control_period": PERIOD, "action": "increment", "tension_rate": 0.5 / PERIOD}
+OPTIONS = {
+    "scene": SCENE,
+    "fidelity": "scene",
+    "control_period": PERIOD,
+    "action": "increment",
+    "tension_rate": 0.5 / PERIOD,
+}
 
 
 def cost_of(found):
-    """Cost of trajectories for the analytic policy gradient: the logarithm of the distance beyond 5 mm, and a little of the distance."""
+    """Cost of trajectories for the analytic policy gradient: the logarithm of the distance beyond 5
+    mm, and a little of the distance."""
     square = found.position_error.square().sum(-1) / 0.005**2
     return (0.5 * square.log1p() + 0.05 * (1.0 + square).sqrt()).mean()
 
 
 def learner(env, seed=0):
-    """The analytic policy gradient on rows of this task that observe the error, whose first episodes end one after another."""
+    """The analytic policy gradient on rows of this task that observe the error, whose first
+    episodes end one after another."""
     network = {"net_arch": {"pi": [128, 128], "vf": []}, "activation_fn": torch.nn.ELU}
-    env.set_options([{"episode_steps": WINDOW * (1 + row % (PERIODS // WINDOW))} for row in range(env.num_envs)])
+    env.set_options(
+        [{"episode_steps": WINDOW * (1 + row % (PERIODS // WINDOW))} for row in range(env.num_envs)]
+    )
     rate = {"learning_rate": lambda remaining: 3e-4 * 10.0**remaining}
-    return APG("MlpPolicy", env, settings=APGSettings(n_steps=WINDOW, cost=cost_of), policy_kwargs=network, seed=seed, **rate)
+    return APG(
+        "MlpPolicy",
+        env,
+        settings=APGSettings(n_steps=WINDOW, cost=cost_of),
+        policy_kwargs=network,
+        seed=seed,
+        **rate,
+    )
 
 
 def mean_return(policy, episodes=50):

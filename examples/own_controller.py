@@ -1,4 +1,5 @@
-"""A controller of your own: resolved-rate control of the tip's position, found by its name. `python examples/own_controller.py`"""
+"""A controller of your own: resolved-rate control of the tip's position, found by its name.
+`python examples/own_controller.py`"""
 
 import gymnasium as gym
 import numpy as np
@@ -8,7 +9,8 @@ from soft_tendon_env.policies import make_policy, observation_options
 
 
 class ResolvedRate:
-    """du = gain (J G^-1 B)^+ e: tensions change as they would to take the error e of an arm at rest away at this rate."""
+    """du = gain (J G^-1 B)^+ e: tensions change as they would to take the error e of an arm at rest
+    away at this rate."""
 
     def __init__(self, model, limits, period, rate=0.5):
         self.model, self.gain = model, rate * period
@@ -16,18 +18,28 @@ class ResolvedRate:
 
     def act(self, now: ControllerInput, memory=None) -> ControllerOutput:
         terms = self.model.terms(now.q, now.q_dot)
-        error = now.tip_pose[:3, :3].T @ (now.reference.tip_position[0] - now.tip_pose[:3, 3])  # [m], tip frame
-        jacobian = terms.tip_jacobian[3:] @ np.linalg.solve(terms.stiffness, terms.actuation)  # [m/N]
+        error = now.tip_pose[:3, :3].T @ (
+            now.reference.tip_position[0] - now.tip_pose[:3, 3]
+        )  # [m], tip frame
+        jacobian = terms.tip_jacobian[3:] @ np.linalg.solve(
+            terms.stiffness, terms.actuation
+        )  # [m/N]
         wanted = now.tension + self.gain * np.linalg.pinv(jacobian) @ error
         tension = np.clip(wanted, self.least, self.greatest)
-        return ControllerOutput(tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0})
+        return ControllerOutput(
+            tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0}
+        )
 
 
-CONTROLLERS["Reach"]["resolved_rate"] = entry_of("tensions along the pseudoinverse of the static tip Jacobian", ResolvedRate)
+CONTROLLERS["Reach"]["resolved_rate"] = entry_of(
+    "tensions along the pseudoinverse of the static tip Jacobian", ResolvedRate
+)
 
 
 if __name__ == "__main__":
-    env = gym.make("TendonRod-Reach-v0", scene="three_tendon", **observation_options("resolved_rate", "Reach"))
+    env = gym.make(
+        "TendonRod-Reach-v0", scene="three_tendon", **observation_options("resolved_rate", "Reach")
+    )
     policy = make_policy("resolved_rate", env)
     observation, info = env.reset(seed=0)
     print(f"the goal is {1e3 * info['position_error']:.0f} mm away")

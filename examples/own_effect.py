@@ -1,4 +1,5 @@
-"""An effect of your own: viscous drag in proportion to mass, on an arm that is bent and let go. `python examples/own_effect.py`"""
+"""An effect of your own: viscous drag in proportion to mass, on an arm that is bent and let go.
+`python examples/own_effect.py`"""
 
 import numpy as np
 
@@ -12,7 +13,8 @@ class DragParameters(Struct):
 
 @register_effect("drag")
 class Drag(Effect):
-    """`[effects.drag]`: the wrench -rate M eta on every slice of the rod, rate [1/s], M its inertia and eta its twist."""
+    """`[effects.drag]`: the wrench -rate M eta on every slice of the rod, rate [1/s], M its inertia
+    and eta its twist."""
 
     rate: float
 
@@ -32,5 +34,10 @@ if __name__ == "__main__":
     bent = ste.static_equilibrium(ste.build_model(scene, fidelity="standard"), [3.0, 0.0, 0.0]).q
     for rate in (0.0, 5.0):
         model = ste.build_model(scene.replace({"effects.drag.rate": rate}), fidelity="standard")
-        motion = ste.simulate(model, np.zeros(3), 0.75, sample_period=0.01, initial=ste.Simulation(model).reset(bent))
-        print(f"with a drag of {rate:g}/s it swings through {1e3 * np.ptp(motion.tip_pose[:, :3, 3], axis=0).max():.0f} mm")
+        motion = ste.simulate(
+            model, np.zeros(3), 0.75, sample_period=0.01, initial=ste.Simulation(model).reset(bent)
+        )
+        print(
+            f"with a drag of {rate:g}/s it swings through"
+            f" {1e3 * np.ptp(motion.tip_pose[:, :3, 3], axis=0).max():.0f} mm"
+        )

@@ -1,4 +1,5 @@
-"""A state estimator of your own: a Luenberger observer from tendon lengths alone, found by its name. `python examples/own_estimator.py`"""
+"""A state estimator of your own: a Luenberger observer from tendon lengths alone, found by its
+name. `python examples/own_estimator.py`"""
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +11,8 @@ from soft_tendon_env.policies import ESTIMATORS, EstimatorEntry, load_policy, po
 
 
 class LengthObserver:
-    """The model's own motion, which is moved by a share of K^-1 B (B^T K^-1 B)^-1 e: the least bending for an error e of tendon lengths."""
+    """The model's own motion, which is moved by a share of K^-1 B (B^T K^-1 B)^-1 e: the least
+    bending for an error e of tendon lengths."""
 
     needs, history = ("tendon_length",), 1
 
@@ -19,7 +21,10 @@ class LengthObserver:
         terms = model.terms(*np.zeros((2, model.coordinate_count)))
         self.straight = model.tendon_lengths(np.zeros(model.coordinate_count))
         softness = np.linalg.solve(terms.stiffness, terms.actuation)
-        self.pull, self.bend = terms.actuation.T, softness @ np.linalg.inv(terms.actuation.T @ softness)
+        self.pull, self.bend = (
+            terms.actuation.T,
+            softness @ np.linalg.inv(terms.actuation.T @ softness),
+        )
 
     def estimate(self, measured, last):
         longer = measured.tendon_length - self.straight
@@ -36,7 +41,12 @@ ESTIMATORS["lengths"] = EstimatorEntry("lengths:", LengthObserver)
 
 
 if __name__ == "__main__":
-    options = policy_options("lengths:tracking", "TipPose", {"scene": "three_tendon", "fidelity": "fast"})
+    options = policy_options(
+        "lengths:tracking", "TipPose", {"scene": "three_tendon", "fidelity": "fast"}
+    )
     env = gym.make("TendonRod-TipPose-v0", max_episode_steps=150, **options)
     (score,) = evaluate(load_policy("lengths:tracking", env), env, seeds=[0])
-    print(f"by tendon lengths and the tip's pose: {1e3 * score.errors['position_error'].rms:.2f} mm root mean square")
+    print(
+        f"by tendon lengths and the tip's pose: {1e3 * score.errors['position_error'].rms:.2f} mm"
+        " root mean square"
+    )

@@ -1,4 +1,5 @@
-"""A metric, a model error and a command of your own, in the tables of `evaluate`. `python examples/own_metric.py`
+"""A metric, a model error and a command of your own, in the tables of `evaluate`.
+`python examples/own_metric.py`
 
 `PYTHONPATH=examples soft-tendon --import own_metric COMMAND` has them for every command.
 """
@@ -19,5 +20,16 @@ def length(arguments):
 
 if __name__ == "__main__":
     main(["length", "three_tendon"])
-    arm = ["--scene", "three_tendon", "--fidelity", "fast", "--seconds", "2", "--episodes", "2", "--out", "out/own_metric"]
+    arm = [
+        "--scene",
+        "three_tendon",
+        "--fidelity",
+        "fast",
+        "--seconds",
+        "2",
+        "--episodes",
+        "2",
+        "--out",
+        "out/own_metric",
+    ]
     main(["evaluate", "tracking", *arm, "--errors", "nominal", "stiffness-50%"])

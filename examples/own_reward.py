@@ -1,4 +1,5 @@
-"""A reward term of your own: a gentle tip, which an episode's policy is paid for. `python examples/own_reward.py`"""
+"""A reward term of your own: a gentle tip, which an episode's policy is paid for.
+`python examples/own_reward.py`"""
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +15,12 @@ def gentleness(tracking):
 
 
 if __name__ == "__main__":
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", reward={"position": 1.0, "gentleness": 0.5})
+    env = gym.make(
+        "TendonRod-TipPose-v0", scene="three_tendon", reward={"position": 1.0, "gentleness": 0.5}
+    )
     env.reset(seed=0)
     _, reward, _, _, info = env.step(env.action_space.sample())
-    print(f"reward {reward:.3f}: position {info['reward_position']:.3f}, gentleness {info['reward_gentleness']:.3f}")
+    print(
+        f"reward {reward:.3f}: position {info['reward_position']:.3f}, gentleness"
+        f" {info['reward_gentleness']:.3f}"
+    )

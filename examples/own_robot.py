@@ -1,8 +1,9 @@
-"""A robot of your own: a class with two names and three methods. This one talks to a microcontroller in lines of text over a socket.
+"""A robot of your own: a class with two names and three methods. This one talks to a
+microcontroller in lines of text over a socket.
 
-python examples/own_robot.py runs a controller on it; a simulated arm answers at the other end. On yours, from this folder:
-soft-tendon run filtered:tracking --task Reach --scene three_tendon --robot own_robot:LineArm
-    --set "observation=['tip_position','tip_rotation','tendon_lengths']"
+python examples/own_robot.py runs a controller on it; a simulated arm answers at the other end. On
+yours, from this folder: soft-tendon run filtered:tracking --task Reach --scene three_tendon --robot
+    own_robot:LineArm --set "observation=['tip_position','tip_rotation','tendon_lengths']"
 """
 
 import socket
@@ -20,7 +21,8 @@ OBSERVED = ("tip_position", "tip_rotation", "tendon_lengths", "last_action", "co
 
 
 class LineArm:
-    """Three tendons: "?" is answered by a line of time, lengths and the tip's pose, row by row; three tensions [N] are a command."""
+    """Three tendons: "?" is answered by a line of time, lengths and the tip's pose, row by row;
+    three tensions [N] are a command."""
 
     command_unit = "N"
     senses = ("tip_pose", "tendon_length")
@@ -33,7 +35,9 @@ class LineArm:
     def read(self) -> Measurement:
         print("?", file=self._lines, flush=True)
         numbers = np.array(self._lines.readline().split(), dtype=float)
-        return Measurement(numbers[0], tip_pose=numbers[4:].reshape(4, 4), tendon_length=numbers[1:4])
+        return Measurement(
+            numbers[0], tip_pose=numbers[4:].reshape(4, 4), tendon_length=numbers[1:4]
+        )
 
     def write(self, command: np.ndarray) -> np.ndarray:
         print(*command, file=self._lines, flush=True)

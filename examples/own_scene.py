@@ -1,4 +1,5 @@
-"""A scene of your own: a tapered finger with two tendons, written in Python, kept as TOML, simulated. `python examples/own_scene.py`"""
+"""A scene of your own: a tapered finger with two tendons, written in Python, kept as TOML,
+simulated. `python examples/own_scene.py`"""
 
 import tempfile
 from pathlib import Path
@@ -20,7 +21,10 @@ SCENE = ste.Scene(
             "radius": {"type": "linear", "base": 0.01, "tip": 0.006},  # [m]
         }
     ],
-    tendons=[{"routing": {"type": "straight", "offset": [y, 0.0]}, "tension_limits": [0.0, 10.0]} for y in (0.004, -0.004)],
+    tendons=[
+        {"routing": {"type": "straight", "offset": [y, 0.0]}, "tension_limits": [0.0, 10.0]}
+        for y in (0.004, -0.004)
+    ],
 )
 
 if __name__ == "__main__":
@@ -28,6 +32,12 @@ if __name__ == "__main__":
     ste.save_scene(SCENE, file)
     rest = ste.static_equilibrium(ste.build_model(ste.load_scene(file), "scene"), [8.0, 0.0])
     print("under 8 N the tip rests at", rest.tip_pose[:3, 3].round(4), "m")
-    env = gym.make("TendonRod-Reach-v0", scene=file)  # a path, a Scene, or the name of one that ships
+    env = gym.make(
+        "TendonRod-Reach-v0", scene=file
+    )  # a path, a Scene, or the name of one that ships
     env.reset(seed=0)
-    print("the goal is", round(1e3 * env.step(env.action_space.sample())[4]["position_error"], 1), "mm away")
+    print(
+        "the goal is",
+        round(1e3 * env.step(env.action_space.sample())[4]["position_error"], 1),
+        "mm away",
+    )

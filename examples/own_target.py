@@ -1,4 +1,5 @@
-"""A target of your own: the tip along a figure of eight, at a speed that you choose. `python examples/own_target.py`"""
+"""A target of your own: the tip along a figure of eight, at a speed that you choose.
+`python examples/own_target.py`"""
 
 from typing import Literal
 
@@ -29,12 +30,22 @@ class FigureEightCourse(PoseCourse):
         s, c, zero = 0.05 * np.sin(self.rate * times), np.cos(self.rate * times), 0.0 * times
         pose, twist = np.tile(np.eye(4), (times.size, 1, 1)), np.zeros((times.size, 6))
         pose[:, :3, 3] = np.stack([zero + 0.28, s, s * c], axis=1)
-        twist[:, 3:] = 0.05 * self.rate * np.stack([zero, c, 2.0 * c * c - 1.0], axis=1)  # the tip's frame does not turn
+        twist[:, 3:] = (
+            0.05 * self.rate * np.stack([zero, c, 2.0 * c * c - 1.0], axis=1)
+        )  # the tip's frame does not turn
         return pose_samples(pose, twist)
 
 
 if __name__ == "__main__":
     options = observation_options("tracking_position", "TipPose")
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", target={"type": "figure_eight", "period": 6.0}, **options)
+    env = gym.make(
+        "TendonRod-TipPose-v0",
+        scene="three_tendon",
+        target={"type": "figure_eight", "period": 6.0},
+        **options,
+    )
     (score,) = evaluate(make_policy("tracking_position", env), env, seeds=[0], skip=2.0)
-    print(f"on the figure of eight: {1e3 * score.errors['position_error'].rms:.2f} mm root mean square from 2 s on")
+    print(
+        f"on the figure of eight: {1e3 * score.errors['position_error'].rms:.2f} mm root mean"
+        " square from 2 s on"
+    )

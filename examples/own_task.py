@@ -1,4 +1,5 @@
-"""A task of your own: point the tip, a camera say, along a moving direction, wherever it is. `python examples/own_task.py`"""
+"""A task of your own: point the tip, a camera say, along a moving direction, wherever it is.
+`python examples/own_task.py`"""
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +14,13 @@ def angle_between_axes(tracking):
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-POINTING = TrackingError("pointing_error", "pointing", "angle between the x axes of tip and target [rad]", 0.2, angle_between_axes)
+POINTING = TrackingError(
+    "pointing_error",
+    "pointing",
+    "angle between the x axes of tip and target [rad]",
+    0.2,
+    angle_between_axes,
+)
 AXIS = Group("the tip's x axis, world frame", lambda observed: observed.tip_pose[:, :3, 0])
 
 POINT = register_task(
@@ -21,7 +28,9 @@ POINT = register_task(
         name="Point",
         description="Point the tip along a moving direction.",
         target="random",
-        observations={"full": ("coordinates", "rates", "tip_axis", "target_error", "preview", "last_action")},
+        observations={
+            "full": ("coordinates", "rates", "tip_axis", "target_error", "preview", "last_action")
+        },
         errors=(POINTING,),
         reward={"pointing": 1.0, "effort": 0.05},
         groups={"tip_axis": AXIS},
@@ -32,7 +41,10 @@ if __name__ == "__main__":
     env = gym.make("TendonRod-Point-v0", scene="three_tendon")
     env.reset(seed=0)
     _, reward, _, _, info = env.step(env.action_space.sample())
-    print(f"{env.observation_space.shape[0]} numbers observed, {np.degrees(info['pointing_error']):.1f} degrees off, reward {reward:.3f}")
+    print(
+        f"{env.observation_space.shape[0]} numbers observed,"
+        f" {np.degrees(info['pointing_error']):.1f} degrees off, reward {reward:.3f}"
+    )
     envs = gym.make_vec("TendonRod-Point-v0", num_envs=8, scene="three_tendon")
     envs.reset(seed=0)
     print("eight rows:", envs.step(envs.action_space.sample())[1].round(3))

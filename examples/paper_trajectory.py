@@ -1,9 +1,12 @@
-"""The arm of the paper under a second of lively tensions: a table of cost and accuracy, and a picture of the motion.
+"""The arm of the paper under a second of lively tensions: a table of cost and accuracy, and a
+picture of the motion.
 
-    python examples/paper_trajectory.py [--models paper paper_16dof ...] [--duration 1.0] [--out out]
+    python examples/paper_trajectory.py [--models paper paper_16dof ...] [--duration 1.0] [--out
+    out]
 
-The same arm is simulated with five descriptions of its strain, from 10 to 48 coordinates. The references are numbers integrated to
-1e-7 (16 coordinates: 1e-5) by independent code, see tests/data/trajectories.json.
+The same arm is simulated with five descriptions of its strain, from 10 to 48 coordinates. The
+references are numbers integrated to 1e-7 (16 coordinates: 1e-5) by independent code, see
+tests/data/trajectories.json.
 """
 
 import argparse
@@ -25,11 +28,23 @@ from soft_tendon_env.scene.scene import rod_radius, tendon_ends, tendon_offset
 
 SAMPLE_PERIOD = 0.01  # [s], that of the references
 REFERENCES = Path(__file__).parent.parent / "tests" / "data" / "trajectories.json"
-OWN_REFERENCE = {"paper": "implicit_10dof", "paper_16dof": "implicit_16dof", "paper_48dof": "legendre_48dof"}
+OWN_REFERENCE = {
+    "paper": "implicit_10dof",
+    "paper_16dof": "implicit_16dof",
+    "paper_48dof": "legendre_48dof",
+}
 FULL_REFERENCE = "legendre_48dof"
-OWN_CHANGES = {"paper_16dof": {"strain.passive_coordinates": "raw"}}  # what the reference was computed with
-PASSIVE = {  # of the scene "paper": passive moments by Legendre polynomials over the whole arm, by what they are called
-    f"moments 0-{order}": {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": order, "span": "rod"}]}
+OWN_CHANGES = {
+    "paper_16dof": {"strain.passive_coordinates": "raw"}
+}  # what the reference was computed with
+# of the scene "paper": passive moments by Legendre polynomials over the whole arm, by what they are
+# called
+PASSIVE = {
+    f"moments 0-{order}": {
+        "strain.passive": [
+            {"strains": ["torsion", "bend_y", "bend_z"], "order": order, "span": "rod"}
+        ]
+    }
     for order in (2, 3)
 }
 MODELS = ("paper", "paper_16dof", *PASSIVE, "paper_48dof")
@@ -50,7 +65,8 @@ def tension(t: float) -> np.ndarray:
 
 
 class Run(NamedTuple):
-    """One model's motion, what it took, and its distance from the references [m], one entry per sample (None: there is none)."""
+    """One model's motion, what it took, and its distance from the references [m], one entry per
+    sample (None: there is none)."""
 
     model: ste.Model
     trajectory: ste.Trajectory
@@ -64,7 +80,10 @@ class Run(NamedTuple):
 def main() -> None:
     arguments = parse_arguments()
     references = read_references(arguments.duration)
-    with tqdm(total=len(arguments.models) * arguments.duration, bar_format="{l_bar}{bar}| {n:.1f} of {total:.1f} s simulated") as bar:
+    with tqdm(
+        total=len(arguments.models) * arguments.duration,
+        bar_format="{l_bar}{bar}| {n:.1f} of {total:.1f} s simulated",
+    ) as bar:
         runs = {name: run(name, arguments.duration, references, bar) for name in arguments.models}
     print_table(runs, arguments.duration)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -76,7 +95,12 @@ def main() -> None:
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
-    parser.add_argument("--duration", type=float, default=1.0, help="[s], at most 1, which is as far as the references go")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=1.0,
+        help="[s], at most 1, which is as far as the references go",
+    )
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
     arguments = parser.parse_args()
     if not SAMPLE_PERIOD <= arguments.duration <= 1.0:
@@ -88,7 +112,10 @@ def read_references(duration: float) -> dict[str, np.ndarray]:
     """Tip positions (samples, 3) [m] at 0.01 s, 0.02 s, ..."""
     samples = round(duration / SAMPLE_PERIOD)
     stored = json.loads(REFERENCES.read_text())
-    return {name: np.array(stored[name]["tip_position"])[:samples] for name in (*OWN_REFERENCE.values(), FULL_REFERENCE)}
+    return {
+        name: np.array(stored[name]["tip_position"])[:samples]
+        for name in (*OWN_REFERENCE.values(), FULL_REFERENCE)
+    }
 
 
 def run(name: str, duration: float, references: dict[str, np.ndarray], bar: tqdm) -> Run:
@@ -96,16 +123,31 @@ def run(name: str, duration: float, references: dict[str, np.ndarray], bar: tqdm
     bar.set_description(f"{name:<11}")
     scene = ste.load_scene("paper" if name in PASSIVE else name).replace(PASSIVE.get(name, {}))
     model = ste.build_model(scene, "scene")
-    compile_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, SAMPLE_PERIOD, SAMPLE_PERIOD))[1]
+    compile_time = seconds(
+        time.perf_counter, lambda: ste.simulate(model, tension, SAMPLE_PERIOD, SAMPLE_PERIOD)
+    )[1]
     started = time.process_time()
-    trajectory, wall_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, duration, SAMPLE_PERIOD))
+    trajectory, wall_time = seconds(
+        time.perf_counter, lambda: ste.simulate(model, tension, duration, SAMPLE_PERIOD)
+    )
     cpu_time = time.process_time() - started
     bar.update(duration)
     own = None
     if name in OWN_REFERENCE:
         as_reference = ste.build_model(scene.replace(OWN_CHANGES.get(name, {})), "scene")
-        own = distance(ste.simulate(as_reference, tension, duration, SAMPLE_PERIOD), references[OWN_REFERENCE[name]])
-    return Run(model, trajectory, compile_time, wall_time, cpu_time, own, distance(trajectory, references[FULL_REFERENCE]))
+        own = distance(
+            ste.simulate(as_reference, tension, duration, SAMPLE_PERIOD),
+            references[OWN_REFERENCE[name]],
+        )
+    return Run(
+        model,
+        trajectory,
+        compile_time,
+        wall_time,
+        cpu_time,
+        own,
+        distance(trajectory, references[FULL_REFERENCE]),
+    )
 
 
 def seconds(clock, action):
@@ -121,14 +163,24 @@ def distance(trajectory: ste.Trajectory, reference: np.ndarray) -> np.ndarray:
 
 
 def print_table(runs: dict[str, Run], duration: float) -> None:
-    print(f"\n{duration:g} s of motion. Largest distance of the tip from a reference, on an arm of 1 m: its own model, integrated")
-    print("exactly, and full physics (48 coordinates). Compiling or loading the machine code happens once and is not in the times.\n")
-    print("model        coordinates  wall ms   CPU ms  x real time  own model mm  full physics mm  compile or load s")
+    print(
+        f"\n{duration:g} s of motion. Largest distance of the tip from a reference, on an arm of 1"
+        " m: its own model, integrated"
+    )
+    print(
+        "exactly, and full physics (48 coordinates). Compiling or loading the machine code happens"
+        " once and is not in the times.\n"
+    )
+    print(
+        "model        coordinates  wall ms   CPU ms  x real time  own model mm  full physics mm "
+        " compile or load s"
+    )
     for name, run in runs.items():
         own = "-" if run.own_error is None else f"{1e3 * run.own_error.max():.3f}"
         print(
-            f"{name:<12} {run.model.coordinate_count:11d} {1e3 * run.wall_time:8.1f} {1e3 * run.cpu_time:8.1f}"
-            f" {duration / run.wall_time:12.0f} {own:>13} {1e3 * run.full_error.max():16.2f} {run.compile_time:18.1f}"
+            f"{name:<12} {run.model.coordinate_count:11d} {1e3 * run.wall_time:8.1f}"
+            f" {1e3 * run.cpu_time:8.1f} {duration / run.wall_time:12.0f} {own:>13}"
+            f" {1e3 * run.full_error.max():16.2f} {run.compile_time:18.1f}"
         )
 
 
@@ -149,20 +201,36 @@ def shown_model(runs: dict[str, Run]) -> tuple[ste.Model, ste.Trajectory]:
 
 
 def draw_arm(axes: plt.Axes, model: ste.Model, trajectory: ste.Trajectory) -> None:
-    """The arm's surface at a few times, light to dark, with its tendons at the last, and the path of its tip."""
+    """The arm's surface at a few times, light to dark, with its tendons at the last, and the path
+    of its tip."""
     samples = snapshots(trajectory)
     shades = plt.get_cmap("viridis_r")(np.linspace(0.1, 0.9, len(samples)))
     for shade, sample in zip(shades, samples, strict=True):
         draw_skin(axes, model, trajectory.q[sample], shade, 0.3 if sample == samples[-1] else 0.5)
         tip = trajectory.tip_pose[sample, :3, 3]
-        axes.text(*(tip + [0.05, 0.0, 0.0]), f"{trajectory.time[sample]:.2f} s", color=shade, fontweight="bold", va="center")
+        axes.text(
+            *(tip + [0.05, 0.0, 0.0]),
+            f"{trajectory.time[sample]:.2f} s",
+            color=shade,
+            fontweight="bold",
+            va="center",
+        )
     draw_tendons(axes, model, trajectory.q[-1], tension(trajectory.time[-1]))
-    axes.plot(*trajectory.tip_pose[:, :3, 3].T, color="black", linewidth=1.5, linestyle="--", label="path of the tip")
+    axes.plot(
+        *trajectory.tip_pose[:, :3, 3].T,
+        color="black",
+        linewidth=1.5,
+        linestyle="--",
+        label="path of the tip",
+    )
     axes.scatter(0.0, 0.0, 0.0, color="black", s=40, label="clamped base")
     unique_legend(axes)
     equal_scales(axes, trajectory, model)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_title(f"The arm at {len(samples)} times, and the path of its tip ({model.coordinate_count} coordinates)")
+    axes.set_title(
+        f"The arm at {len(samples)} times, and the path of its tip ({model.coordinate_count}"
+        " coordinates)"
+    )
 
 
 def snapshots(trajectory: ste.Trajectory) -> np.ndarray:
@@ -172,14 +240,20 @@ def snapshots(trajectory: ste.Trajectory) -> np.ndarray:
     return np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], SNAPSHOTS)))
 
 
-def draw_skin(axes: plt.Axes, model: ste.Model, q: np.ndarray, colour: np.ndarray, alpha: float) -> None:
+def draw_skin(
+    axes: plt.Axes, model: ste.Model, q: np.ndarray, colour: np.ndarray, alpha: float
+) -> None:
     arc_length = np.linspace(0.0, model.length, 81)
     radius, _ = rod_radius(model.scene, arc_length)
     around = np.linspace(0.0, 2.0 * np.pi, 25)
     circle = np.stack([np.zeros_like(around), np.cos(around), np.sin(around)])
     pose = model.backbone_at(q, arc_length)
-    skin = pose[:, None, :3, 3] + radius[:, None, None] * np.einsum("mij,jk->mki", pose[:, :3, :3], circle)
-    axes.plot_surface(*np.moveaxis(skin, -1, 0), color=colour, alpha=alpha, linewidth=0, rstride=1, cstride=1)
+    skin = pose[:, None, :3, 3] + radius[:, None, None] * np.einsum(
+        "mij,jk->mki", pose[:, :3, :3], circle
+    )
+    axes.plot_surface(
+        *np.moveaxis(skin, -1, 0), color=colour, alpha=alpha, linewidth=0, rstride=1, cstride=1
+    )
 
 
 def draw_tendons(axes: plt.Axes, model: ste.Model, q: np.ndarray, u: np.ndarray) -> None:
@@ -188,7 +262,11 @@ def draw_tendons(axes: plt.Axes, model: ste.Model, q: np.ndarray, u: np.ndarray)
         offset, _ = tendon_offset(model.scene, tendon, along)
         pose = model.backbone_at(q, along)
         path = pose[:, :3, 3] + np.einsum("mij,mj->mi", pose[:, :3, 1:3], offset)
-        colour, width, label = ("#c1121f", 2.0, "tendon that pulls") if pull > 0.05 else ("#222222", 0.7, "slack tendon")
+        colour, width, label = (
+            ("#c1121f", 2.0, "tendon that pulls")
+            if pull > 0.05
+            else ("#222222", 0.7, "slack tendon")
+        )
         axes.plot(*path.T, color=colour, linewidth=width, label=label)
 
 
@@ -221,8 +299,17 @@ def draw_tensions(axes: plt.Axes, duration: float) -> None:
 def draw_errors(axes: plt.Axes, runs: dict[str, Run]) -> None:
     for name, run in runs.items():
         label = f"{name}: {run.model.coordinate_count} coordinates, {1e3 * run.cpu_time:.0f} ms CPU"
-        axes.semilogy(run.trajectory.time[1:], 1e3 * run.full_error, color=COLOURS[MODELS.index(name)], label=label)
-    axes.set(xlabel="time [s]", ylabel="distance [mm]", title="Distance of the tip from full physics, on an arm of 1 m")
+        axes.semilogy(
+            run.trajectory.time[1:],
+            1e3 * run.full_error,
+            color=COLOURS[MODELS.index(name)],
+            label=label,
+        )
+    axes.set(
+        xlabel="time [s]",
+        ylabel="distance [mm]",
+        title="Distance of the tip from full physics, on an arm of 1 m",
+    )
     axes.set_xlim(0.0, runs[next(iter(runs))].trajectory.time[-1])
     axes.set_ylim(bottom=1e-3)
     axes.yaxis.set_major_formatter("{x:g}")

@@ -5,8 +5,12 @@ import numpy as np
 import soft_tendon_env as ste
 
 scene = ste.load_scene("paper")  # a shipped scene, or the path of a TOML file
-scene = scene.replace({"segments.0.damping": 1.1e4})  # any entry by its dotted name, with the same checks
-model = ste.build_model(scene, fidelity="standard")  # as gym.make has it; left out: "scene", as the file says
+scene = scene.replace(
+    {"segments.0.damping": 1.1e4}
+)  # any entry by its dotted name, with the same checks
+model = ste.build_model(
+    scene, fidelity="standard"
+)  # as gym.make has it; left out: "scene", as the file says
 
 tension = np.zeros(10)  # [N], one per tendon
 tension[0] = 5.0

@@ -1,9 +1,10 @@
-"""Gallery of the scenes that ship: a picture of each, its first tendon pulled, and a page that describes them.
+"""Gallery of the scenes that ship: a picture of each, its first tendon pulled, and a page that
+describes them.
 
     python examples/scene_gallery.py [SCENE ...] [--out out] [--write-docs]
 
---write-docs writes docs/reference/scenes.md, with its pictures. A picture that is there is left as it is, unless its scene is named.
-Needs the extra `pictures`.
+--write-docs writes docs/reference/scenes.md, with its pictures. A picture that is there is left as
+it is, unless its scene is named. Needs the extra `pictures`.
 """
 
 import argparse
@@ -25,22 +26,38 @@ SHARE = 0.5  # of its limit, with which the first tendon pulls
 SIZE = 1280, 960  # [pixels]
 HEAD = """# Scenes that ship
 
-A scene describes an arm: geometry, material, tendons, effects. Name one in `gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or
-`load_scene("three_tendon")`. `soft-tendon scenes NAME` prints it as TOML, as a start for your own.
+A scene describes an arm: geometry, material, tendons, effects. Name one in
+`gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or `load_scene("three_tendon")`.
+`soft-tendon scenes NAME` prints it as TOML, as a start for your own.
 """
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="scenes to draw again; of the others, those without a picture are drawn")
-    parser.add_argument("--out", type=Path, default=Path("out/scenes"), help="folder of the pictures")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/reference/scenes.md and its pictures")
+    parser.add_argument(
+        "scenes",
+        nargs="*",
+        metavar="SCENE",
+        help="scenes to draw again; of the others, those without a picture are drawn",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/scenes"), help="folder of the pictures"
+    )
+    parser.add_argument(
+        "--write-docs", action="store_true", help="write docs/reference/scenes.md and its pictures"
+    )
     arguments = parser.parse_args()
     if unknown := {*arguments.scenes} - {*scene_names()}:
-        parser.error(f"{min(unknown)!r} is not among the scenes that ship: {', '.join(scene_names())}")
+        parser.error(
+            f"{min(unknown)!r} is not among the scenes that ship: {', '.join(scene_names())}"
+        )
     folder = PICTURES if arguments.write_docs else arguments.out
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = [name for name in scene_names() if name in arguments.scenes or not (folder / f"{name}.png").exists()]
+    drawn = [
+        name
+        for name in scene_names()
+        if name in arguments.scenes or not (folder / f"{name}.png").exists()
+    ]
     for name in tqdm(drawn, desc="scenes", unit="scene"):
         with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
     if arguments.write_docs:
@@ -50,7 +67,8 @@ def main() -> None:
 
 
 def picture(name: str) -> np.ndarray:
-    """A frame (height, width, 3) of the arm at rest, its first tendon pulled. Raises RuntimeError where it comes to none."""
+    """A frame (height, width, 3) of the arm at rest, its first tendon pulled. Raises RuntimeError
+    where it comes to none."""
     model = ste.build_model(ste.load_scene(name), FIDELITY)
     tension = np.zeros(model.tendon_count)
     tension[0] = SHARE * model.scene.tendons[0].tension_limits[1]
@@ -58,7 +76,9 @@ def picture(name: str) -> np.ndarray:
     if not rest.converged:
         raise RuntimeError(f"{name}: {rest.reason}")
     title = f"tension of the first tendon {tension[0]:g} N"
-    return ArmRenderer(model, *SIZE).frame(Picture(model.strain(rest.q)[1], tension, np.empty((0, 3)), None, None, title))
+    return ArmRenderer(model, *SIZE).frame(
+        Picture(model.strain(rest.q)[1], tension, np.empty((0, 3)), None, None, title)
+    )
 
 
 def section(name: str) -> str:

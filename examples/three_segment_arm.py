@@ -1,9 +1,12 @@
-"""A measured arm of three segments identified from its authors' file: `python examples/three_segment_arm.py FOLDER [--out OUT]`
+"""A measured arm of three segments identified from its authors' file:
+`python examples/three_segment_arm.py FOLDER [--out OUT]`
 
-FOLDER has the CSV files of github.com/ContinuumRoboticsLab/opencr-mujoco, data/sysid/ftdcr_v4 (MIT licence, Copyright (c) its authors):
-nine servo displacements [mm] and the tip by motion capture, a row a hold. `soft-tendon identify` reads them as they are, by the table
-[columns] of markers.toml. Their file *_val.csv judges where it is there, otherwise a quarter of the patterns of *_train.csv. Writes
-three_segment.toml and markers.toml, fits few parameters and then more, and prints the tip's errors on held-out holds.
+FOLDER has the CSV files of github.com/ContinuumRoboticsLab/opencr-mujoco, data/sysid/ftdcr_v4 (MIT
+licence, Copyright (c) its authors): nine servo displacements [mm] and the tip by motion capture, a
+row a hold. `soft-tendon identify` reads them as they are, by the table [columns] of markers.toml.
+Their file *_val.csv judges where it is there, otherwise a quarter of the patterns of *_train.csv.
+Writes three_segment.toml and markers.toml, fits few parameters and then more, and prints the tip's
+errors on held-out holds.
 """
 
 import argparse
@@ -17,7 +20,17 @@ from soft_tendon_env.identification.identify import save_estimate
 from soft_tendon_env.scene.file import load_scene
 
 SERVOS = (4, 3, 9, 5, 2, 8, 6, 1, 7)  # of the cables, three for each segment from the base on
-ANGLES = (184.0, 313.0, 64.0, 221.0, 334.0, 100.0, 241.0, 9.0, 132.0)  # [deg], roughly, of the cables around the backbone
+ANGLES = (
+    184.0,
+    313.0,
+    64.0,
+    221.0,
+    334.0,
+    100.0,
+    241.0,
+    9.0,
+    132.0,
+)  # [deg], roughly, of the cables around the backbone
 LENGTHS = (0.060, 0.0625, 0.064)  # [m] of the segments
 
 SEGMENT = """
@@ -43,11 +56,20 @@ displacement_limits = [-0.012, 0.012]
 """
 SCENE = "".join(
     [
-        'name = "three_segment"\ndescription = "Nitinol backbone of 0.1865 m, three segments, nine cables driven by displacement"\n',
+        (
+            'name = "three_segment"\ndescription = "Nitinol backbone of 0.1865 m, three segments,'
+            ' nine cables driven by displacement"\n'
+        ),
         # cables bend each segment evenly: constant bending is exact, and there is no torsion
-        'strain = { type = "explicit", modes = [{ strains = ["bend_y", "bend_z"], order = 0, span = "piece" }] }\n',
+        (
+            'strain = { type = "explicit", modes = [{ strains = ["bend_y", "bend_z"], order = 0,'
+            ' span = "piece" }] }\n'
+        ),
         *(SEGMENT.format(length=length) for length in LENGTHS),
-        *(CABLE.format(end=round(sum(LENGTHS[: i // 3 + 1]), 4), angle=angle) for i, angle in enumerate(ANGLES)),
+        *(
+            CABLE.format(end=round(sum(LENGTHS[: i // 3 + 1]), 4), angle=angle)
+            for i, angle in enumerate(ANGLES)
+        ),
         ELASTIC,
     ]
 )
@@ -62,10 +84,23 @@ group = {{ name = "pattern_label" }} # rows of one motion pattern have errors in
 {servos}
 """
 SLACK = "effects.tendon_elasticity.slack"
-FEW = ["effects.tendon_elasticity.stiffness", "base.rotation.1", "base.rotation.2", "base.position.0", "markers.tip.offset.0"]
+FEW = [
+    "effects.tendon_elasticity.stiffness",
+    "base.rotation.1",
+    "base.rotation.2",
+    "base.position.0",
+    "markers.tip.offset.0",
+]
 FEW += [f"{SLACK}.3,4,5=-0.002..0.002", f"{SLACK}.6,7,8=-0.002..0.002"]
-MORE = ["base.position.1", "base.position.2", f"{SLACK}.0,1,2=-0.002..0.002", *(f"tendons.{i}.routing.angle" for i in range(9))]
-STEPS = {  # parameters, and the greatest number of holds to fit to; where angles are free, a rotation about the arm is one of all of them
+MORE = [
+    "base.position.1",
+    "base.position.2",
+    f"{SLACK}.0,1,2=-0.002..0.002",
+    *(f"tendons.{i}.routing.angle" for i in range(9)),
+]
+# parameters, and the greatest number of holds to fit to; where angles are free, a rotation about
+# the arm is one of all of them
+STEPS = {
     "8 parameters": ([*FEW, "base.rotation.0"], 60),
     "19 parameters": ([*FEW, *MORE], 100),
 }
@@ -74,13 +109,17 @@ STEPS = {  # parameters, and the greatest number of holds to fit to; where angle
 def write_inputs(out: Path) -> None:
     """Write three_segment.toml and markers.toml."""
     out.mkdir(parents=True, exist_ok=True)
-    servos = "\n".join(f'displacement_{i} = {{ name = "servo_{servo}_mm", unit = "mm" }}' for i, servo in enumerate(SERVOS))
+    servos = "\n".join(
+        f'displacement_{i} = {{ name = "servo_{servo}_mm", unit = "mm" }}'
+        for i, servo in enumerate(SERVOS)
+    )
     (out / "three_segment.toml").write_text(SCENE)
     (out / "markers.toml").write_text(MARKERS.format(servos=servos))
 
 
 def file_of(folder: Path, part: str) -> Path | None:
-    """The authors' file of a part of the data, "train" or "val". Raises ValueError where there are several."""
+    """The authors' file of a part of the data, "train" or "val". Raises ValueError where there are
+    several."""
     found = sorted(folder.rglob(f"*_{part}.csv"))
     if len(found) > 1:
         raise ValueError(f"{folder} has several files *_{part}.csv: {', '.join(map(str, found))}")
@@ -93,15 +132,34 @@ def main(folder: Path, out: Path) -> None:
     judge = file_of(folder, "val")
     write_inputs(out)
     scene = load_scene(out / "three_segment.toml")
-    print(f"judged on {judge.name if judge else 'a quarter of the patterns'}; the tip is off by [mm]")
+    print(
+        f"judged on {judge.name if judge else 'a quarter of the patterns'}; the tip is off by [mm]"
+    )
     for name, (asked, most) in STEPS.items():
         begin = time.process_time()
-        found = identify(scene, train, out / "markers.toml", asked, held_out=judge or 0.25, fit_to=most, fidelity="scene")
+        found = identify(
+            scene,
+            train,
+            out / "markers.toml",
+            asked,
+            held_out=judge or 0.25,
+            fit_to=most,
+            fidelity="scene",
+        )
         seconds, off = time.process_time() - begin, 1e3 * np.array([*found.error_held_out.values()])
-        errors = f"mean {off.mean():.2f}, median {np.median(off):.2f}, root mean square {np.sqrt((off**2).mean()):.2f}"
-        print(f"{len(found.value)} parameters on {len(found.error_fit)} holds: {errors} on {off.size} others; {seconds:.1f} s of CPU")
+        errors = (
+            f"mean {off.mean():.2f}, median {np.median(off):.2f}, root mean square"
+            f" {np.sqrt((off**2).mean()):.2f}"
+        )
+        print(
+            f"{len(found.value)} parameters on {len(found.error_fit)} holds: {errors} on {off.size}"
+            f" others; {seconds:.1f} s of CPU"
+        )
         save_estimate(found, out / name.replace(" ", "_"))
-    print("the authors' identified model, for comparison: root mean square about 7.7 after alignment of the means")
+    print(
+        "the authors' identified model, for comparison: root mean square about 7.7 after alignment"
+        " of the means"
+    )
 
 
 if __name__ == "__main__":

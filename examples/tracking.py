@@ -1,9 +1,13 @@
-"""A moving picture (GIF) of the arm in a task: one round of a closed target, which repeats without a seam.
+"""A moving picture (GIF) of the arm in a task: one round of a closed target, which repeats without
+a seam.
 
-    python examples/tracking.py [--task TipPose] [--controller predictive] [--fidelity standard] [--seed 6] [--out out/tracking.gif]
+    python examples/tracking.py [--task TipPose] [--controller predictive] [--fidelity standard]
+    [--seed 6] [--out out/tracking.gif]
 
-The picture at the top of the README is `python examples/tracking.py --out docs/pictures/tracking.gif`; those of the other tasks are
-`--task Shape --out docs/pictures/shape.gif` and `--task Reach --out docs/pictures/reach.gif`. Needs the extra `pictures`.
+The picture at the top of the README is
+`python examples/tracking.py --out docs/pictures/tracking.gif`; those of the other tasks are
+`--task Shape --out docs/pictures/shape.gif` and `--task Reach --out docs/pictures/reach.gif`. Needs
+the extra `pictures`.
 """
 
 import argparse
@@ -17,9 +21,15 @@ from tqdm import tqdm
 from soft_tendon_env.policies import make_policy, observation_options
 
 ROUND = 5.0  # [s]: the trail that frames show is as long, so that it closes
-LEAD = 6.0  # [s] before the pictures begin: the arm has come to the target, and its way there has left the trail
+# [s] before the pictures begin: the arm has come to the target, and its way there has left the
+# trail
+LEAD = 6.0
 MOTION = {"type": "random", "fraction": 0.5, "knot_period": 1.0, "period": ROUND}
-TARGETS = {"TipPose": MOTION, "Shape": MOTION, "Reach": {"type": "steps", "fraction": 0.25, "duration": 1.0, "count": round(ROUND)}}
+TARGETS = {
+    "TipPose": MOTION,
+    "Shape": MOTION,
+    "Reach": {"type": "steps", "fraction": 0.25, "duration": 1.0, "count": round(ROUND)},
+}
 STEPS_PER_FRAME = 2
 
 
@@ -38,7 +48,10 @@ def main() -> None:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     save(frames, STEPS_PER_FRAME / env.unwrapped.metadata["render_fps"], arguments.out)
     size = arguments.out.stat().st_size / 1e6
-    print(f"root mean square {name.replace('_', ' ')} {1e3 * error:.3g} mm\nwritten: {arguments.out}, {size:.2f} MB")
+    print(
+        f"root mean square {name.replace('_', ' ')} {1e3 * error:.3g} mm\nwritten: {arguments.out},"
+        f" {size:.2f} MB"
+    )
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -51,8 +64,11 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def one_round(env: gym.Env, controller: str, seed: int, name: str) -> tuple[list[np.ndarray], float]:
-    """Frames of a round of the target, and the root mean square in it of the error of that name [m]."""
+def one_round(
+    env: gym.Env, controller: str, seed: int, name: str
+) -> tuple[list[np.ndarray], float]:
+    """Frames of a round of the target, and the root mean square in it of the error of that name
+    [m]."""
     policy, state = make_policy(controller, env), None
     observation, _ = env.reset(seed=seed)
     lead, steps = (round(time * env.unwrapped.metadata["render_fps"]) for time in (LEAD, ROUND))

@@ -1,8 +1,10 @@
-"""Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
+"""Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft
+arms.
 
-The public names for scenes, models, statics and simulation stand in public.py, `identify` in identification/; importing the package
-registers the environments. The names are imported when the first of them is used, so that what needs none of them, such as
-`soft-tendon --help`, does not wait for the compiler.
+The public names for scenes, models, statics and simulation stand in public.py, `identify` in
+identification/; importing the package registers the environments. The names are imported when the
+first of them is used, so that what needs none of them, such as `soft-tendon --help`, does not wait
+for the compiler.
 """
 
 from importlib import import_module

@@ -1,7 +1,11 @@
 """Public names of the package, once each: what `from soft_tendon_env import NAME` finds."""
 
 from soft_tendon_env.accuracy.fidelity import build_model
-from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.inverse_statics import (
+    InverseEquilibrium,
+    tension_for_tip_pose,
+    tension_for_tip_position,
+)
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import (
     Linearization,

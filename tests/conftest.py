@@ -1,4 +1,5 @@
-"""What many tests need: models (built once each), states to try them at, the reference numbers, processes of their own, environments."""
+"""What many tests need: models (built once each), states to try them at, the reference numbers,
+processes of their own, environments."""
 
 import functools
 import json
@@ -20,7 +21,11 @@ from soft_tendon_env.model.build import build_model
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
-LOADED = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+LOADED = {
+    "scene": "three_tendon",
+    "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+    "effects.tip_load.mass": 0.005,
+}
 ARMS = {
     "three_tendon": {"scene": "three_tendon", "fidelity": "fast"},
     "loaded": {"scene": LOADED, "fidelity": "fast"},
@@ -32,7 +37,10 @@ ARMS = {
         "scene": {
             "scene": "three_tendon",
             "quadrature.intervals": 4,
-            "strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order": 1, "span": "rod"}]},
+            "strain": {
+                "type": "explicit",
+                "modes": [{"strains": STRAINS, "order": 1, "span": "rod"}],
+            },
         }
     },
 }
@@ -44,20 +52,32 @@ EVERYTHING = {
     "tension_gain": [0.9, 1.1],
     "tension_offset": [-0.1, 0.1],
     "latency": [0.0, 0.05],
-    "noise": {"position": 0.001, "rotation": 0.01, "length": 0.001, "curvature": 0.1, "stretch": 0.01, "stretch_rate": 0.1},
+    "noise": {
+        "position": 0.001,
+        "rotation": 0.01,
+        "length": 0.001,
+        "curvature": 0.1,
+        "stretch": 0.01,
+        "stretch_rate": 0.1,
+    },
 }
 
 
 @functools.cache
 def _build(name, changes):
     name, _, order = name.partition(" moments 0-")
-    passive = {"strain.passive": [{"strains": STRAINS[:3], "order": int(order), "span": "rod"}]} if order else {}
+    passive = (
+        {"strain.passive": [{"strains": STRAINS[:3], "order": int(order), "span": "rod"}]}
+        if order
+        else {}
+    )
     return build_model(load_scene(name).replace({**passive, **json.loads(changes)}))
 
 
 @pytest.fixture(scope="session")
 def build():
-    """build("paper", {"quadrature.intervals": 2}): the model of a shipped scene with dotted changes.
+    """build("paper", {"quadrature.intervals": 2}): the model of a shipped scene with dotted
+    changes.
 
     "paper moments 0-2" has passive moments up to quadratic over the whole rod besides.
     """
@@ -72,10 +92,12 @@ def reference():
 
 @pytest.fixture(scope="session")
 def random_state():
-    """random_state(model, seed): coordinates and rates of a lively motion, whatever the coordinates mean.
+    """random_state(model, seed): coordinates and rates of a lively motion, whatever the coordinates
+    mean.
 
-    Tensions are random within a fifth of their limits; the coordinates follow as at rest, and passive ones get about a tenth of the
-    energy of the tensions'. Rates: as if every coordinate changed by its own size some ten times a second.
+    Tensions are random within a fifth of their limits; the coordinates follow as at rest, and
+    passive ones get about a tenth of the energy of the tensions'. Rates: as if every coordinate
+    changed by its own size some ten times a second.
     """
 
     def state(model: Model, seed: int):
@@ -85,7 +107,9 @@ def random_state():
         rest = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         stiffness, strain = rest.stiffness, model.arm.strain
         load = rest.actuation @ u
-        energy = 0.5 * load @ np.linalg.lstsq(stiffness, load)[0]  # elastic, of the linear answer to the tensions
+        energy = (
+            0.5 * load @ np.linalg.lstsq(stiffness, load)[0]
+        )  # elastic, of the linear answer to the tensions
         size = np.sqrt(0.1 * energy / np.diag(stiffness))
         if not isinstance(strain, Explicit):
             q = model.rest_coordinates(u)
@@ -105,7 +129,9 @@ def workspace_at():
         work = make_workspace(model.arm)
         q = np.array(q, dtype=float)
         q_dot = np.zeros_like(q) if q_dot is None else np.array(q_dot, dtype=float)
-        tension = np.zeros(model.tendon_count) if tension is None else np.array(tension, dtype=float)
+        tension = (
+            np.zeros(model.tendon_count) if tension is None else np.array(tension, dtype=float)
+        )
         assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
         assert evaluate(model.arm, tension, q, q_dot, 1e-12, work) == -1
         return work
@@ -133,7 +159,9 @@ def everything():
 
 def _same(a, b):
     if isinstance(a, dict):
-        return isinstance(b, dict) and a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+        return (
+            isinstance(b, dict) and a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+        )
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, np.ndarray) and a.dtype == object:
@@ -151,14 +179,17 @@ def same():
 
 @pytest.fixture(scope="session")
 def live():
-    """live(env, seed, steps, actions=None): what reset and every step gave, with a reset whenever an episode ends.
+    """live(env, seed, steps, actions=None): what reset and every step gave, with a reset whenever
+    an episode ends.
 
     actions (steps, n_a); random ones that depend on the seed alone by default.
     """
 
     def lived(env, seed, steps, actions=None):
         if actions is None:
-            actions = np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, *env.action_space.shape))
+            actions = np.random.default_rng(seed).uniform(
+                -1.0, 1.0, (steps, *env.action_space.shape)
+            )
         history = [env.reset(seed=seed)]
         for action in actions:
             history.append(env.step(action))
@@ -171,7 +202,8 @@ def live():
 
 @pytest.fixture
 def forgotten():
-    """Tasks, targets, reward terms, controllers and effects that a test registers are forgotten at its end."""
+    """Tasks, targets, reward terms, controllers and effects that a test registers are forgotten at
+    its end."""
     tables = [TASKS, TARGETS, OWN_TERMS, IDS, EFFECTS, gym.registry, *CONTROLLERS.values()]
     before = [dict(table) for table in tables]
     yield

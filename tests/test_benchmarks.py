@@ -1,4 +1,5 @@
-"""The benchmarks run at tiny settings, print a table, and write CSV and a picture. What they measure is not judged here."""
+"""The benchmarks run at tiny settings, print a table, and write CSV and a picture. What they
+measure is not judged here."""
 
 import csv
 import os
@@ -37,7 +38,13 @@ def test_every_benchmark_is_tried_here():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TINY)
 def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
-    command = [sys.executable, ROOT / "benchmarks" / f"{name}.py", *TINY[name], "--out", str(tmp_path)]
+    command = [
+        sys.executable,
+        ROOT / "benchmarks" / f"{name}.py",
+        *TINY[name],
+        "--out",
+        str(tmp_path),
+    ]
     environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
     process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr

@@ -1,8 +1,11 @@
-"""The documentation runs: Python blocks of README.md and docs/, in order, and the commands that shell blocks name.
+"""The documentation runs: Python blocks of README.md and docs/, in order, and the commands that
+shell blocks name.
 
-The blocks of one page share a namespace and a temporary folder. A block with a file name (```toml title="my_arm.toml") is written there.
-Blocks of `py`, whose libraries the tests lack, are only compiled. A block that would run for long is shortened by a comment in the line
-before it, which says what: <!-- test: replace "300_000" by "512" -->.
+The blocks of one page share a namespace and a temporary folder. A block with a file name
+(```toml title="my_arm.toml")
+is written there. Blocks of `py`, whose libraries the tests lack, are only compiled. A block that
+would run for long is shortened by a comment in the line before it, which says what: <!-- test:
+replace "300_000" by "512" -->.
 """
 
 import contextlib
@@ -29,12 +32,16 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMANDS = ("soft-tendon", "python", "make", "pip", "rerun")
 """What shell blocks and command lines in the text may begin with."""
 
-FENCE = re.compile(r'((?:^<!-- test: [^\n]*-->\n)*)^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r'((?:^<!-- test: [^\n]*-->\n)*)^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$',
+    re.MULTILINE | re.DOTALL,
+)
 REPLACEMENT = re.compile(r'<!-- test: replace "([^"]+)" by "([^"]*)" -->\n')
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, the file that it is, its first line on the page, its text as shown and as tested."""
+    """A fenced block: its language, the file that it is, its first line on the page, its text as
+    shown and as tested."""
 
     language: str
     file: str | None
@@ -51,7 +58,9 @@ def blocks_of(text: str) -> list[Block]:
         line, tested = text.count("\n", 0, match.start(4)) + 1, body
         assert not REPLACEMENT.sub("", comments), f"line {line}: {comments.strip()}"
         for old, new in REPLACEMENT.findall(comments):
-            assert old in tested, f"line {line}: the block should have {old!r}, which its test replaces"
+            assert old in tested, (
+                f"line {line}: the block should have {old!r}, which its test replaces"
+            )
             tested = tested.replace(old, new)
         found.append(Block(language, file, line, body, tested))
     return found
@@ -62,11 +71,16 @@ def name_of(page: Path) -> str:
 
 
 PYTHON = [
-    pytest.param(page, marks=[] if "tutorials" in page.parts and page.stem != "robot" else [pytest.mark.slow], id=name_of(page))
+    pytest.param(
+        page,
+        marks=[] if "tutorials" in page.parts and page.stem != "robot" else [pytest.mark.slow],
+        id=name_of(page),
+    )
     for page in PAGES
     if "```python" in page.read_text(encoding="utf-8")
 ]
-"""Pages with blocks of Python: tutorials are tried first, but for that of the robot, which takes longer."""
+"""Pages with blocks of Python: tutorials are tried first, but for that of the robot, which takes
+longer."""
 
 
 @pytest.mark.parametrize("page", PYTHON)
@@ -77,17 +91,24 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
         if block.file is not None:
             Path(block.file).write_text(block.text, encoding="utf-8")
         if block.language in ("python", "py"):
-            code = compile("\n" * (block.line - 1) + block.tested, str(page), "exec")  # a traceback names the line of the page
+            code = compile(
+                "\n" * (block.line - 1) + block.tested, str(page), "exec"
+            )  # a traceback names the line of the page
             if block.language == "python":
                 exec(code, namespace)
 
 
 def command_lines(text: str) -> list[str]:
-    """Commands that a page names: lines of blocks without language, and code in the text that begins with one of COMMANDS."""
-    shell = "\n".join(block.text for block in blocks_of(text) if block.language in ("", "bash", "sh"))
+    """Commands that a page names: lines of blocks without language, and code in the text that
+    begins with one of COMMANDS."""
+    shell = "\n".join(
+        block.text for block in blocks_of(text) if block.language in ("", "bash", "sh")
+    )
     prose = FENCE.sub("", text)
     spans = re.findall(r"`([^`]+)`", prose.replace("\n", " "))
-    lines = [line.split(" #")[0].strip() for line in [*shell.replace("\\\n", " ").splitlines(), *spans]]
+    lines = [
+        line.split(" #")[0].strip() for line in [*shell.replace("\\\n", " ").splitlines(), *spans]
+    ]
     return [line for line in lines if line.split(" ")[0] in COMMANDS and " " in line]
 
 
@@ -102,7 +123,9 @@ def help_of(command: str) -> str:
         contextlib.redirect_stdout(said),
         pytest.raises(SystemExit) as exit,
     ):
-        runpy.run_path(script, run_name="__main__") if command.endswith(".py") else main([command, "--help"])
+        runpy.run_path(script, run_name="__main__") if command.endswith(".py") else main(
+            [command, "--help"]
+        )
     assert not exit.value.code, f"{command} --help"
     return said.getvalue()
 
@@ -128,10 +151,14 @@ def check_options(line: str, words: list[str], script: bool) -> None:
     if script:
         assert (ROOT / command).is_file(), line
     options = any(word.startswith("--") for word in given)
-    text = help_of(command) if options or not script else ""  # a script without options may do its work when asked for help
+    text = (
+        help_of(command) if options or not script else ""
+    )  # a script without options may do its work when asked for help
     for word in given:
         if word.startswith("--"):
-            assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
+            assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), (
+                f"{line}: no option {word}"
+            )
         elif word.startswith(("configs/", "agents/")):
             assert (ROOT / word).exists(), line
     if command in ("train", "sweep"):
@@ -141,7 +168,9 @@ def check_options(line: str, words: list[str], script: bool) -> None:
             )
 
 
-@pytest.mark.cases("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))])
+@pytest.mark.cases(
+    "page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))]
+)
 def test_commands_exist(page):
     for line in command_lines(page.read_text(encoding="utf-8")):
         check_command(line)
@@ -150,8 +179,12 @@ def test_commands_exist(page):
 def test_files_that_pages_show_are_examples_that_run():
     tested = (ROOT / "tests" / "test_examples.py").read_text(encoding="utf-8")
     for page in PAGES:
-        for file in re.findall(r"^<!-- file: (\S+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE):
-            assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, f"{name_of(page)}: {file}"
+        for file in re.findall(
+            r"^<!-- file: (\S+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE
+        ):
+            assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, (
+                f"{name_of(page)}: {file}"
+            )
 
 
 @pytest.mark.cases("page", PAGES)
@@ -159,11 +192,22 @@ def test_links_lead_somewhere_and_configurations_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):
         path = target.partition("#")[0]
-        assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
+        assert (
+            "://" in target
+            or not path
+            or (page.parent / path).exists()
+            or path.endswith(("contributing.md", "changelog.md"))
+        ), target
     for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", text):
         assert (ROOT / path).is_file(), path
 
 
-@pytest.mark.cases("command", [made["command"] for made in tomllib.loads((ROOT / "docs" / "generated.toml").read_text())["made"]])
+@pytest.mark.cases(
+    "command",
+    [
+        made["command"]
+        for made in tomllib.loads((ROOT / "docs" / "generated.toml").read_text())["made"]
+    ],
+)
 def test_commands_of_generated_tables_exist(command):
     check_command(command)

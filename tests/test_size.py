@@ -1,4 +1,5 @@
-"""The size of the project. Who needs more than a limit takes something else out, or changes this table by hand."""
+"""The size of the project. Who needs more than a limit takes something else out, or changes this
+table by hand."""
 
 from pathlib import Path
 
@@ -19,9 +20,15 @@ def lines_below(folder):
 SIZES = {
     "lines of the package": lambda: lines_below("soft_tendon_env"),
     "lines of the tests": lambda: lines_below("tests"),
-    "lines of the largest folder": lambda: max(lines_below(path) for path in (ROOT / "soft_tendon_env").iterdir() if path.is_dir()),
-    "lines of the longest file": lambda: max(lines(path) for name in ("soft_tendon_env", "tests") for path in (ROOT / name).rglob("*.py")),
-    "words of the documentation": lambda: sum(len(path.read_text(encoding="utf-8").split()) for glob in PROSE for path in ROOT.glob(glob)),
+    "lines of the largest folder": lambda: max(
+        lines_below(path) for path in (ROOT / "soft_tendon_env").iterdir() if path.is_dir()
+    ),
+    "lines of the longest file": lambda: max(
+        lines(path) for name in ("soft_tendon_env", "tests") for path in (ROOT / name).rglob("*.py")
+    ),
+    "words of the documentation": lambda: sum(
+        len(path.read_text(encoding="utf-8").split()) for glob in PROSE for path in ROOT.glob(glob)
+    ),
 }
 LIMITS = {
     "lines of the package": 28_700,

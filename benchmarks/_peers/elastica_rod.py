@@ -1,15 +1,20 @@
-"""The arm in PyElastica: a tapered Cosserat rod of equal elements, with a forcing class for what PyElastica has not.
+"""The arm in PyElastica: a tapered Cosserat rod of equal elements, with a forcing class for what
+PyElastica has not.
 
-PyElastica's own are inertia, kinematics, elasticity, the clamp (`OneEndFixedBC`) and the stepper (`PositionVerlet`). The forcing adds
+PyElastica's own are inertia, kinematics, elasticity, the clamp (`OneEndFixedBC`) and the stepper
+(`PositionVerlet`). The forcing adds
 
-- the tendons: tension along the tangent of each, as force of the elements and as moment of the nodes between them (`tendon_stress`);
+- the tendons: tension along the tangent of each, as force of the elements and as moment of the
+nodes between them (`tendon_stress`);
 - Kelvin-Voigt damping in proportion to the strain rates; PyElastica's dampers act on velocities;
-- the difference between two laws of the section: PyElastica's is incompressible, its stiffness in bending grows with the cube of the
-  compression; that of the other simulators here keeps the section of the rod at rest.
+- the difference between two laws of the section: PyElastica's is incompressible, its stiffness in
+  bending grows with the cube of the compression; that of the other simulators here keeps the
+  section of the rod at rest.
 
-The first element is centred on the base, so that its clamped directors are those of the base, twice as stiff since half of it is the
-rod's: second order in the length of the elements. The stepper is explicit; damping of shear against the small rotational inertia of the
-section bounds its step to about a microsecond, whatever the number of elements. That is why a part of the motion has to do.
+The first element is centred on the base, so that its clamped directors are those of the base, twice
+as stiff since half of it is the rod's: second order in the length of the elements. The stepper is
+explicit; damping of shear against the small rotational inertia of the section bounds its step to
+about a microsecond, whatever the number of elements. That is why a part of the motion has to do.
 """
 
 import warnings
@@ -28,7 +33,8 @@ NAME = "PyElastica"
 DISTRIBUTION = "pyelastica"
 SECONDS = 0.2
 BENDING, SHEAR = [1, 2, 0], [4, 5, 3]
-"""This package's strains in the order of PyElastica's directors, y, z, x of the section: bending and torsion; shear and stretch."""
+"""This package's strains in the order of PyElastica's directors, y, z, x of the section: bending
+and torsion; shear and stretch."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,9 @@ class Setting:
 
     @property
     def label(self) -> str:
-        return f"{self.elements} elements, " + (f"{1e3 * self.step:g} ms" if self.step >= 1e-3 else f"{1e6 * self.step:g} us")
+        return f"{self.elements} elements, " + (
+            f"{1e3 * self.step:g} ms" if self.step >= 1e-3 else f"{1e6 * self.step:g} us"
+        )
 
 
 QUICK = (Setting(6, 1e-6),)
@@ -59,7 +67,9 @@ class Rod:
     """The rod, its simulator and what the forcing reads."""
 
     def __init__(self, scene: Scene, elements: int) -> None:
-        self.length = rod_length(scene) / (elements - 0.5)  # of an element; the first is centred on the base
+        self.length = rod_length(scene) / (
+            elements - 0.5
+        )  # of an element; the first is centred on the base
         centres = self.length * np.arange(elements)
         between = centres[:-1] + 0.5 * self.length
         material = scene.segments[0]
@@ -77,7 +87,10 @@ class Rod:
             youngs_modulus=material.young_modulus,
             shear_modulus=material.young_modulus / (2.0 * (1.0 + material.poisson_ratio)),
         )
-        elastic[0], viscous[0] = 2.0 * elastic[0], 2.0 * viscous[0]  # half of the first element is the rod's
+        elastic[0], viscous[0] = (
+            2.0 * elastic[0],
+            2.0 * viscous[0],
+        )  # half of the first element is the rod's
         self.shear, self.shear_damping = elastic[:, SHEAR].T.copy(), viscous[:, SHEAR].T.copy()
         elastic, viscous, _ = screw_matrices(scene, between)
         self.bend, self.bend_damping = elastic[:, BENDING].T.copy(), viscous[:, BENDING].T.copy()
@@ -91,7 +104,9 @@ class Rod:
     def simulator(self) -> Simulator:
         collection = Simulator()
         collection.append(self.rod)
-        collection.constrain(self.rod).using(elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
+        collection.constrain(self.rod).using(
+            elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,)
+        )
         collection.add_forcing_to(self.rod).using(TendonsAndDamping, rod=self)
         collection.finalize()
         return collection
@@ -100,19 +115,26 @@ class Rod:
 def routes(scene: Scene, arc_length: Array, width: float) -> Array:
     """Offset (y, z), slope and presence of every tendon at arc lengths [m]: (n_a, places, 5).
 
-    Presence is the share of `width` [m] around the place, as far as it is on the rod, that the tendon covers.
+    Presence is the share of `width` [m] around the place, as far as it is on the rod, that the
+    tendon covers.
     """
-    first, last = np.maximum(arc_length - 0.5 * width, 0.0), np.minimum(arc_length + 0.5 * width, rod_length(scene))
+    first, last = (
+        np.maximum(arc_length - 0.5 * width, 0.0),
+        np.minimum(arc_length + 0.5 * width, rod_length(scene)),
+    )
     found = np.empty((len(scene.tendons), len(arc_length), 5))
     for values, tendon in zip(found, scene.tendons, strict=True):
         start, end = tendon_ends(scene, tendon)
         values[:, :2], values[:, 2:4] = tendon_offset(scene, tendon, arc_length)
-        values[:, 4] = np.clip((np.minimum(last, end) - np.maximum(first, start)) / (last - first), 0.0, 1.0)
+        values[:, 4] = np.clip(
+            (np.minimum(last, end) - np.maximum(first, start)) / (last - first), 0.0, 1.0
+        )
     return found
 
 
 class TendonsAndDamping(elastica.NoForces):
-    """Forcing by the stress that PyElastica's rod has not: tendons, Kelvin-Voigt damping, the section's law."""
+    """Forcing by the stress that PyElastica's rod has not: tendons, Kelvin-Voigt damping, the
+    section's law."""
 
     def __init__(self, rod: Rod) -> None:
         super().__init__()
@@ -131,7 +153,8 @@ class TendonsAndDamping(elastica.NoForces):
 
 @njit
 def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyped-def]
-    """Adds forces (3, nodes) in the world frame and torques (3, elements) in that of the elements to `out`."""
+    """Adds forces (3, nodes) in the world frame and torques (3, elements) in that of the elements
+    to `out`."""
     tension, at_elements, at_nodes, length = tendons
     shear, shear_damping, bend, bend_damping = section
     sigma, kappa, dilatation, node_dilatation = strains
@@ -140,7 +163,11 @@ def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyp
     elements = sigma.shape[1]
     n, m = np.empty(3), np.empty(3)
     for i in range(elements):
-        x, y, z = sigma[0, i], sigma[1, i], sigma[2, i] + 1.0  # of the backbone's slope, in the element's frame
+        x, y, z = (
+            sigma[0, i],
+            sigma[1, i],
+            sigma[2, i] + 1.0,
+        )  # of the backbone's slope, in the element's frame
         w0, w1, w2 = omega[0, i], omega[1, i], omega[2, i]
         turn = y * w2 - z * w1, z * w0 - x * w2, x * w1 - y * w0
         left, right = max(i - 1, 0), min(i, elements - 2)
@@ -151,7 +178,9 @@ def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyp
             rate = turn[axis]
             for j in range(3):
                 rate += directors[axis, j, i] * (velocity[j, i + 1] - velocity[j, i]) / length
-            n[axis] = shear_damping[axis, i] * rate + shear[axis, i] * sigma[axis, i] * (1.0 - 1.0 / dilatation[i])
+            n[axis] = shear_damping[axis, i] * rate + shear[axis, i] * sigma[axis, i] * (
+                1.0 - 1.0 / dilatation[i]
+            )
         for tendon in range(tension.size):
             dy, dz, slope_y, slope_z, present = at_elements[tendon, i]
             t0, t1, t2 = slope_y + x - k2 * dz, slope_z + y + k2 * dy, z + k0 * dz - k1 * dy
@@ -160,14 +189,20 @@ def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyp
             n[1] += pull * t1
             n[2] += pull * t2
         for j in range(3):
-            force = directors[0, j, i] * n[0] + directors[1, j, i] * n[1] + directors[2, j, i] * n[2]
+            force = (
+                directors[0, j, i] * n[0] + directors[1, j, i] * n[1] + directors[2, j, i] * n[2]
+            )
             forces[j, i] += force
             forces[j, i + 1] -= force
         torques[0, i] += length * (y * n[2] - z * n[1])
         torques[1, i] += length * (z * n[0] - x * n[2])
         torques[2, i] += length * (x * n[1] - y * n[0])
     for i in range(elements - 1):
-        x, y, z = 0.5 * (sigma[0, i] + sigma[0, i + 1]), 0.5 * (sigma[1, i] + sigma[1, i + 1]), 1.0 + 0.5 * (sigma[2, i] + sigma[2, i + 1])
+        x, y, z = (
+            0.5 * (sigma[0, i] + sigma[0, i + 1]),
+            0.5 * (sigma[1, i] + sigma[1, i + 1]),
+            1.0 + 0.5 * (sigma[2, i] + sigma[2, i + 1]),
+        )
         k0, k1, k2 = kappa[0, i], kappa[1, i], kappa[2, i]
         w0 = 0.5 * (omega[0, i] + omega[0, i + 1])
         w1 = 0.5 * (omega[1, i] + omega[1, i + 1])
@@ -175,7 +210,9 @@ def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyp
         turn = k1 * w2 - k2 * w1, k2 * w0 - k0 * w2, k0 * w1 - k1 * w0
         for axis in range(3):
             rate = (omega[axis, i + 1] - omega[axis, i]) / length + turn[axis]
-            m[axis] = bend_damping[axis, i] * rate + bend[axis, i] * kappa[axis, i] * (1.0 - 1.0 / node_dilatation[i] ** 3)
+            m[axis] = bend_damping[axis, i] * rate + bend[axis, i] * kappa[axis, i] * (
+                1.0 - 1.0 / node_dilatation[i] ** 3
+            )
         for tendon in range(tension.size):
             dy, dz, slope_y, slope_z, present = at_nodes[tendon, i]
             t0, t1, t2 = slope_y + x - k2 * dz, slope_z + y + k2 * dy, z + k0 * dz - k1 * dy
@@ -195,7 +232,8 @@ def prepare(scene: Scene, setting: Setting) -> Run:
 
 
 def advance(rod: Rod, tensions: Array, step: float, hold: float) -> Array:
-    """Tips at the end of each row of tensions, held for `hold` [s]; those after the first that is not finite are left out."""
+    """Tips at the end of each row of tensions, held for `hold` [s]; those after the first that is
+    not finite are left out."""
     collection, stepper = rod.simulator(), elastica.PositionVerlet()
     time, count, tips = 0.0, max(1, round(hold / step)), []
     for tension in tensions:
@@ -216,4 +254,8 @@ def simulate(rod: Rod, step: float, tensions: Array) -> Motion:
         warnings.simplefilter("always")
         cpu = cpu_time(lambda: found.append(advance(rod, tensions, step, HOLD)))
     tip[1 : len(found[0]) + 1] = found[0]
-    return Motion(tip, cpu / (HOLD * len(found[0])), "; ".join(dict.fromkeys(str(warning.message) for warning in caught)))
+    return Motion(
+        tip,
+        cpu / (HOLD * len(found[0])),
+        "; ".join(dict.fromkeys(str(warning.message) for warning in caught)),
+    )

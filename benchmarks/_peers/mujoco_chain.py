@@ -1,6 +1,8 @@
-"""The arm in MuJoCo: the chain of bodies with springs, dampers and spatial tendons that `soft-tendon export --mjcf` writes.
+"""The arm in MuJoCo: the chain of bodies with springs, dampers and spatial tendons that
+`soft-tendon export --mjcf` writes.
 
-Its integrator is "implicitfast"; "discrete", which has the stiffness implicit too, is measured beside it.
+Its integrator is "implicitfast"; "discrete", which has the stiffness implicit too, is measured
+beside it.
 """
 
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ NAME = "MuJoCo"
 DISTRIBUTION = "mujoco"
 SECONDS = 2.0
 WARNINGS: list[str] = []
-"""What MuJoCo has warned of since the list was emptied; a list of the module, since MuJoCo has one handler of warnings."""
+"""What MuJoCo has warned of since the list was emptied; a list of the module, since MuJoCo has one
+handler of warnings."""
 INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
@@ -50,17 +53,21 @@ def settings() -> list[Setting]:
 
 
 def prepare(scene: Scene, setting: Setting) -> Run:
-    """Nothing is computed that the other simulators do not have: no contact and other constraints, no limits of tensions."""
+    """Nothing is computed that the other simulators do not have: no contact and other constraints,
+    no limits of tensions."""
     root = mujoco_chain(scene, setting.bodies).getroot()
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
     model.opt.timestep, model.opt.integrator = setting.step, INTEGRATORS[setting.integrator]
-    model.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags = (
+        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
     model.actuator_ctrllimited[:] = 0
     return lambda tensions: simulate(model, tensions)
 
 
 def simulate(model: mujoco.MjModel, tensions: Array) -> Motion:
-    """The motion from rest; MuJoCo's warnings are caught in place of the line that it writes to its log."""
+    """The motion from rest; MuJoCo's warnings are caught in place of the line that it writes to its
+    log."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     WARNINGS.clear()
@@ -79,4 +86,9 @@ def simulate(model: mujoco.MjModel, tensions: Array) -> Motion:
 
     cpu = cpu_time(step)
     mujoco.set_mju_user_warning(None)
-    return Motion(tips, cpu / (HOLD * len(tensions)), "; ".join(dict.fromkeys(WARNINGS)), bool((np.diff(times) < 0.5 * HOLD).any()))
+    return Motion(
+        tips,
+        cpu / (HOLD * len(tensions)),
+        "; ".join(dict.fromkeys(WARNINGS)),
+        bool((np.diff(times) < 0.5 * HOLD).any()),
+    )

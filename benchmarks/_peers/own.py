@@ -1,4 +1,5 @@
-"""This package: reduced-order models of the arm with several strain fields, orders of integration, steps and quadratures."""
+"""This package: reduced-order models of the arm with several strain fields, orders of integration,
+steps and quadratures."""
 
 import itertools
 import warnings
@@ -58,7 +59,8 @@ INTERVALS = (4, 6)
 
 @dataclass(frozen=True)
 class Setting:
-    """Strain fields (a key of FIELDS), columns of extrapolation or a tolerance [m], step [s], Magnus intervals per piece."""
+    """Strain fields (a key of FIELDS), columns of extrapolation or a tolerance [m], step [s],
+    Magnus intervals per piece."""
 
     fields: str
     order: float = 3
@@ -72,7 +74,10 @@ class Setting:
 
     def scene(self, scene: Scene) -> Scene:
         order = {"columns": self.order} if self.order >= 1 else {"tolerance": self.order}
-        changes = {"integrator": {"step": self.step, **order}, "quadrature.intervals": self.intervals}
+        changes = {
+            "integrator": {"step": self.step, **order},
+            "quadrature.intervals": self.intervals,
+        }
         return scene.replace({"strain": FIELDS[self.fields], **changes})
 
 
@@ -91,7 +96,9 @@ def settings() -> Sequence[Setting]:
 def prepare(scene: Scene, setting: Setting) -> Run | None:
     """None where a setting has too few quadrature points for its coordinates."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
+        warnings.simplefilter(
+            "ignore", QuadratureWarning
+        )  # what too few intervals do is what is measured
         try:
             model = ste.build_model(setting.scene(scene), "scene")
         except ste.ConfigurationError:
@@ -109,6 +116,10 @@ def simulate(model: ste.Model, tensions: Array) -> Motion:
     try:
         cpu = float(np.median([cpu_time(run) for _ in range(REPEATS)]))
     except ste.SimulationDiverged as stopped:
-        return Motion(np.full((len(tensions) + 1, 3), np.nan), np.nan, f"SimulationDiverged: {stopped}")
-    halved = f"{found[0].rejected} steps tried again at half their size" if found[0].rejected else ""
+        return Motion(
+            np.full((len(tensions) + 1, 3), np.nan), np.nan, f"SimulationDiverged: {stopped}"
+        )
+    halved = (
+        f"{found[0].rejected} steps tried again at half their size" if found[0].rejected else ""
+    )
     return Motion(found[0].tip_pose[:, :3, 3], cpu / (HOLD * len(tensions)), halved)

@@ -17,7 +17,8 @@ HOLD = 0.02
 class Motion(NamedTuple):
     """What came of a table of tensions."""
 
-    tip: Array  # (rows + 1, 3) [m], at rest first, then at the end of each row; not finite where nothing came
+    # (rows + 1, 3) [m], at rest first, then at the end of each row; not finite where nothing came
+    tip: Array
     cpu: float  # CPU seconds per simulated second
     told: str  # what the simulator said of trouble: an exception, a warning; "" if nothing
     restarted: bool = False  # whether it went back to its start by itself
@@ -41,14 +42,20 @@ class Simulator(Protocol):
     NAME: str
     DISTRIBUTION: str  # its name in package indices
     SECONDS: float  # simulated at most, of each input
-    HARD: Sequence[Setting]  # those tried under abrupt tensions too: one with steps of 10 ms, one that its users would fall back on
+    HARD: Sequence[
+        Setting
+        # those tried under abrupt tensions too: one with steps of 10 ms, one that its users would
+        # fall back on
+    ]
     QUICK: Sequence[Setting]  # to try the benchmark
 
     @staticmethod
     def settings() -> Sequence[Setting]: ...
 
     @staticmethod
-    def prepare(scene: Scene, setting: Setting) -> Run | None: ...  # None: it has no model with this setting
+    def prepare(
+        scene: Scene, setting: Setting
+    ) -> Run | None: ...  # None: it has no model with this setting
 
 
 def cpu_time(action: Callable[[], None]) -> float:

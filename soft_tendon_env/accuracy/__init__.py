@@ -1,1 +1,2 @@
-"""Accuracy against computing time: test motions, converged references, passive fields from snapshots, trials of an arm."""
+"""Accuracy against computing time: test motions, converged references, passive fields from
+snapshots, trials of an arm."""

@@ -1,7 +1,8 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md.
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see
+docs/appendix/speed.md.
 
-A preset is an error: the largest distance of the tip from full physics, as a share of the rod's length, at rest under tensions within
-limits and in the usual motions, see input_motions.
+A preset is an error: the largest distance of the tip from full physics, as a share of the rod's
+length, at rest under tensions within limits and in the usual motions, see input_motions.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from soft_tendon_env.accuracy.input_motions import USUAL
-from soft_tendon_env.accuracy.trial import Accuracy, Choice, bare_rod, choose, known_fields, snapshots
+from soft_tendon_env.accuracy.trial import (
+    Accuracy,
+    Choice,
+    bare_rod,
+    choose,
+    known_fields,
+    snapshots,
+)
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import FidelityWarning, PassiveFields
@@ -25,31 +33,41 @@ from soft_tendon_env.tools.types import is_length, read_length
 
 AS_SCENE = "scene"  # the fidelity that leaves a scene as it is
 UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
-"""The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
+"""The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the
+strain open."""
 
 
 PRESETS: Mapping[str, Accuracy] = {
     "fast": Accuracy(1e-2, fields=8e-3, quadrature=5.0 * TIP_TOLERANCE, least=4, tolerance=5e-4),
-    "standard": Accuracy(2e-3, fields=1e-3, quadrature=5.0 * TIP_TOLERANCE, least=6, tolerance=2.5e-5),
+    "standard": Accuracy(
+        2e-3, fields=1e-3, quadrature=5.0 * TIP_TOLERANCE, least=6, tolerance=2.5e-5
+    ),
     "fine": Accuracy(5e-4, fields=2e-4, quadrature=0.4 * TIP_TOLERANCE, least=8, tolerance=3e-6),
 }
-"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
+"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step;
+12 and 4 to 7; 24 and 7 to 10."""
 
 
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
-    """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
+    """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its
+    kernels.
 
-    fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of the length. A length such as "1mm" is
-    this error. "scene" takes strain, quadrature and integrator from the scene; a strain that it leaves open has one coordinate per tension
-    and no others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a
-    FidelityWarning if the scene leaves its strain open.
+    fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of
+    the length. A length such as "1mm" is this error. "scene" takes strain, quadrature and
+    integrator from the scene; a strain that it leaves open has one coordinate per tension and no
+    others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the
+    argument it is "scene", with a FidelityWarning if the scene leaves its strain open.
 
-    Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be computed.
+    Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be
+    computed.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:
         if _leaves_strain_open(scene):
-            text = "leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off in motion"
+            text = (
+                "leaves its strain open, so that this model has the coordinates of the tensions"
+                " alone and may be far off in motion"
+            )
             advice = "say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
             warnings.warn(f"{scene.name!r} {text}: {advice}", FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
@@ -64,8 +82,9 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     """The scene with the strain, quadrature and integrator of a fidelity, see `build_model`.
 
-    They are found by a short trial of the arm, once, unless it has passive fields of its own that were made for its loads: the errors of
-    these are known. Raises ConfigurationError where nothing keeps within a length; warns where nothing reaches a preset.
+    They are found by a short trial of the arm, once, unless it has passive fields of its own that
+    were made for its loads: the errors of these are known. Raises ConfigurationError where nothing
+    keeps within a length; warns where nothing reaches a preset.
     """
     if fidelity == AS_SCENE:
         return scene
@@ -87,36 +106,53 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
             chosen = {name: getattr(found, name) for name in is_open}
         else:
             needed = fields.needed(asked.fields * rod_length(scene), USUAL)
-            chosen["strain"] = snapshots(scene, fields, len(fields.coefficients) if needed is None else needed)
-    return scene.replace({name: table for name, table in chosen.items() if everything or is_open[name]})
+            chosen["strain"] = snapshots(
+                scene, fields, len(fields.coefficients) if needed is None else needed
+            )
+    return scene.replace(
+        {name: table for name, table in chosen.items() if everything or is_open[name]}
+    )
 
 
 def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
-    """The accuracy that a preset or a length asks for: its parts are those of the coarsest preset that is fine enough."""
+    """The accuracy that a preset or a length asks for: its parts are those of the coarsest preset
+    that is fine enough."""
     if not is_length(fidelity):
         return PRESETS[fidelity]
     share = read_length(fidelity) / rod_length(scene)
     near = next((preset for preset in PRESETS.values() if preset.share <= share), PRESETS["fine"])
     finer = min(share / near.share, 1.0)
-    return near._replace(share=share, quadrature=finer * near.quadrature, tolerance=finer * near.tolerance)
+    return near._replace(
+        share=share, quadrature=finer * near.quadrature, tolerance=finer * near.tolerance
+    )
 
 
 def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
-    """Whether the errors of passive fields hold for this arm: they were measured under its loads, or it has none."""
+    """Whether the errors of passive fields hold for this arm: they were measured under its loads,
+    or it has none."""
     loads = scene.effects.everywhere()
     sizes = [getattr(effect, key) for effect in loads.chosen().values() for key in effect.strengths]
     return not fields.misfit(scene) and (loads == fields.effects or not any(map(np.any, sizes)))
 
 
 def _check(scene: Scene, found: Choice, asked: Accuracy, fidelity: str) -> None:
-    """Raises ConfigurationError where a choice does not keep within a length, warns where it does not reach a preset."""
+    """Raises ConfigurationError where a choice does not keep within a length, warns where it does
+    not reach a preset."""
     if found.error <= asked.share:
         return
     if np.isfinite(found.error):
-        text = f"{scene.name!r} has no coordinates that keep its tip as near to full physics as {fidelity!r} asks, "
-        text += f"{100 * asked.share:.3g} % of the length: the best there are, {found.describe(scene)}"
+        text = (
+            f"{scene.name!r} has no coordinates that keep its tip as near to full physics as"
+            f" {fidelity!r} asks, "
+        )
+        text += (
+            f"{100 * asked.share:.3g} % of the length: the best there are, {found.describe(scene)}"
+        )
     else:
-        text = f"the accuracy of {scene.name!r} is not known: full physics has no motion under its loads and tensions"
+        text = (
+            f"the accuracy of {scene.name!r} is not known: full physics has no motion under its"
+            " loads and tensions"
+        )
     if is_length(fidelity):
         raise ConfigurationError([Problem((), text)])
     warnings.warn(text, FidelityWarning, stacklevel=3)
@@ -127,7 +163,9 @@ def checked_fidelity(fidelity: str) -> str:
     if is_length(fidelity):
         read_length(fidelity)
     elif fidelity not in (*PRESETS, AS_SCENE):
-        raise ValueError(f"should be {', '.join(map(repr, PRESETS))}, {AS_SCENE!r} or a length such as '1mm'")
+        raise ValueError(
+            f"should be {', '.join(map(repr, PRESETS))}, {AS_SCENE!r} or a length such as '1mm'"
+        )
     return fidelity
 
 

@@ -1,4 +1,5 @@
-"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the setting for a tolerance."""
+"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the
+setting for a tolerance."""
 
 import time
 from pathlib import Path
@@ -23,24 +24,46 @@ from soft_tendon_env.scene.strain import Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import GivenLength, length_text
 
-SHARES = (2e-2, 5e-3, 1e-3, 2e-4)  # of the rod's length, errors that are asked for beside those of the presets
+SHARES = (
+    2e-2,
+    5e-3,
+    1e-3,
+    2e-4,
+)  # of the rod's length, errors that are asked for beside those of the presets
 HEADER = ("asked", "asked [mm]", "coordinates", "intervals", "CPU of a second [ms]", "tip [mm]")
 
 
 class Accuracy(ArmSettings):
-    """Accuracy against computing time of an arm under its loads: what each error of the tip takes, against a converged reference."""
+    """Accuracy against computing time of an arm under its loads: what each error of the tip takes,
+    against a converged reference."""
 
-    within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, whose setting is written as a scene")
+    within: GivenLength | None = Field(
+        default=None,
+        description="tolerance of the tip, such as 1mm, whose setting is written as a scene",
+    )
     out: str = Field(default="out/accuracy", description="folder for the table and the scene")
 
 
 def run(settings: Accuracy) -> None:
-    """Choose, measure, print and write. Raises ConfigurationError where no setting is within the tolerance."""
+    """Choose, measure, print and write. Raises ConfigurationError where no setting is within the
+    tolerance."""
     with mistakes():
-        scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
-        scene = scene.replace({"effects": scene.effects.everywhere()})  # without obstacles, and what lies between commands and tensions
-        wanted = {} if tolerance is None else {length_text(tolerance): at_fidelity(scene, length_text(tolerance))}
-    shares = {length_text(share * rod_length(scene)): share for share in SHARES} | {name: preset.share for name, preset in PRESETS.items()}
+        scene, tolerance, out = (
+            settings.changed_scene(),
+            settings.within,
+            writable_folder(Path(settings.out)),
+        )
+        scene = scene.replace(
+            {"effects": scene.effects.everywhere()}
+        )  # without obstacles, and what lies between commands and tensions
+        wanted = (
+            {}
+            if tolerance is None
+            else {length_text(tolerance): at_fidelity(scene, length_text(tolerance))}
+        )
+    shares = {length_text(share * rod_length(scene)): share for share in SHARES} | {
+        name: preset.share for name, preset in PRESETS.items()
+    }
     shares |= {length: float(tolerance or 0.0) / rod_length(scene) for length in wanted}
     trial, records = Trial(scene, min(shares.values())), list[dict[str, Any]]()
     for asked, share in sorted(shares.items(), key=lambda item: -item[1]):
@@ -49,12 +72,31 @@ def run(settings: Accuracy) -> None:
         except ConfigurationError as error:  # nothing is within this length
             print(error)
             continue
-        measured = {"asked": asked, "tolerance": share * rod_length(scene), "coordinates": model.coordinate_count}
-        costs = {"intervals": model.grid.per_piece, "cpu_time": cpu_time(model, trial), "tip_error": trial.distance(model)}
+        measured = {
+            "asked": asked,
+            "tolerance": share * rod_length(scene),
+            "coordinates": model.coordinate_count,
+        }
+        costs = {
+            "intervals": model.grid.per_piece,
+            "cpu_time": cpu_time(model, trial),
+            "tip_error": trial.distance(model),
+        }
         records.append(measured | costs)
-    print(f"{scene.name}: largest distance from a converged reference in {len(trial.tests)} motions and equilibria; {machine()}.\n")
+    print(
+        f"{scene.name}: largest distance from a converged reference in {len(trial.tests)} motions"
+        f" and equilibria; {machine()}.\n"
+    )
     rows = [[*row.values()] for row in records]
-    cells = [[row[0], number(1e3 * row[1]), *map(str, row[2:4]), *(number(1e3 * value) for value in row[4:])] for row in rows]
+    cells = [
+        [
+            row[0],
+            number(1e3 * row[1]),
+            *map(str, row[2:4]),
+            *(number(1e3 * value) for value in row[4:]),
+        ]
+        for row in rows
+    ]
     print(f"{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     for length, found in wanted.items():
@@ -62,7 +104,8 @@ def run(settings: Accuracy) -> None:
 
 
 def cpu_time(model: Model, trial: Trial) -> float:
-    """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser of two over all motions."""
+    """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser
+    of two over all motions."""
     motions, times = [tensions for tensions, *_ in trial.tests if tensions.ndim == 2], list[float]()
     for _ in range(2):
         started = time.thread_time()

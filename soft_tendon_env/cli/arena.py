@@ -1,4 +1,5 @@
-"""`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that no model matches."""
+"""`soft-tendon arena`: learned and model-based policies on the same tasks, with the same
+information, on arms that no model matches."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,24 +19,44 @@ from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
 
-CONTROLLER_PACE, AGENT_PACE = 0.2, 0.05  # seconds of a core per second of an episode of the paper's arm, on an AMD EPYC
+CONTROLLER_PACE, AGENT_PACE = (
+    0.2,
+    0.05,
+)  # seconds of a core per second of an episode of the paper's arm, on an AMD EPYC
 
 
 class Arena(Benchmark):
-    """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV and picture."""
+    """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV and
+    picture."""
 
-    config: str = Field(default="published", description="TOML file of a Benchmark, or a name that ships; other options override it")
-    policies: tuple[str, ...] = Field(default=(), description="policies to compare in place of the file's, by their names for evaluate")
-    write_docs: str | None = Field(default=None, description="file in which tables go between <!-- arena TASK --> and its end")
+    config: str = Field(
+        default="published",
+        description="TOML file of a Benchmark, or a name that ships; other options override it",
+    )
+    policies: tuple[str, ...] = Field(
+        default=(),
+        description="policies to compare in place of the file's, by their names for evaluate",
+    )
+    write_docs: str | None = Field(
+        default=None, description="file in which tables go between <!-- arena TASK --> and its end"
+    )
     out: str = Field(default="out/arena", description="folder for results")
 
     @staticmethod
     def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
+        """Tables of the file of --config, checked, with the entrants of --policies in place of its
+        own. Raises ConfigurationError."""
         path = Path(given.get("config", "published"))
         shipped = CONFIGS / f"{path}.toml"
         path = path if path.exists() or not shipped.exists() else shipped
-        table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
+        table = {
+            **read_toml(path),
+            **(
+                {"entrants": [{"policy": policy} for policy in given["policies"]]}
+                if "policies" in given
+                else {}
+            ),
+        }
         Benchmark.parse(table, str(path))
         return table
 
@@ -54,7 +75,11 @@ def run(settings: Arena) -> None:
         print(f"note: {note}")
     missing = experiment.missing()
     hours = sum(_hours(experiment.cells[label]) for label in missing) / settings.workers
-    print(f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {what}, about {hours:.2g} hours; {machine()}", flush=True)
+    print(
+        f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {what}, about"
+        f" {hours:.2g} hours; {machine()}",
+        flush=True,
+    )
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
@@ -65,13 +90,22 @@ def run(settings: Arena) -> None:
     text = f"{benchmark_tables(settings, found)}\n\n{legend}"
     print(f"\n{text}\n")
     for path in {out / "arena.csv", picture.with_suffix(".csv")}:
-        write_csv(path, [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
+        write_csv(
+            path, [{"regime": regime, **row} for regime, of in found.items() for row in records(of)]
+        )
     draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
     parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
-    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]))
+    page.write(
+        marker,
+        "\n\n".join(
+            [*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]
+        ),
+    )
 
 
 def _hours(cell: Cell) -> float:
     """Time [h] that a cell is expected to take a core."""
     is_controller = isinstance(PolicyName.parse(cell.policy, cell.task), Controller)
-    return len(cell.seeds) * cell.seconds * (CONTROLLER_PACE if is_controller else AGENT_PACE) / 3600.0
+    return (
+        len(cell.seeds) * cell.seconds * (CONTROLLER_PACE if is_controller else AGENT_PACE) / 3600.0
+    )

@@ -1,4 +1,5 @@
-"""`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
+"""`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and
+on arms that differ."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,17 +17,27 @@ from soft_tendon_env.evaluation.settings import Settings, TaskName
 from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.tools.parallel import check_cluster
 
-POLICIES = 'names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of agents, or folders of runs'
+POLICIES = (
+    'names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of'
+    " agents, or folders of runs"
+)
 
 
 class Compare(Settings):
-    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
+    """Print errors by policy and model error, resuming where it was stopped, and write JSON with
+    every episode, CSV, and a picture."""
 
     tasks: tuple[TaskName, ...] = Field(
-        default_factory=lambda: tuple(IDS), min_length=1, description=TASK, json_schema_extra={"flag": "--task"}
+        default_factory=lambda: tuple(IDS),
+        min_length=1,
+        description=TASK,
+        json_schema_extra={"flag": "--task"},
     )
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1, description=POLICIES)
-    write_docs: str | None = Field(default=None, description="file in which tables go between <!-- compare TASK --> and its end")
+    write_docs: str | None = Field(
+        default=None,
+        description="file in which tables go between <!-- compare TASK --> and its end",
+    )
     out: str = Field(default="out/compare", description="folder for results")
 
 
@@ -38,14 +49,22 @@ def run(settings: Compare) -> None:
         page.write(f"compare {task}", text)
 
 
-def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str) -> dict[str, str]:
-    """Play policies under every model error, print and write results; returns tables by task. Raises Mistake."""
+def play(
+    settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str
+) -> dict[str, str]:
+    """Play policies under every model error, print and write results; returns tables by task.
+    Raises Mistake."""
     folder = Path(out)
     with mistakes():
         require("pictures")
         files = {task: agents_of(task, policies) for task in tasks}
-        arms = {task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()}
-        experiments = {task: comparison.compare(settings, task, of_task, folder / "cells") for task, of_task in arms.items()}
+        arms = {
+            task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()
+        }
+        experiments = {
+            task: comparison.compare(settings, task, of_task, folder / "cells")
+            for task, of_task in arms.items()
+        }
         check_cluster(settings.cluster)
         writable_folder(folder)
     from soft_tendon_env.evaluation.pictures import draw_errors
@@ -59,7 +78,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
         texts[task] = f"{what.capitalize()}.\n\n{errors}"
         several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
         print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
-        write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
+        write_json(
+            folder / f"{task}.json",
+            {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)},
+        )
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
         draw_errors({task: found}, folder / f"{task}.png")
     return texts

@@ -1,6 +1,8 @@
-"""`soft-tendon demo`: the paper's controller, model-based controllers, PPO and the agent that ships, side by side on the paper's arm.
+"""`soft-tendon demo`: the paper's controller, model-based controllers, PPO and the agent that
+ships, side by side on the paper's arm.
 
-All arms are recorded side by side, first along the circle, then along one of the random targets, which also gives the times per action.
+All arms are recorded side by side, first along the circle, then along one of the random targets,
+which also gives the times per action.
 """
 
 from pathlib import Path
@@ -10,7 +12,14 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation.comparison import TIME, compare, opening_hint, record_side_by_side, shared_arms, standings_of
+from soft_tendon_env.evaluation.comparison import (
+    TIME,
+    compare,
+    opening_hint,
+    record_side_by_side,
+    shared_arms,
+    standings_of,
+)
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Experiment
@@ -24,23 +33,40 @@ from soft_tendon_env.tools.parallel import check_cluster
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
-SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)", "ppo": "PPO"}
+SHOWN = {
+    "paper": "paper (printed law)",
+    "tracking": "tracking (sampled law)",
+    "predictive": "predictive (MPC)",
+    "ppo": "PPO",
+}
 SHOWN[AGENT] = "agent (APG)"
 """Policies that are shown, with their names there."""
 ARM = {"scene": "paper", "fidelity": "standard"}
-NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper is continuous in time and takes tendons
-that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is the same law for sampled commands and
-tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it. An episode is settled when the error of the tip falls
-below 1 % of the arm's length, here 10 mm, and stays there to the end."""
+NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper
+is continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at
+0 N, it is unstable. `tracking` is the same law for sampled commands and tendons that only pull;
+`soft-tendon reproduce-paper` shows it as the paper has it. An episode is settled when the error of
+the tip falls below 1 % of the arm's length, here 10 mm, and stays there to the end."""
 
 
 class Demo(Workers):
-    """Print the errors of controllers and agents, and write a picture and a recording for the Rerun viewer."""
+    """Print the errors of controllers and agents, and write a picture and a recording for the Rerun
+    viewer."""
 
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS), description="number of random targets")
+    episodes: int = Field(
+        default=len(EVALUATION_SEEDS),
+        ge=1,
+        le=len(EVALUATION_SEEDS),
+        description="number of random targets",
+    )
     seconds: Positive = Field(default=10.0, description="length of an episode [s]")
-    write_docs: str | None = Field(default=None, description="file in which tables go between <!-- demo --> and <!-- /demo -->")
-    out: str = Field(default="out", description="folder of the picture, the recording and the episodes that were played")
+    write_docs: str | None = Field(
+        default=None, description="file in which tables go between <!-- demo --> and <!-- /demo -->"
+    )
+    out: str = Field(
+        default="out",
+        description="folder of the picture, the recording and the episodes that were played",
+    )
 
 
 def run(settings: Demo) -> None:
@@ -51,9 +77,18 @@ def run(settings: Demo) -> None:
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-        configs = {name: Agent(policy, TASK).config for policy, name in SHOWN.items() if policy not in known}
-        agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
-    described = {name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()}
+        configs = {
+            name: Agent(policy, TASK).config
+            for policy, name in SHOWN.items()
+            if policy not in known
+        }
+        agents = {
+            name: f"{config.algorithm}, {config.steps_done:,} steps"
+            for name, config in configs.items()
+        }
+    described = {
+        name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()
+    }
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
     shown = f"{play(settings, file, out)}\n\n{NOTES}"
     print(f"{shown}\n")
@@ -63,24 +98,42 @@ def run(settings: Demo) -> None:
 
 
 def play(settings: Demo, file: "recording.RerunFile", out: Path) -> str:
-    """Tables of both targets; writes the recording into an open file, and demo.png and the episodes into a folder."""
+    """Tables of both targets; writes the recording into an open file, and demo.png and the episodes
+    into a folder."""
     from soft_tendon_env.evaluation.pictures import draw_errors
 
     tables, standings, seconds = list[str](), dict[tuple[str, str], Standing](), settings.seconds
-    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in SHOWN.items()}
-    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()}
+    files: dict[str, dict[int | None, str]] = {
+        name: {None: policy} for policy, name in SHOWN.items()
+    }
+    models = {
+        name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()
+    }
     experiments = dict[str, Experiment[tuple[str, str]]]()
-    for target, count, label in (("circle", 1, "circle"), ("random", settings.episodes, f"{settings.episodes} random targets")):
-        given = {"seconds": seconds, "skip": 0.1 * seconds, "errors": (NOMINAL,), "episodes": count, "options": {**ARM, "target": target}}
+    for target, count, label in (
+        ("circle", 1, "circle"),
+        ("random", settings.episodes, f"{settings.episodes} random targets"),
+    ):
+        given = {
+            "seconds": seconds,
+            "skip": 0.1 * seconds,
+            "errors": (NOMINAL,),
+            "episodes": count,
+            "options": {**ARM, "target": target},
+        }
         chosen = Settings.parse(given, "demo")
         experiments[label] = compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
     with file:
         for label, experiment in experiments.items():
-            players = {name: experiment.cells[policy, TIME].open() for policy, name in SHOWN.items()}
+            players = {
+                name: experiment.cells[policy, TIME].open() for policy, name in SHOWN.items()
+            }
             record_side_by_side(players, file, EVALUATION_SEEDS[:1], 0.0, new=label == "circle")
             experiment.play(label, settings.workers, settings.cluster)
             found, summaries = standings_of(experiment, files)
-            tables.append(summary_table(label, {name: summaries[name, NOMINAL] for name in files}, models))
+            tables.append(
+                summary_table(label, {name: summaries[name, NOMINAL] for name in files}, models)
+            )
             standings |= {(name, label): standing for (name, _), standing in found.items()}
     draw_errors({TASK: standings}, out / "demo.png")
     return "\n\n".join(tables)

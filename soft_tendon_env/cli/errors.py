@@ -1,4 +1,5 @@
-"""Ends of commands that cannot go on: one line that says what to do, and an exit status, in place of a traceback."""
+"""Ends of commands that cannot go on: one line that says what to do, and an exit status, in place
+of a traceback."""
 
 import os
 import sys
@@ -14,7 +15,14 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.files import make_writable
 from soft_tendon_env.tools.messages import UserError, describe
 
-MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)  # before anything runs
+MISTAKES = (
+    ValueError,
+    TypeError,
+    OSError,
+    MemoryError,
+    ModuleNotFoundError,
+    DependencyNotInstalled,
+)  # before anything runs
 EXTRAS = {  # modules by the extra that installs them
     "agents": ("torch", "stable_baselines3", "sb3_contrib"),
     "recording": ("rerun", "pyarrow"),
@@ -27,7 +35,8 @@ EXTRAS = {  # modules by the extra that installs them
 
 
 class Mistake(UserError):
-    """Ends a command before it runs, since an option, a file or a folder cannot be used: exit status 2."""
+    """Ends a command before it runs, since an option, a file or a folder cannot be used: exit
+    status 2."""
 
 
 @contextmanager
@@ -41,7 +50,8 @@ def mistakes() -> Iterator[None]:
 
 @contextmanager
 def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
-    """End the process in one line, which names the program, where it cannot go on; `stopped` is what to say after Ctrl-C."""
+    """End the process in one line, which names the program, where it cannot go on; `stopped` is
+    what to say after Ctrl-C."""
     from soft_tendon_env import SimulationDiverged
 
     try:
@@ -51,10 +61,17 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Mistake as mistake:
-        print(*(f"{program}: error: {line}" for line in describe(mistake).splitlines()), sep="\n", file=sys.stderr)
+        print(
+            *(f"{program}: error: {line}" for line in describe(mistake).splitlines()),
+            sep="\n",
+            file=sys.stderr,
+        )
         sys.exit(2)
     except BrokenProcessPool:
-        sys.exit(f"{program}: error: a process of --workers was killed: it may have had too little memory, fewer --workers need less")
+        sys.exit(
+            f"{program}: error: a process of --workers was killed: it may have had too little"
+            " memory, fewer --workers need less"
+        )
     except (UserError, ConfigurationError, OSError, MemoryError, SimulationDiverged) as error:
         sys.exit(f"{program}: error: {describe(error)}")
     except KeyboardInterrupt:
@@ -68,7 +85,8 @@ def is_installed(extra: str) -> bool:
 
 
 def require(*extras: str) -> None:
-    """Checks that extras are installed. Raises ModuleNotFoundError with the pip command for those that are missing."""
+    """Checks that extras are installed. Raises ModuleNotFoundError with the pip command for those
+    that are missing."""
     if missing := ",".join(extra for extra in extras if not is_installed(extra)):
         raise ModuleNotFoundError(f'extras must be there: pip install "soft_tendon_env[{missing}]"')
 
@@ -78,4 +96,7 @@ def writable_folder(path: Path) -> Path:
     try:
         return make_writable(path)
     except OSError as error:
-        raise ValueError(f"--out is {path}: it should be a folder that can be written, and there {describe(error)}") from error
+        raise ValueError(
+            f"--out is {path}: it should be a folder that can be written, and there"
+            f" {describe(error)}"
+        ) from error

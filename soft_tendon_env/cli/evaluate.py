@@ -1,4 +1,5 @@
-"""`soft-tendon evaluate`: one policy on the evaluation episodes, with the arm as the model says and with one that differs from it."""
+"""`soft-tendon evaluate`: one policy on the evaluation episodes, with the arm as the model says and
+with one that differs from it."""
 
 from pydantic import Field
 
@@ -8,7 +9,8 @@ from soft_tendon_env.evaluation.settings import Settings, TaskName
 
 
 class Evaluate(Settings):
-    """Print a row per model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
+    """Print a row per model error, resuming where it was stopped, and write JSON with every
+    episode, CSV, and a picture."""
 
     policy: str = Field(description=POLICY)
     task: TaskName = Field(default="TipPose", description=TASK)

@@ -1,4 +1,5 @@
-"""`soft-tendon export`: a trained agent as one ONNX file, or the arm of a scene as a chain in MuJoCo, checked against the original."""
+"""`soft-tendon export`: a trained agent as one ONNX file, or the arm of a scene as a chain in
+MuJoCo, checked against the original."""
 
 import json
 from importlib.util import find_spec
@@ -22,28 +23,49 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError, describe
 
-WHAT = "folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship; with --mjcf a shipped scene's name, or a TOML file"
+WHAT = (
+    "folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship; with --mjcf a"
+    " shipped scene's name, or a TOML file"
+)
 
 
 class Export(Configuration):
-    """Write a trained agent as one ONNX file, or with --mjcf the arm of a scene for MuJoCo, and compare it with the original."""
+    """Write a trained agent as one ONNX file, or with --mjcf the arm of a scene for MuJoCo, and
+    compare it with the original."""
 
     agent_or_scene: str = Field(description=WHAT)
     task: TaskName = Field(default="TipPose", description=TASK)
     options: dict[str, Any] = Field(default={})
-    mjcf: bool = Field(default=False, description="write the arm of a scene as a chain of rigid links in MJCF")
+    mjcf: bool = Field(
+        default=False, description="write the arm of a scene as a chain of rigid links in MJCF"
+    )
     links: int = Field(default=20, ge=2, le=200, description="links of the chain")
-    out: str | None = Field(default=None, description="file; by default out/agent.onnx, or out/SCENE.xml")
+    out: str | None = Field(
+        default=None, description="file; by default out/agent.onnx, or out/SCENE.xml"
+    )
 
 
 def run(settings: Export) -> None:
-    """Export, check, print and write. Raises UserError where the file is another policy than the agent."""
-    others = {"task": "--task", "options": "--scene, --fidelity, --target or --set"} if settings.mjcf else {"links": "--links"}
+    """Export, check, print and write. Raises UserError where the file is another policy than the
+    agent."""
+    others = (
+        {"task": "--task", "options": "--scene, --fidelity, --target or --set"}
+        if settings.mjcf
+        else {"links": "--links"}
+    )
     with mistakes():
-        if wrong := [flags for field, flags in others.items() if field in settings.model_fields_set]:
-            raise ValueError(f"{' and '.join(wrong)} cannot be given {'with' if settings.mjcf else 'without'} --mjcf")
+        if wrong := [
+            flags for field, flags in others.items() if field in settings.model_fields_set
+        ]:
+            raise ValueError(
+                f"{' and '.join(wrong)} cannot be given {'with' if settings.mjcf else 'without'}"
+                " --mjcf"
+            )
         if not settings.mjcf and not is_agent(name := settings.agent_or_scene):
-            raise ValueError(f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship; for a scene give --mjcf")
+            raise ValueError(
+                f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship;"
+                " for a scene give --mjcf"
+            )
     (export_arm if settings.mjcf else export_policy)(settings)
 
 
@@ -56,24 +78,39 @@ def export_arm(settings: Export) -> None:
         path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
         writable_folder(path.parent)
     mujoco_chain(scene, settings.links).write(path, encoding="utf-8")
-    print(f"written: {path} ({settings.links} links)\nleft out: {', '.join(exportable(scene)[1]) or 'nothing'}\n")
+    print(
+        f"written: {path} ({settings.links} links)\nleft out:"
+        f" {', '.join(exportable(scene)[1]) or 'nothing'}\n"
+    )
     if find_spec("mujoco") is None:
         print('to compare the tips, MuJoCo must be there: pip install "soft_tendon_env[mujoco]"')
         return
     try:
         rest, motion, seconds = compare(path, scene)
-    except ValueError as error:  # of MuJoCo, whose least inertia is greater than that of some thin rods; or there is no rest
+    # of MuJoCo, whose least inertia is greater than that of some thin rods; or there is no rest
+    except ValueError as error:
         raise UserError(f"{path} cannot be compared: {describe(error)}") from error
     known = rest[np.isfinite(rest)]
     sets = f"at rest under {known.size} of {rest.size} sets of tensions"
-    found = {f"{sets}, mean": known.mean() if known.size else np.nan, f"{sets}, largest": known.max() if known.size else np.nan}
+    found = {
+        f"{sets}, mean": known.mean() if known.size else np.nan,
+        f"{sets}, largest": known.max() if known.size else np.nan,
+    }
     found[f"in {seconds:g} s after a step of tensions, largest"] = motion
-    rows = [(name, tables.number(1e3 * value), tables.number(100.0 * value / rod_length(scene), 2)) for name, value in found.items()]
-    print(tables.markdown_table(("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]"), rows))
+    rows = [
+        (name, tables.number(1e3 * value), tables.number(100.0 * value / rod_length(scene), 2))
+        for name, value in found.items()
+    ]
+    print(
+        tables.markdown_table(
+            ("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]"), rows
+        )
+    )
 
 
 def export_policy(settings: Export) -> None:
-    """Write the agent as ONNX and compare it with the original. Raises UserError where the file is another policy."""
+    """Write the agent as ONNX and compare it with the original. Raises UserError where the file is
+    another policy."""
     name, path = settings.agent_or_scene, Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")
@@ -87,11 +124,24 @@ def export_policy(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    (observations, difference, of_range), metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
-    inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
+    (observations, difference, of_range), metadata = (
+        compare(path, policy, env),
+        json.loads(model.metadata_props[0].value),
+    )
+    inputs = [
+        (name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()
+    ]
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
-    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {observations:,} observations: {tables.number(difference)} {unit}.")
+    print(
+        f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g}"
+        " times a second."
+    )
+    print(
+        f"Largest difference of commands on {observations:,} observations:"
+        f" {tables.number(difference)} {unit}."
+    )
     if of_range > ALLOWED:
-        raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")
+        raise UserError(
+            f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range"
+        )

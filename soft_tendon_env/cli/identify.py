@@ -1,4 +1,5 @@
-"""`soft-tendon identify`: parameters of an arm from measured marker positions, with intervals, held-out errors and findings."""
+"""`soft-tendon identify`: parameters of an arm from measured marker positions, with intervals,
+held-out errors and findings."""
 
 from pathlib import Path
 
@@ -10,29 +11,55 @@ from soft_tendon_env.identification.identify import FIDELITY, identify, save_est
 from soft_tendon_env.identification.recordings import SHARE
 from soft_tendon_env.tools.types import GivenLength
 
-DATA = "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with time, a sample of a motion"
+DATA = (
+    "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or,"
+    " with time, a sample of a motion"
+)
 KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds"
-HELD_OUT = "held-out recordings that judge the fit: a share, 0 for none, a column that marks them, or a CSV file"
+HELD_OUT = (
+    "held-out recordings that judge the fit: a share, 0 for none, a column that marks them, or a"
+    " CSV file"
+)
 
 
 class Identify(ArmSettings):
-    """Identify an arm from measured marker positions: parameters of its scene by least squares, judged on held-out data."""
+    """Identify an arm from measured marker positions: parameters of its scene by least squares,
+    judged on held-out data."""
 
     data: tuple[str, ...] = Field(min_length=1, description=DATA)
-    markers: str = Field(description="TOML file: markers' places on the arm, frame and columns", json_schema_extra={"flag": "--markers"})
-    parameters: tuple[str, ...] = Field(min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"})
+    markers: str = Field(
+        description="TOML file: markers' places on the arm, frame and columns",
+        json_schema_extra={"flag": "--markers"},
+    )
+    parameters: tuple[str, ...] = Field(
+        min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"}
+    )
     held_out: str = Field(default=SHARE, description=HELD_OUT)
-    fit_to: int | None = Field(default=None, ge=1, description="greatest number of recordings to fit to, evenly over the data")
-    noise: GivenLength | None = Field(default=None, description="standard deviation of a marker's coordinate, such as 0.5mm")
-    fidelity: str = Field(default=FIDELITY, description="of the fitted model: fast, standard, fine, scene or a length such as 1mm")
-    out: str = Field(default="out/identified", description="folder for scene.toml, markers.toml and estimate.json")
+    fit_to: int | None = Field(
+        default=None,
+        ge=1,
+        description="greatest number of recordings to fit to, evenly over the data",
+    )
+    noise: GivenLength | None = Field(
+        default=None, description="standard deviation of a marker's coordinate, such as 0.5mm"
+    )
+    fidelity: str = Field(
+        default=FIDELITY,
+        description="of the fitted model: fast, standard, fine, scene or a length such as 1mm",
+    )
+    out: str = Field(
+        default="out/identified",
+        description="folder for scene.toml, markers.toml and estimate.json",
+    )
 
 
 def run(settings: Identify) -> None:
     """Identify, print and write."""
     with mistakes():
         scene, out = settings.changed_scene(), writable_folder(Path(settings.out))
-        options = {name: getattr(settings, name) for name in ("held_out", "fit_to", "fidelity", "noise")}
+        options = {
+            name: getattr(settings, name) for name in ("held_out", "fit_to", "fidelity", "noise")
+        }
         found = identify(scene, settings.data, settings.markers, settings.parameters, **options)
     print(summary(found))
     for path in save_estimate(found, out):

@@ -1,7 +1,8 @@
 """The command line: `soft-tendon COMMAND`.
 
-A command is a module with a function `run(settings)`, whose annotation is the class of its options; it is imported when it is called.
-Where that class has a method `read_file(given)`, it reads values of a file, which options override.
+A command is a module with a function `run(settings)`, whose annotation is the class of its options;
+it is imported when it is called. Where that class has a method `read_file(given)`, it reads values
+of a file, which options override.
 """
 
 import importlib
@@ -20,17 +21,34 @@ COMMANDS: dict[str, str] = {
     "tune": "search for the best parameters of a training or a controller (Optuna)",
     "evaluate": "evaluate one policy on the evaluation episodes, under every model error",
     "compare": "compare controllers and agents on the same episodes",
-    "arena": "benchmark of learned and model-based policies on arms that differ from every model, with intervals",
-    "export": "write a trained agent as one ONNX file, or an arm as a chain of links for MuJoCo, and check it",
+    "arena": (
+        "benchmark of learned and model-based policies on arms that differ from every model, with"
+        " intervals"
+    ),
+    "export": (
+        "write a trained agent as one ONNX file, or an arm as a chain of links for MuJoCo, and"
+        " check it"
+    ),
     "run": "run a policy on a robot in real time, with limits, a watchdog and a log",
     "record": "record policies side by side for the Rerun viewer",
     "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",
-    "fields": "make the passive strain fields of an arm's own from simulated motions, and report their accuracy",
-    "accuracy": "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a tolerance",
-    "identify": "identify an arm from measured marker positions: parameters, intervals, held-out errors",
+    "fields": (
+        "make the passive strain fields of an arm's own from simulated motions, and report their"
+        " accuracy"
+    ),
+    "accuracy": (
+        "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a"
+        " tolerance"
+    ),
+    "identify": (
+        "identify an arm from measured marker positions: parameters, intervals, held-out errors"
+    ),
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",
-    "doctor": "check the installation: versions, extras, kernel cache, one step of every task of a scene, whose kernels it compiles",
+    "doctor": (
+        "check the installation: versions, extras, kernel cache, one step of every task of a scene,"
+        " whose kernels it compiles"
+    ),
 }
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
@@ -40,7 +58,8 @@ _own: dict[str, Callable[[Sequence[str]], None]] = {}
 
 
 def register_command(name: str, description: str) -> Callable[[Run], Run]:
-    """Decorator of a function of the arguments behind its name: a command of your own. Raises ValueError for a name that is taken."""
+    """Decorator of a function of the arguments behind its name: a command of your own. Raises
+    ValueError for a name that is taken."""
     if name in COMMANDS and name not in _own:
         raise ValueError(f"there is a command {name!r} already: choose another name")
 
@@ -52,7 +71,8 @@ def register_command(name: str, description: str) -> Callable[[Run], Run]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run a command; `arguments`: of the process by default. Ends the process with status 2 on mistakes, 1 where it cannot go on."""
+    """Run a command; `arguments`: of the process by default. Ends the process with status 2 on
+    mistakes, 1 where it cannot go on."""
     given, imported = list(sys.argv[1:] if arguments is None else arguments), list[str]()
     while given[:1] == [IMPORT]:
         imported, given = [*imported, *given[1:2]], given[2:]
@@ -88,6 +108,15 @@ def shipped_command(name: str) -> tuple[Callable[[Any], None], Any]:
 
 def usage() -> str:
     """The commands with a line for each."""
-    lines = [f"usage: {PROGRAM} [{IMPORT} MODULE ...] COMMAND [options]     ({PROGRAM} COMMAND --help lists them)"]
-    lines += [f"       {IMPORT} MODULE: of your own, with tasks, effects, controllers, metrics ... that it registers", ""]
+    lines = [
+        f"usage: {PROGRAM} [{IMPORT} MODULE ...] COMMAND [options]     ({PROGRAM} COMMAND --help"
+        " lists them)"
+    ]
+    lines += [
+        (
+            f"       {IMPORT} MODULE: of your own, with tasks, effects, controllers, metrics ..."
+            " that it registers"
+        ),
+        "",
+    ]
     return "\n".join([*lines, *(f"  {name:<16} {text}" for name, text in COMMANDS.items())])

@@ -16,11 +16,16 @@ from soft_tendon_env.policies.names import PolicyName
 
 
 class Record(EpisodeSettings):
-    """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name."""
+    """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm
+    of its name."""
 
     policies: tuple[str, ...] = Field(min_length=1, description=POLICY)
     task: TaskName = Field(default="TipPose", description=TASK)
-    seeds: Seeds = Field(default=EVALUATION_SEEDS[:1], min_length=1, description="seeds of the episodes, which are played in turn")
+    seeds: Seeds = Field(
+        default=EVALUATION_SEEDS[:1],
+        min_length=1,
+        description="seeds of the episodes, which are played in turn",
+    )
     out: str = Field(default="out/side_by_side.rrd", description="file of the recording")
 
 
@@ -30,9 +35,15 @@ def run(settings: Record) -> None:
     with mistakes():
         require("recording")
         arms = comparison.shared_arms(settings, task, agents_of(task, settings.policies))
-        players = {name: comparison.make_cell(settings, settings.seeds, task, name, arm).open() for name, arm in arms.items()}
+        players = {
+            name: comparison.make_cell(settings, settings.seeds, task, name, arm).open()
+            for name, arm in arms.items()
+        }
         file = recording.RerunFile(out)
-    print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n")
+    print(
+        f"{task}, episodes of {settings.seconds:g} s from seeds"
+        f" {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n"
+    )
     with file:
         scores = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
     summaries = {policy: summarise(of_policy) for policy, of_policy in scores.items()}

@@ -1,4 +1,5 @@
-"""`soft-tendon reproduce-paper`: Figures 2 to 6 of the paper, as pictures and numbers, beside what it says of them."""
+"""`soft-tendon reproduce-paper`: Figures 2 to 6 of the paper, as pictures and numbers, beside what
+it says of them."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,8 +16,16 @@ LONGEST = 10.0  # [s] of all motions
 class ReproducePaper(Configuration):
     """Draw figures 2 to 6 of the paper, and print what it says of them beside what is measured."""
 
-    seconds: Annotated[float, Field(ge=1.0, le=LONGEST, description="end every motion after this time [s], to try it out")] = LONGEST
-    write_docs: str | None = Field(default=None, description="file in which all goes between <!-- figures --> and <!-- /figures -->")
+    seconds: Annotated[
+        float,
+        Field(
+            ge=1.0, le=LONGEST, description="end every motion after this time [s], to try it out"
+        ),
+    ] = LONGEST
+    write_docs: str | None = Field(
+        default=None,
+        description="file in which all goes between <!-- figures --> and <!-- /figures -->",
+    )
     out: str = Field(default="out/paper", description="folder of pictures and numbers")
 
 

@@ -18,7 +18,14 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, run_policy
+from soft_tendon_env.robots.environment import (
+    PATIENCE,
+    REST_SPEED,
+    SETTLE,
+    RobotEnv,
+    rehearse,
+    run_policy,
+)
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
@@ -28,22 +35,50 @@ from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
-POLICY = "a controller's name behind filtered: or adaptive:; an agent's folder; agent, ppo, sac, dagger, apg; module:name"
+POLICY = (
+    "a controller's name behind filtered: or adaptive:; an agent's folder; agent, ppo, sac, dagger,"
+    " apg; module:name"
+)
 
 
 class Run(EpisodeSettings):
-    """Run a policy on a robot in real time, print its errors as measured and the jitter of the loop, and write a log."""
+    """Run a policy on a robot in real time, print its errors as measured and the jitter of the
+    loop, and write a log."""
 
     policy: str = Field(description=POLICY)
-    robot: str = Field(default=SIMULATED, description="class of the robot, MODULE:CLASS; by default a simulated arm in real time")
-    robot_options: tuple[str, ...] = Field(default=(), description="keyword arguments of that class, KEY=VALUE with values as in TOML")
-    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Reach, or one that was registered")
+    robot: str = Field(
+        default=SIMULATED,
+        description="class of the robot, MODULE:CLASS; by default a simulated arm in real time",
+    )
+    robot_options: tuple[str, ...] = Field(
+        default=(), description="keyword arguments of that class, KEY=VALUE with values as in TOML"
+    )
+    task: TaskName = Field(
+        default="TipPose",
+        description="name of the task: TipPose, Reach, or one that was registered",
+    )
     seed: Seed = Field(default=0, description="of the target")
-    rate: Positive | None = Field(default=None, description="largest rate of a command [N/s], of displacements [m/s]; unlimited by default")
-    settle: NotNegative = Field(default=SETTLE, description="time [s] to bring the arm to the pretension; 0 where it is there")
-    rest_speed: Positive = Field(default=REST_SPEED, description="greatest speed of the tip at rest, in lengths of the arm per second")
-    patience: int = Field(default=PATIENCE, ge=1, description="periods without a reading, or late, after which the tendons go slack")
-    record: str | None = Field(default=None, description="file for the Rerun viewer: the measured tip over the simulated arm")
+    rate: Positive | None = Field(
+        default=None,
+        description="largest rate of a command [N/s], of displacements [m/s]; unlimited by default",
+    )
+    settle: NotNegative = Field(
+        default=SETTLE,
+        description="time [s] to bring the arm to the pretension; 0 where it is there",
+    )
+    rest_speed: Positive = Field(
+        default=REST_SPEED,
+        description="greatest speed of the tip at rest, in lengths of the arm per second",
+    )
+    patience: int = Field(
+        default=PATIENCE,
+        ge=1,
+        description="periods without a reading, or late, after which the tendons go slack",
+    )
+    record: str | None = Field(
+        default=None,
+        description="file for the Rerun viewer: the measured tip over the simulated arm",
+    )
     out: str = Field(default="out/run.csv", description="log, a new .csv file")
 
 
@@ -59,15 +94,23 @@ def run(settings: Run) -> None:
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
-        of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
+        of_arm = {
+            name: options[name]
+            for name in OF_ARM
+            if name in options and settings.robot == SIMULATED
+        }
         robot = load_robot(settings.robot, {**of_arm, **parsed_changes(settings.robot_options)})
         on_error.callback(robot.close)
-        limits = {name: getattr(settings, name) for name in ("rate", "settle", "rest_speed", "patience")}
+        limits = {
+            name: getattr(settings, name) for name in ("rate", "settle", "rest_speed", "patience")
+        }
         real: gym.Env[Any, Any] = RobotEnv(env, robot, log=settings.out, **limits)
         on_error.pop_all()
         on_error.callback(real.close)
         if settings.record:
-            real = RecordRollout(real, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
+            real = RecordRollout(
+                real, settings.record, flush_period=None
+            )  # writing meanwhile would take longer than a period
         on_error.pop_all()
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     try:
@@ -76,24 +119,35 @@ def run(settings: Run) -> None:
         if out.exists():
             print(f"written: {out}")
         if stop := real.get_wrapper_attr("stopped"):
-            let_go = "slack" if stop.slack else f"not slack, the robot does not answer: {stop.failures[-1]}"
+            let_go = (
+                "slack"
+                if stop.slack
+                else f"not slack, the robot does not answer: {stop.failures[-1]}"
+            )
             print(f"{stop.cause}: tendons {let_go} after {1e3 * stop.seconds:.0f} ms\n")
     for name, values in report.errors.items():
         if (counted := values[round(settings.skip / episodes_of(real).period) :]).size:
             unit = error_unit(name)
-            print(f"{unit.label}: {unit.text(root_mean_square(counted))} (root mean square, as measured)")
+            print(
+                f"{unit.label}: {unit.text(root_mean_square(counted))} (root mean square, as"
+                " measured)"
+            )
     print(report.timing)
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
 
 
 def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options. Raises ValueError, and what that raises."""
+    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options.
+    Raises ValueError, and what that raises."""
     look_in_this_folder()
     module, _, attribute = name.partition(":")
     try:
         robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
         check_robot(robot)
     except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
+        raise ValueError(
+            f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS;"
+            f" {error}"
+        ) from error
     return robot

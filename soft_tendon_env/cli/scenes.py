@@ -15,7 +15,8 @@ NAME = "a scene that ships, or the path of a TOML file; by default a table of th
 
 
 class Scenes(Configuration):
-    """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a commented example of the format."""
+    """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a
+    commented example of the format."""
 
     name: str | None = Field(default=None, description=NAME, json_schema_extra={"flag": "name"})
 
@@ -24,9 +25,19 @@ def run(settings: Scenes) -> None:
     """Print the table, or the file."""
     if settings.name is None:
         shipped = map(load_scene, scene_names())
-        rows = [(scene.name, str(len(scene.tendons)), str(coordinate_count(scene)), scene.description) for scene in shipped]
+        rows = [
+            (scene.name, str(len(scene.tendons)), str(coordinate_count(scene)), scene.description)
+            for scene in shipped
+        ]
         print(markdown_table(("scene", "tendons", "coordinates", "what it is"), rows))
         return
     with mistakes():
         load_scene(settings.name)
-        print(read_text(Path(settings.name) if settings.name.endswith(".toml") else SHIPPED / f"{settings.name}.toml"), end="")
+        print(
+            read_text(
+                Path(settings.name)
+                if settings.name.endswith(".toml")
+                else SHIPPED / f"{settings.name}.toml"
+            ),
+            end="",
+        )

@@ -18,9 +18,15 @@ def run(settings: sweep.Sweep) -> None:
         writable_folder(Path(settings.out))
         from soft_tendon_env.learning.curves import show_curves
 
-        errors = run_all(sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster) if jobs else []
+        errors = (
+            run_all(sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster)
+            if jobs
+            else []
+        )
         is_shown = show_curves(settings.folders)
-    failed = [(job.folder, error) for job, error in zip(jobs, errors, strict=True) if error is not None]
+    failed = [
+        (job.folder, error) for job, error in zip(jobs, errors, strict=True) if error is not None
+    ]
     for folder, text in failed:
         print(f"\nfailed: {folder}\n{text}", file=sys.stderr)
     if failed or not is_shown:

@@ -15,12 +15,28 @@ SEARCH = "tune_"  # beginning of the names of searches in configs/
 class Tune(Configuration):
     """Search for the best parameters of a training or a controller."""
 
-    config: str = Field(description=f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file")
-    trials: int | None = Field(default=None, ge=1, description="number of trials of the study, overrides the file")
-    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
+    config: str = Field(
+        description=(
+            f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file"
+        )
+    )
+    trials: int | None = Field(
+        default=None, ge=1, description="number of trials of the study, overrides the file"
+    )
+    set: tuple[str, ...] = Field(
+        default=(), description="overrides of the file, such as seconds=2.0"
+    )
     workers: int = Field(default=1, ge=1, description="trials side by side")
-    cluster: str | None = Field(default=None, description='address of a Ray cluster that runs them, or "auto"; its machines see the folder')
-    out: str | None = Field(default=None, description="folder for results, which machines may share (default: out/tune/CONFIG)")
+    cluster: str | None = Field(
+        default=None,
+        description=(
+            'address of a Ray cluster that runs them, or "auto"; its machines see the folder'
+        ),
+    )
+    out: str | None = Field(
+        default=None,
+        description="folder for results, which machines may share (default: out/tune/CONFIG)",
+    )
 
 
 def run(settings: Tune) -> None:
@@ -31,8 +47,12 @@ def run(settings: Tune) -> None:
         from soft_tendon_env.tuning.search import read_search
 
         path = find_config(settings.config, SEARCH)
-        search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
-        folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
+        search = read_search(
+            path, settings.set, **({} if settings.trials is None else {"trials": settings.trials})
+        )
+        folder = writable_folder(
+            Path("out", "tune", path.stem) if settings.out is None else Path(settings.out)
+        )
         study.open_study(search, folder)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():

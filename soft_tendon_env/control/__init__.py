@@ -1,8 +1,26 @@
-"""Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all of them by name."""
+"""Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all
+of them by name."""
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, entry_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty
-from soft_tendon_env.control.protocol import Controller, ControllerInput, ControllerOutput, Estimate, InputError, Measurement, Reference
+from soft_tendon_env.control.protocol import (
+    Controller,
+    ControllerInput,
+    ControllerOutput,
+    Estimate,
+    InputError,
+    Measurement,
+    Reference,
+)
 
-__all__ = ["CONTROLLERS", "Controller", "ControllerInput", "ControllerOutput", "Entry", "Estimate", "ExtendedKalmanFilter", "InputError"]
+__all__ = [
+    "CONTROLLERS",
+    "Controller",
+    "ControllerInput",
+    "ControllerOutput",
+    "Entry",
+    "Estimate",
+    "ExtendedKalmanFilter",
+    "InputError",
+]
 __all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "entry_of"]

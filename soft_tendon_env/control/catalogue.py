@@ -1,6 +1,8 @@
-"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does", Mine).
+"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does",
+Mine).
 
-A controller is made from a model, which is what it believes of the arm, and from what the actuators can do.
+A controller is made from a model, which is what it believes of the arm, and from what the actuators
+can do.
 """
 
 import inspect
@@ -19,15 +21,18 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOKS_AHEAD = 2  # control periods ahead for which laws of feedback need the reference: the velocity at the end of this one
+# control periods ahead for which laws of feedback need the reference: the velocity at the end of
+# this one
+LOOKS_AHEAD = 2
 
 
 @dataclass(frozen=True)
 class Entry:
     """A controller of the catalogue.
 
-    make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods ahead for which it needs the
-    reference, besides now. parameters: numbers that can be tuned, by name, which `make` takes as keyword arguments.
+    make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
+    ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
+    name, which `make` takes as keyword arguments.
     """
 
     description: str
@@ -38,24 +43,44 @@ class Entry:
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
         """The controller with some of its `parameters` changed."""
         numbers: dict[str, Any] = {**self.parameters, **parameters}
-        ahead = Tuning(**numbers).looks_ahead if numbers.keys() == DEFAULT._asdict().keys() else self.looks_ahead
-        return replace(self, make=partial(self.make, **parameters), looks_ahead=ahead, parameters=numbers)
+        ahead = (
+            Tuning(**numbers).looks_ahead
+            if numbers.keys() == DEFAULT._asdict().keys()
+            else self.looks_ahead
+        )
+        return replace(
+            self, make=partial(self.make, **parameters), looks_ahead=ahead, parameters=numbers
+        )
 
 
 def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
-    """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller; its keyword arguments that
-    are numbers by default are parameters."""
+    """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a
+    controller; its keyword arguments that are numbers by default are parameters."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
-    return Entry(description, make, parameters={one.name: one.default for one in arguments if type(one.default) in (int, float)})
+    return Entry(
+        description,
+        make,
+        parameters={
+            one.name: one.default for one in arguments if type(one.default) in (int, float)
+        },
+    )
 
 
-ROBUST, LATE = "; tuned on arms that differ from the model, under noise", "; half a second ahead, for arms that answer late"
+ROBUST, LATE = (
+    "; tuned on arms that differ from the model, under noise",
+    "; half a second ahead, for arms that answer late",
+)
 PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.2, "smoothness": 1.1}),
-    "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
+    "long_horizon_predictive": (
+        "predictive",
+        LATE,
+        {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5},
+    ),
 }
-"""Tuned controllers: which one, what its description adds, and its numbers. The robust one was found by `soft-tendon tune predictive` for
-`adaptive:`, the other is for water, see benchmarks/scenes.toml."""
+"""Tuned controllers: which one, what its description adds, and its numbers. The robust one was
+found by `soft-tendon tune predictive` for `adaptive:`, the other is for water, see
+benchmarks/scenes.toml."""
 
 
 def tip_pose_objective(model: Model) -> TipPose:
@@ -70,21 +95,36 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
         return StaticFeedforward(model, limits, period, objective(model))
 
     def tracking(
-        model: Model, limits: Array, period: float, settling_time: float = 0.2, damping: float = 1.0, integral_time: float = 0.5
+        model: Model,
+        limits: Array,
+        period: float,
+        settling_time: float = 0.2,
+        damping: float = 1.0,
+        integral_time: float = 0.5,
     ) -> Controller:
         gains = {"settling_time": settling_time, "damping": damping, "integral_time": integral_time}
-        return ReferenceGovernor(statics(model, limits, period), TipTracking(model, limits, period, objective(model), **gains))
+        return ReferenceGovernor(
+            statics(model, limits, period),
+            TipTracking(model, limits, period, objective(model), **gains),
+        )
 
     def predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
-        return ReferenceGovernor(statics(model, limits, period), Predictive(model, limits, period, objective(model), Tuning(**tuning)))
+        return ReferenceGovernor(
+            statics(model, limits, period),
+            Predictive(model, limits, period, objective(model), Tuning(**tuning)),
+        )
 
     found = {
         "feedforward": entry_of("inverse statics along the target, nothing measured", statics),
         "tracking": entry_of("(39) at the control period, within limits, with integral", tracking),
-        "predictive": Entry("model-predictive control", predictive, DEFAULT.looks_ahead, DEFAULT._asdict()),
+        "predictive": Entry(
+            "model-predictive control", predictive, DEFAULT.looks_ahead, DEFAULT._asdict()
+        ),
     }
     for name, (base, added, numbers) in PRESETS.items():
-        found[name] = replace(found[base].with_parameters(numbers), description=found[base].description + added)
+        found[name] = replace(
+            found[base].with_parameters(numbers), description=found[base].description + added
+        )
     return found
 
 
@@ -93,7 +133,9 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         **_tip_controllers(tip_pose_objective),
-        "tracking_position": replace(OF_POSITION["tracking"], description="`tracking` for the position alone"),
+        "tracking_position": replace(
+            OF_POSITION["tracking"], description="`tracking` for the position alone"
+        ),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
@@ -101,7 +143,9 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
         "predictive": replace(
             OF_POSITION["predictive"],
-            make=lambda model, limits, period, **tuning: Predictive(model, limits, period, Shape(model), Tuning(**tuning)),
+            make=lambda model, limits, period, **tuning: Predictive(
+                model, limits, period, Shape(model), Tuning(**tuning)
+            ),
         ),
     },
     "Reach": OF_POSITION,

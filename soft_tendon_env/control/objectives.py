@@ -1,4 +1,5 @@
-"""Control objectives: errors of tip pose, tip position or shape from a reference, in metres, with their Jacobians."""
+"""Control objectives: errors of tip pose, tip position or shape from a reference, in metres, with
+their Jacobians."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,18 +8,29 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from soft_tendon_env.control.protocol import ControllerInput, Reference
-from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_at, pose_error, value_at
+from soft_tendon_env.control.rigid_motions import (
+    adjoint,
+    adjoint_of_twist,
+    inverse_pose,
+    moved_pose,
+    pose_at,
+    pose_error,
+    value_at,
+)
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.types import Array
 
 
 class Aim(NamedTuple):
-    """Task-space error, reference velocity, Jacobian and bias of an objective, k components, each weighted to metres.
+    """Task-space error, reference velocity, Jacobian and bias of an objective, k components, each
+    weighted to metres.
 
-    error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over the period that begins.
-    jacobian (k, n) of the arm's velocity, and the bias (k,): the part of its acceleration without q_ddot, less that of the target's
-    velocity by which the tip frame turns, -ad_eta (Ad eta_bar) below (39). The two of a target that moves with the arm are one motion.
+    error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over
+    the period that begins. jacobian (k, n) of the arm's velocity, and the bias (k,): the part of
+    its acceleration without q_ddot, less that of the target's velocity by which the tip frame
+    turns, -ad_eta (Ad eta_bar) below (39). The two of a target that moves with the arm are one
+    motion.
     """
 
     error: Array
@@ -28,29 +40,38 @@ class Aim(NamedTuple):
 
 
 class Objective(Protocol):
-    """A task-space error that a controller drives to zero, of an arm at coordinates q (n,) with its tip at `tip_pose` (4, 4)."""
+    """A task-space error that a controller drives to zero, of an arm at coordinates q (n,) with its
+    tip at `tip_pose` (4, 4)."""
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error (k,) from the reference at a time ahead [s], in metres: what would bring the arm there in unit time."""
+        """Error (k,) from the reference at a time ahead [s], in metres: what would bring the arm
+        there in unit time."""
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian (k, n) of the arm's velocity, in metres, from that of the tip's body twist (6, n)."""
+        """Jacobian (k, n) of the arm's velocity, in metres, from that of the tip's body twist (6,
+        n)."""
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        """Error and Jacobian at a time ahead [s], from the terms at now.q; `period` [s] to measure the target's velocity over."""
+        """Error and Jacobian at a time ahead [s], from the terms at now.q; `period` [s] to measure
+        the target's velocity over."""
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
+        """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at
+        `measured_pose` (4, 4)."""
         return reference
 
-    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4, 4) from where it is at `time` [s]."""
+    def moved_back(
+        self, reference: Reference, nearest: Array, time: float, share: float
+    ) -> Reference:
+        """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4,
+        4) from where it is at `time` [s]."""
         return reference
 
 
 @dataclass(frozen=True)
 class TipPose(Objective):
-    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres. Targets are moved by body displacements."""
+    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres. Targets are
+    moved by body displacements."""
 
     angle_weight: float = 0.1
 
@@ -67,44 +88,73 @@ class TipPose(Objective):
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
         target, then = _pose(now.reference, time), _pose(now.reference, time + period)
         twist = adjoint(inverse_pose(now.tip_pose) @ then) @ pose_error(target, then) / period
-        error, jacobian = self._weight * pose_error(now.tip_pose, target), self.jacobian(terms.tip_jacobian)
-        turning = adjoint_of_twist(terms.tip_jacobian @ now.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
+        error, jacobian = (
+            self._weight * pose_error(now.tip_pose, target),
+            self.jacobian(terms.tip_jacobian),
+        )
+        turning = (
+            adjoint_of_twist(terms.tip_jacobian @ now.q_dot) @ twist
+        )  # the frame moves, the target's own twist is not the tip's
         return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         return _displace(reference, pose_error(measured_pose, model_pose))
 
-    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
+    def moved_back(
+        self, reference: Reference, nearest: Array, time: float, share: float
+    ) -> Reference:
         return _displace(reference, share * pose_error(_pose(reference, time), nearest))
 
 
 @dataclass(frozen=True)
 class TipPosition(Objective):
-    """The way from tip to target in the tip frame; the tip may point anywhere. Targets are moved in the world frame."""
+    """The way from tip to target in the tip frame; the tip may point anywhere. Targets are moved in
+    the world frame."""
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        return np.asarray(tip_pose[:3, :3].T @ (value_at(reference.ahead, _positions(reference), time) - tip_pose[:3, 3]))
+        return np.asarray(
+            tip_pose[:3, :3].T
+            @ (value_at(reference.ahead, _positions(reference), time) - tip_pose[:3, 3])
+        )
 
     def jacobian(self, tip_jacobian: Array) -> Array:
         return tip_jacobian[3:]
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        target, then = (value_at(now.reference.ahead, _positions(now.reference), t) for t in (time, time + period))
+        target, then = (
+            value_at(now.reference.ahead, _positions(now.reference), t)
+            for t in (time, time + period)
+        )
         back = now.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ now.q_dot, 2)
-        bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
-        return Aim(back @ (target - now.tip_pose[:3, 3]), back @ (then - target) / period, self.jacobian(terms.tip_jacobian), bias)
+        bias = terms.tip_bias[3:] + np.cross(
+            angular, linear
+        )  # the frame turns, the target's axes do not
+        return Aim(
+            back @ (target - now.tip_pose[:3, 3]),
+            back @ (then - target) / period,
+            self.jacobian(terms.tip_jacobian),
+            bias,
+        )
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        return reference._replace(tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3])
+        return reference._replace(
+            tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3]
+        )
 
-    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
+    def moved_back(
+        self, reference: Reference, nearest: Array, time: float, share: float
+    ) -> Reference:
         positions = _positions(reference)
-        return reference._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time)))
+        return reference._replace(
+            tip_position=positions
+            + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time))
+        )
 
 
 class Shape(Objective):
-    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of 1 counts as half its length.
+    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of
+    1 counts as half its length.
 
     Targets stay where they are: shapes are made of tensions, and within reach.
     """
@@ -112,7 +162,10 @@ class Shape(Objective):
     def __init__(self, model: Model) -> None:
         n = model.coordinate_count
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
-        self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
+        self._root = np.asarray(
+            0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T,
+            dtype=np.float64,
+        )
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         assert reference.q is not None
@@ -122,7 +175,9 @@ class Shape(Objective):
         return self._root
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        error, then = (self.error(now.q, now.tip_pose, now.reference, t) for t in (time, time + period))
+        error, then = (
+            self.error(now.q, now.tip_pose, now.reference, t) for t in (time, time + period)
+        )
         return Aim(error, (then - error) / period, self._root, np.zeros(error.size))
 
 
@@ -133,7 +188,9 @@ def _pose(reference: Reference, time: float) -> Array:
 
 def _displace(reference: Reference, twist: Array) -> Reference:
     assert reference.tip_pose is not None
-    return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
+    return reference._replace(
+        tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose])
+    )
 
 
 def _positions(reference: Reference) -> Array:

@@ -1,8 +1,10 @@
-"""The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at a control period.
+"""The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at
+a control period.
 
-The functions are continuous in time, without limits of the tensions. The controllers hold them over a control period within the limits: at
-the 20 ms of the environments they are unstable, unlike their sampled forms, `TipTracking` and `ShapeTracking`.
-n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
+The functions are continuous in time, without limits of the tensions. The controllers hold them over
+a control period within the limits: at the 20 ms of the environments they are unstable, unlike their
+sampled forms, `TipTracking` and `ShapeTracking`. n coordinates, n_a tendons; g and eta are pose and
+body twist of the tip.
 """
 
 from collections.abc import Callable
@@ -11,15 +13,28 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.dynamics import Gains
-from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
-from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_at, pose_error
+from soft_tendon_env.control.protocol import (
+    FAILURES,
+    ControllerInput,
+    ControllerOutput,
+    ModelController,
+)
+from soft_tendon_env.control.rigid_motions import (
+    adjoint,
+    adjoint_of_twist,
+    inverse_pose,
+    pose_at,
+    pose_error,
+)
 from soft_tendon_env.control.shape_tracking import ShapeController
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
 
-DEPENDENT = 1e-9  # relative singular value up to which directions count as dependent, as the pulls of redundant tendons are
+# relative singular value up to which directions count as dependent, as the pulls of redundant
+# tendons are
+DEPENDENT = 1e-9
 TIP_GAINS = Gains(1e4, 1e3)  # of (39), [1/s^2] and [1/s]
 SHAPE_GAINS = Gains(1e3, 1e2)  # of (37), [1] and [s]; of (38) those over B's units
 
@@ -40,22 +55,32 @@ class TipPoseTarget(NamedTuple):
 
 
 def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
-    """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the tensions.
+    """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the
+    tensions.
 
-    The latter holds with passive coordinates, and with redundant tendons, which have fewer coordinates than tensions. Raises
-    ValueError for explicit bases, whose coordinates are no tensions, and ValueError or TypeError for bad arrays.
+    The latter holds with passive coordinates, and with redundant tendons, which have fewer
+    coordinates than tensions. Raises ValueError for explicit bases, whose coordinates are no
+    tensions, and ValueError or TypeError for bad arrays.
     """
-    error = model.rest_coordinates(wanted.tension) - checked_array("q", q, (model.coordinate_count,))
-    error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array("q_dot", q_dot, (model.coordinate_count,))
+    error = model.rest_coordinates(wanted.tension) - checked_array(
+        "q", q, (model.coordinate_count,)
+    )
+    error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array(
+        "q_dot", q_dot, (model.coordinate_count,)
+    )
     push = gains.kd * error_dot + gains.kp * error
-    return np.asarray(wanted.tension + (push if model.arm.strain.is_tensions else model.terms(q, q_dot).actuation.T @ push))
+    return np.asarray(
+        wanted.tension
+        + (push if model.arm.strain.is_tensions else model.terms(q, q_dot).actuation.T @ push)
+    )
 
 
 LeftInverse = Callable[[Terms], Array]
 
 
 def energy_left_inverse(terms: Terms) -> Array:
-    """B^+ = (B^T G^-1 B)^-1 B^T G^-1 (n_a, n): B B^+ f is the force of tensions next to f in the elastic energy that it stores.
+    """B^+ = (B^T G^-1 B)^-1 B^T G^-1 (n_a, n): B B^+ f is the force of tensions next to f in the
+    elastic energy that it stores.
 
     So it does not depend on the choice of coordinates. Of redundant tendons the least tensions.
     """
@@ -65,17 +90,24 @@ def energy_left_inverse(terms: Terms) -> Array:
 
 
 def euclidean_left_inverse(terms: Terms) -> Array:
-    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed. Without full actuation it depends on the units of the coordinates."""
+    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed. Without full actuation it depends on the
+    units of the coordinates."""
     return np.asarray(np.linalg.pinv(terms.actuation, rtol=DEPENDENT))
 
 
 def tip_pose_tension(
-    terms: Terms, q_dot: Array, wanted: TipPoseTarget, gains: Gains, left_inverse: LeftInverse = energy_left_inverse
+    terms: Terms,
+    q_dot: Array,
+    wanted: TipPoseTarget,
+    gains: Gains,
+    left_inverse: LeftInverse = energy_left_inverse,
 ) -> Array:
-    """Tensions (n_a,) [N] of (39); `terms` are those at q and q_dot (n,), of any strain parametrisation.
+    """Tensions (n_a,) [N] of (39); `terms` are those at q and q_dot (n,), of any strain
+    parametrisation.
 
-    With full actuation the twist's derivative is then what (39) has in its brackets before J M^-1: feedback linearisation. Raises
-    ValueError where tensions cannot accelerate the tip in all six directions, as with fewer than six coordinates or tendons.
+    With full actuation the twist's derivative is then what (39) has in its brackets before J M^-1:
+    feedback linearisation. Raises ValueError where tensions cannot accelerate the tip in all six
+    directions, as with fewer than six coordinates or tendons.
     """
     twist = terms.tip_jacobian @ q_dot
     twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
@@ -85,7 +117,8 @@ def tip_pose_tension(
 
 
 def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, Array]:
-    """The target's twist Ad eta_bar and its derivative, (6,) each, in the frame of pose g (4, 4), which moves with twist eta (6,).
+    """The target's twist Ad eta_bar and its derivative, (6,) each, in the frame of pose g (4, 4),
+    which moves with twist eta (6,).
 
     The two lines below (39), Ad of g^-1 g_bar.
     """
@@ -94,29 +127,45 @@ def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, 
     return seen, adjoint_of_twist(seen - twist) @ seen + into @ wanted.acceleration
 
 
-def accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
-    """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,) for these rows of eta_dot, see (39)."""
+def accelerating_tension(
+    terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse
+) -> Array:
+    """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,)
+    for these rows of eta_dot, see (39)."""
     J, M, B = terms.tip_jacobian[rows], terms.mass, terms.actuation
     J_over_M = np.linalg.solve(M, J.T).T
     rank = np.linalg.matrix_rank(J_over_M @ B, rtol=DEPENDENT)
     if rank < acceleration.size:
-        raise ValueError(f"tensions accelerate the tip in {rank} of {acceleration.size} directions at these coordinates: too few for (39)")
+        raise ValueError(
+            f"tensions accelerate the tip in {rank} of {acceleration.size} directions at these"
+            " coordinates: too few for (39)"
+        )
     resistance = terms.bias + terms.damping @ q_dot + terms.elastic_force - terms.external_force
-    force = J.T @ np.linalg.solve(J_over_M @ J.T, acceleration + J_over_M @ resistance - terms.tip_bias[rows])
+    force = J.T @ np.linalg.solve(
+        J_over_M @ J.T, acceleration + J_over_M @ resistance - terms.tip_bias[rows]
+    )
     return np.asarray(left_inverse(terms) @ force)
 
 
 class PaperTipPose(ModelController):
-    """(39) for the tip's pose; the target's twist and its derivative from its poses within two periods."""
+    """(39) for the tip's pose; the target's twist and its derivative from its poses within two
+    periods."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         assert now.reference.tip_pose is not None
-        poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
-        first, second = pose_error(poses[0], poses[1]) / self.period, pose_error(poses[1], poses[2]) / self.period
+        poses = [
+            pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)
+        ]
+        first, second = (
+            pose_error(poses[0], poses[1]) / self.period,
+            pose_error(poses[1], poses[2]) / self.period,
+        )
         acceleration = (second - first) / self.period
         wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
         try:
-            terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(
+                tip_pose=now.tip_pose
+            )
             return self.output(tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS))
         except (*FAILURES, ValueError):
             return self.hold(now)
@@ -126,7 +175,9 @@ class PaperShape(ShapeController):
     """(37) or (38)."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        here, then = (self._tensions @ self.shape_at(now.reference, time) for time in (0.0, self.period))
+        here, then = (
+            self._tensions @ self.shape_at(now.reference, time) for time in (0.0, self.period)
+        )
         wanted = ShapeTarget(here, (then - here) / self.period)
         try:
             return self.output(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))

@@ -1,7 +1,9 @@
-"""Interfaces of controllers and state estimators: what a controller measures, the reference it follows, the tensions it decides on.
+"""Interfaces of controllers and state estimators: what a controller measures, the reference it
+follows, the tensions it decides on.
 
-A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment. Its memory goes in and comes out of
-`act`, so that one controller serves any number of arms. SI units, twists angular before linear in the body frame, coordinates q.
+A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment.
+Its memory goes in and comes out of `act`, so that one controller serves any number of arms. SI
+units, twists angular before linear in the body frame, coordinates q.
 """
 
 from collections.abc import Mapping
@@ -18,30 +20,42 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array
 
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
-"""Errors by which a model says that it has no motion or no solution there: a controller then holds its tensions, an estimator its state."""
+"""Errors by which a model says that it has no motion or no solution there: a controller then holds
+its tensions, an estimator its state."""
 
 AT_LIMIT = 1e-9  # share of the range of tensions within which a tendon counts as at its limit
 
 
 class Reference(NamedTuple):
-    """Reference trajectory at m instants, the first of them now; None where the task does not give it."""
+    """Reference trajectory at m instants, the first of them now; None where the task does not give
+    it."""
 
-    ahead: Array  # (m,) [s] from now, increasing from 0, or from before now where the situation is one that is predicted
+    # (m,) [s] from now, increasing from 0, or from before now where the situation is one that is
+    # predicted
+    ahead: Array
     tip_pose: Array | None = None  # (m, 4, 4)
-    tip_position: Array | None = None  # (m, 3) [m]; the tip may point anywhere where only this is given
+    tip_position: Array | None = (
+        None  # (m, 3) [m]; the tip may point anywhere where only this is given
+    )
     q: Array | None = None  # (m, n) coordinates of the shapes, which tensions can hold
-    tension: Array | None = None  # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see ReferenceGovernor
+    tension: Array | None = (
+        # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see
+        # ReferenceGovernor
+        None
+    )
 
 
 class InputError(NamedTuple):
-    """Estimated error of the inputs: the arm moves as the model would under tensions gain * (those asked for) + offset."""
+    """Estimated error of the inputs: the arm moves as the model would under tensions gain * (those
+    asked for) + offset."""
 
     gain: Array  # (n_a,)
     offset: Array  # (n_a,) [N]
 
 
 class ControllerInput(NamedTuple):
-    """Measured or estimated state of one arm and its reference at the beginning of a control period, n coordinates, n_a tendons."""
+    """Measured or estimated state of one arm and its reference at the beginning of a control
+    period, n coordinates, n_a tendons."""
 
     q: Array  # (n,)
     q_dot: Array  # (n,)
@@ -49,13 +63,17 @@ class ControllerInput(NamedTuple):
     tension: Array  # (n_a,) [N] asked for last
     reference: Reference
     time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
-    input_error: InputError | None = None  # where an estimator finds one: a controller that allows for it needs no observer of its own
+    input_error: InputError | None = (
+        # where an estimator finds one: a controller that allows for it needs no observer of its own
+        None
+    )
 
 
 @dataclass(frozen=True)
 class ControllerOutput:
-    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at: at least "limited",
-    the share of tendons at their limits, and "singular", 1.0 where the task could not be resolved and 0.0 otherwise."""
+    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and
+    numbers to look at: at least "limited", the share of tendons at their limits, and "singular",
+    1.0 where the task could not be resolved and 0.0 otherwise."""
 
     tension: Array
     memory: Any = None
@@ -66,11 +84,13 @@ class Controller(Protocol):
     """A feedback or feedforward law: tensions from the measured state and the reference."""
 
     def act(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
-        """The tensions of this period. `memory` is the last output's, None when an episode begins. Raises nothing for finite arrays."""
+        """The tensions of this period. `memory` is the last output's, None when an episode begins.
+        Raises nothing for finite arrays."""
 
 
 class ModelController:
-    """Base of the controllers of this package: a model, limits (n_a, 2) [N] of tensions, and the control period [s]."""
+    """Base of the controllers of this package: a model, limits (n_a, 2) [N] of tensions, and the
+    control period [s]."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         self.model, self.period = model, period
@@ -81,15 +101,25 @@ class ModelController:
         """The last tensions: where the model has no motion, or the task no solution."""
         return self.output(now.tension, memory, is_singular=True)
 
-    def output(self, tension: Array, memory: Any = None, is_singular: bool = False, **more: float) -> ControllerOutput:
+    def output(
+        self, tension: Array, memory: Any = None, is_singular: bool = False, **more: float
+    ) -> ControllerOutput:
         """Tensions (n_a,) [N] cut off at their limits, with their report; `more` goes into that."""
         tension = np.minimum(np.maximum(tension, self.least), self.greatest)
-        limited = np.count_nonzero((tension <= self.least + self._near) | (tension >= self.greatest - self._near)) / tension.size
-        return ControllerOutput(tension, memory, {"limited": limited, "singular": float(is_singular), **more})
+        limited = (
+            np.count_nonzero(
+                (tension <= self.least + self._near) | (tension >= self.greatest - self._near)
+            )
+            / tension.size
+        )
+        return ControllerOutput(
+            tension, memory, {"limited": limited, "singular": float(is_singular), **more}
+        )
 
 
 class Measurement(NamedTuple):
-    """Measurements of one arm at the beginning of a control period, s strain sensors; None: not measured."""
+    """Measurements of one arm at the beginning of a control period, s strain sensors; None: not
+    measured."""
 
     tip_pose: Array  # (4, 4)
     sent: Array  # (k, n_a) [N] tensions asked for in the last k periods, the newest last
@@ -104,7 +134,8 @@ Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SensorNoise(Configuration):
-    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones."""
+    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true
+    ones."""
 
     position: Deviation = 0.0  # [m] of the tip
     rotation: Deviation = 0.0  # [rad] of the tip
@@ -141,4 +172,5 @@ class Estimator(Protocol):
     history: int  # how many of the tensions asked for last
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """The state now; `last` is the estimate of the period before, None when an episode begins."""
+        """The state now; `last` is the estimate of the period before, None when an episode
+        begins."""

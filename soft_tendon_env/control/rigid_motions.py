@@ -1,4 +1,5 @@
-"""SE(3) for controllers: logarithms, exponentials and adjoints of poses (4, 4) and twists (6,), angular before linear; interpolation."""
+"""SE(3) for controllers: logarithms, exponentials and adjoints of poses (4, 4) and twists (6,),
+angular before linear; interpolation."""
 
 import numpy as np
 
@@ -7,7 +8,8 @@ from soft_tendon_env.tools.types import Array
 
 
 def pose_error(pose: Array, wanted: Array) -> Array:
-    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in unit time."""
+    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in
+    unit time."""
     out = np.empty((1, 1, 6))
     pose_errors(np.ascontiguousarray(pose)[None], np.ascontiguousarray(wanted)[None, None], out)
     return np.asarray(out[0, 0])
@@ -50,7 +52,8 @@ def skew(x: Array) -> Array:
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:
-    """The pose (4, 4) at a time ahead [s] of poses (m, 4, 4) at `ahead` (m,): along the screw between two, the last for ever."""
+    """The pose (4, 4) at a time ahead [s] of poses (m, 4, 4) at `ahead` (m,): along the screw
+    between two, the last for ever."""
     after = int(np.searchsorted(ahead, time - 1e-9))
     if after == 0 or after == ahead.size:
         return np.asarray(poses[min(after, ahead.size - 1)])
@@ -61,5 +64,6 @@ def pose_at(ahead: Array, poses: Array, time: float) -> Array:
 
 
 def value_at(ahead: Array, values: Array, time: float) -> Array:
-    """The vector (k,) at a time ahead [s] of vectors (m, k) at `ahead` (m,): linear between two, the last for ever."""
+    """The vector (k,) at a time ahead [s] of vectors (m, k) at `ahead` (m,): linear between two,
+    the last for ever."""
     return np.array([np.interp(time, ahead, column) for column in values.T])

@@ -1,32 +1,50 @@
-"""Shape control by the laws (37), (38) in implicit form: at the control period that there is, and within tension limits.
+"""Shape control by the laws (37), (38) in implicit form: at the control period that there is, and
+within tension limits.
 
-u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)) is (37) where every coordinate is actuated, and (38) in newtons
-otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of the motion (stable PD control
-of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
+u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)) is (37) where every coordinate
+is actuated, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period,
+solved for together with the implicit step of the motion (stable PD control of Tan, Liu and Turk
+2011): gains of any size are stable at any period, also the paper's.
 """
 
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import implicit_step, natural_frequency
-from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController, Reference
+from soft_tendon_env.control.protocol import (
+    FAILURES,
+    ControllerInput,
+    ControllerOutput,
+    ModelController,
+    Reference,
+)
 from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOSE = 1e-6  # weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant
+# weight of the tensions themselves against that of the motion they make, which decides where
+# tendons are redundant
+LOOSE = 1e-6
 
 
 class ShapeController(ModelController):
-    """Base of the controllers of shapes. Raises ValueError for an explicit basis, whose coordinates are no tensions."""
+    """Base of the controllers of shapes. Raises ValueError for an explicit basis, whose coordinates
+    are no tensions."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         super().__init__(model, limits, period)
         if isinstance(model.arm.strain, Explicit):
-            raise ValueError("shape control needs coordinates that are tensions: the statics-based strain, not an explicit basis")
-        at_rest = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1)
-        self._tensions = np.linalg.pinv(at_rest)  # (n_a, n) of coordinates at rest, of least norm where tendons are redundant (34)
+            raise ValueError(
+                "shape control needs coordinates that are tensions: the statics-based strain, not"
+                " an explicit basis"
+            )
+        at_rest = np.stack(
+            [model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1
+        )
+        self._tensions = np.linalg.pinv(
+            at_rest
+        )  # (n_a, n) of coordinates at rest, of least norm where tendons are redundant (34)
 
     def shape_at(self, reference: Reference, time: float) -> Array:
         """Coordinates (n,) of the reference at a time ahead [s]."""
@@ -35,26 +53,45 @@ class ShapeController(ModelController):
 
 
 class ShapeFeedforward(ShapeController):
-    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within limits."""
+    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within
+    limits."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         return self.output(self._tensions @ self.shape_at(now.reference, self.period))
 
 
 class ShapeTracking(ShapeController):
-    """Shape tracking by implicit feedback and tension allocation. Raises ValueError as ShapeController and `natural_frequency`.
+    """Shape tracking by implicit feedback and tension allocation. Raises ValueError as
+    ShapeController and `natural_frequency`.
 
-    settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes settle at the rate (1 + kp) / kd at least.
-    With 0.4 and 10 the gains are about the paper's, kp = 1,000 and kd = 100.
+    settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes
+    settle at the rate (1 + kp) / kd at least. With 0.4 and 10 the gains are about the paper's, kp =
+    1,000 and kd = 100.
     """
 
-    def __init__(self, model: Model, limits: Array, period: float, *, settling_time: float = 0.4, damping: float = 10.0) -> None:
+    def __init__(
+        self,
+        model: Model,
+        limits: Array,
+        period: float,
+        *,
+        settling_time: float = 0.4,
+        damping: float = 10.0,
+    ) -> None:
         super().__init__(model, limits, period)
-        terms, natural = model.terms(*np.zeros((2, model.coordinate_count))), natural_frequency(settling_time, damping)
+        terms, natural = (
+            model.terms(*np.zeros((2, model.coordinate_count))),
+            natural_frequency(settling_time, damping),
+        )
         squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
         square, mode = squares.real.min(), modes[:, np.argmin(squares.real)].real
-        damped = mode @ terms.damping @ mode / (mode @ terms.mass @ mode)  # [1/s] of the slowest mode without control
-        self.kp, self.kd = max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - damped) / square, 0.0)
+        damped = (
+            mode @ terms.damping @ mode / (mode @ terms.mass @ mode)
+        )  # [1/s] of the slowest mode without control
+        self.kp, self.kd = (
+            max(natural**2 / square - 1.0, 0.0),
+            max((2.0 * damping * natural - damped) / square, 0.0),
+        )
 
     def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
         """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""
@@ -65,10 +102,16 @@ class ShapeTracking(ShapeController):
         except FAILURES:
             return self.hold(now, memory)
         q, then = self.shape_at(now.reference, 0.0), self.shape_at(now.reference, h)
-        project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness
+        project = (
+            np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T)
+            @ self._tensions
+            @ terms.stiffness
+        )
         goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
         grip = (kd + h * kp) * project
-        rates = np.linalg.solve(np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal)
+        rates = np.linalg.solve(
+            np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal
+        )
         wanted = goal - grip @ rates
         motion = step.metric + LOOSE * np.trace(step.metric) / wanted.size * np.eye(wanted.size)
         found = allocate(motion, -motion @ wanted, self.least, self.greatest, memory)

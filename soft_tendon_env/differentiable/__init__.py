@@ -1,11 +1,18 @@
-"""Gradients of rollouts in PyTorch: policies and commands learn by the derivative of the simulation itself. Needs the extra `gradients`."""
+"""Gradients of rollouts in PyTorch: policies and commands learn by the derivative of the simulation
+itself. Needs the extra `gradients`."""
 
 try:
     import torch  # noqa: F401
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError('gradients need PyTorch: pip install "soft_tendon_env[gradients]"') from error
+    raise ModuleNotFoundError(
+        'gradients need PyTorch: pip install "soft_tendon_env[gradients]"'
+    ) from error
 
-from soft_tendon_env.differentiable.accuracy import GradientAccuracy, GradientWarning, gradient_accuracy
+from soft_tendon_env.differentiable.accuracy import (
+    GradientAccuracy,
+    GradientWarning,
+    gradient_accuracy,
+)
 from soft_tendon_env.differentiable.actuation import inward_clip
 from soft_tendon_env.differentiable.period import ArmTensors, arm_tensors, control_period
 from soft_tendon_env.differentiable.poses import pose_logarithm

@@ -1,4 +1,5 @@
-"""Control periods of rows of arms in PyTorch: next state and readings, whose cotangents go back by the arms' adjoint."""
+"""Control periods of rows of arms in PyTorch: next state and readings, whose cotangents go back by
+the arms' adjoint."""
 
 from collections.abc import Callable
 from functools import partial
@@ -31,19 +32,30 @@ class ArmTensors(NamedTuple):
 
 
 def as_tensors(*values: NDArray[Any]) -> list[Any]:
-    """Tensors with copies of arrays, in whose place they stand: what is written for both has the types of arrays."""
+    """Tensors with copies of arrays, in whose place they stand: what is written for both has the
+    types of arrays."""
     return [torch.tensor(value) for value in values]
 
 
 def arm_tensors(arms: Arms) -> ArmTensors:
     """State and readings of the rows as they are now, copied."""
-    of = {**arms.rows.fields(), **arms.reading.fields(), "backbone_position": arms.reading.backbone[..., :3, 3]}
+    of = {
+        **arms.rows.fields(),
+        **arms.reading.fields(),
+        "backbone_position": arms.reading.backbone[..., :3, 3],
+    }
     return ArmTensors(*as_tensors(*(of[name] for name in ArmTensors._fields)))
 
 
 class _ControlPeriod(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, arms: Arms, advance: Callable[..., None], commands: torch.Tensor, *before: torch.Tensor) -> tuple[Any, ...]:
+    def forward(
+        ctx: Any,
+        arms: Arms,
+        advance: Callable[..., None],
+        commands: torch.Tensor,
+        *before: torch.Tensor,
+    ) -> tuple[Any, ...]:
         for name, value in zip(STATE, before, strict=True):
             getattr(arms.rows, name)[...] = value.numpy()
         ctx.arms, ctx.tape = arms, arms.make_tape(commands.shape[1])
@@ -60,25 +72,42 @@ class _ControlPeriod(torch.autograd.Function):
         back = arms.make_cotangents(ctx.tape.duration.shape[1])
         for name, value in zip(ArmTensors._fields, cotangents, strict=True):
             if value is not None:
-                getattr(back, name)[...] = (body_cotangent(pose, value) if name == "tip_pose" else value).numpy()
+                getattr(back, name)[...] = (
+                    body_cotangent(pose, value) if name == "tip_pose" else value
+                ).numpy()
         arms.adjoint(ctx.tape, np.arange(arms.size, dtype=np.int64), back)
-        return None, None, torch.from_numpy(back.command), *(torch.from_numpy(getattr(back, name)) for name in STATE)
+        return (
+            None,
+            None,
+            torch.from_numpy(back.command),
+            *(torch.from_numpy(getattr(back, name)) for name in STATE),
+        )
 
 
-def control_period(arms: Arms, before: ArmTensors, commands: torch.Tensor, advance: Callable[..., None] | None = None) -> ArmTensors:
-    """State and readings of all rows after a period under commands (rows, parts, n_a), each held for an integrator step.
+def control_period(
+    arms: Arms,
+    before: ArmTensors,
+    commands: torch.Tensor,
+    advance: Callable[..., None] | None = None,
+) -> ArmTensors:
+    """State and readings of all rows after a period under commands (rows, parts, n_a), each held
+    for an integrator step.
 
-    Differentiable in the commands and in the state before. The arms themselves take the step, from the state of `before`. Gradients are
-    those of their adjoint, once, see Arms.adjoint; a row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far
-    as they move them as rigid bodies.
+    Differentiable in the commands and in the state before. The arms themselves take the step, from
+    the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a row whose
+    step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as
+    rigid bodies.
 
-    advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an environment does. float64. Raises
-    TypeError or ValueError for other shapes and numbers that are not finite; `backward` raises what Arms.adjoint does.
+    advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an
+    environment does. float64. Raises TypeError or ValueError for other shapes and numbers that are
+    not finite; `backward` raises what Arms.adjoint does.
     """
     state = [getattr(before, name) for name in STATE]
     for name, value in zip(STATE, state, strict=True):
         checked_array(f"before.{name}", value.detach().numpy(), getattr(arms.rows, name).shape)
-    parts = checked_array("commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count))
+    parts = checked_array(
+        "commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count)
+    )
     if advance is None:
         advance = partial(arms.step, parts, np.arange(arms.size, dtype=np.int64))
     return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *state))

@@ -1,4 +1,5 @@
-"""Actuation: what lies between a command and the tension along a tendon: actuators with lag and delay, elastic tendons, friction.
+"""Actuation: what lies between a command and the tension along a tendon: actuators with lag and
+delay, elastic tendons, friction.
 
 Kernels read the numbers as `mechanics.effects.Transmission`.
 """
@@ -21,53 +22,86 @@ STEEPEST = 100.0  # mu phi along the stress-free arm
 
 @register_effect("actuators")
 class Actuators(Effect):
-    """`[effects.actuators]`: first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r, r), after a dead time.
+    """`[effects.actuators]`: first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r,
+    r), after a dead time.
 
-    u(t) follows the command c(t - delay), exactly for commands that are held: integrator steps end where one arrives (K. J. Astrom and
-    B. Wittenmark, Computer-Controlled Systems, 1997, chapter 2). The internal state is u, the command that acts, and those on their way
-    with the times of their arrival. There is room for one new command in every `integrator.step`: more end the simulation.
+    u(t) follows the command c(t - delay), exactly for commands that are held: integrator steps end
+    where one arrives (K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 1997, chapter
+    2). The internal state is u, the command that acts, and those on their way with the times of
+    their arrival. There is room for one new command in every `integrator.step`: more end the
+    simulation.
     """
 
     is_actuation: ClassVar[bool] = True
 
     time_constant: NotNegative = Field(0.0, description="time constant of the lag [s]")
-    rate_limit: Positive | None = Field(None, description="greatest rate [N/s], with elastic tendons [m/s]")
+    rate_limit: Positive | None = Field(
+        None, description="greatest rate [N/s], with elastic tendons [m/s]"
+    )
     delay: Annotated[float, Field(ge=0, le=100)] = Field(0.0, description="dead time [s]")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         if self.delay > (most := MOST_WAITING * rod.step):
-            text = f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator steps of {rod.step:g} s"
+            text = (
+                f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator"
+                f" steps of {rod.step:g} s"
+            )
             raise ConfigurationError([Problem(("effects", "actuators", "delay"), text)])
-        lags, rate = int(self.time_constant > 0.0 or self.rate_limit is not None), self.rate_limit or math.inf
-        return {"delay": self.delay, "lags": lags, "time_constant": self.time_constant, "rate_limit": rate, "finest": FINEST * rod.step}
+        lags, rate = (
+            int(self.time_constant > 0.0 or self.rate_limit is not None),
+            self.rate_limit or math.inf,
+        )
+        return {
+            "delay": self.delay,
+            "lags": lags,
+            "time_constant": self.time_constant,
+            "rate_limit": rate,
+            "finest": FINEST * rod.step,
+        }
 
     def state(self, rod: Discretisation) -> Array:
         tendons = rod.tendon_length.size
-        table = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons))
+        table = np.zeros(
+            (math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons)
+        )
         table[1:, 0] = NEVER
         return np.concatenate([np.zeros(tendons), table.ravel()])
 
 
 @register_effect("tendon_elasticity")
 class TendonElasticity(Effect):
-    """`[effects.tendon_elasticity]`: tendons as springs with slack, between the arm and actuators with displacements as commands.
+    """`[effects.tendon_elasticity]`: tendons as springs with slack, between the arm and actuators
+    with displacements as commands.
 
-    The command of a tendon is the displacement delta [m] by which its actuator has pulled it in, and its tension
+    The command of a tendon is the displacement delta [m] by which its actuator has pulled it in,
+    and its tension
 
         T = min(max(0, k (delta - l - (L_0 - L))), T_m)
 
-    with the length L along the strained rod, L_0 along the stress-free one, the slack l, the stiffness k = E A / length of the whole tendon
-    (D. B. Camarillo et al., IEEE Trans. Robotics 24, 2008) and the strength T_m of the actuator, which gives way beyond. Springs stiffer
-    than the arm are the rule: their tensions are those at the end of every substep. Environments scale actions to `displacement_limits`.
+    with the length L along the strained rod, L_0 along the stress-free one, the slack l, the
+    stiffness k = E A / length of the whole tendon (D. B. Camarillo et al., IEEE Trans. Robotics 24,
+    2008) and the strength T_m of the actuator, which gives way beyond. Springs stiffer than the arm
+    are the rule: their tensions are those at the end of every substep. Environments scale actions
+    to `displacement_limits`.
     """
 
     is_actuation: ClassVar[bool] = True
     command_unit: ClassVar[str] = "m"
 
     stiffness: Positive = Field(description="stiffness of the tendons [N/m]")
-    displacement_limits: tuple[Number, Number] = Field(description="least and greatest displacement of the actuators [m]")
-    slack: tuple[Number, ...] = Field((), description="slack of each tendon at displacement 0 [m], negative: pretension; none by default")
-    strength: Positive | None = Field(None, description="strength of the actuators [N]; by default the greatest of `tension_limits`")
+    displacement_limits: tuple[Number, Number] = Field(
+        description="least and greatest displacement of the actuators [m]"
+    )
+    slack: tuple[Number, ...] = Field(
+        (),
+        description=(
+            "slack of each tendon at displacement 0 [m], negative: pretension; none by default"
+        ),
+    )
+    strength: Positive | None = Field(
+        None,
+        description="strength of the actuators [N]; by default the greatest of `tension_limits`",
+    )
 
     @field_validator("displacement_limits")
     @classmethod
@@ -82,31 +116,52 @@ class TendonElasticity(Effect):
             text = f"has {len(self.slack)} entries: it should have one for each tendon, {tendons}"
             raise ConfigurationError([Problem(("effects", "tendon_elasticity", "slack"), text)])
         slack = np.array(self.slack or np.zeros(tendons))
-        strength = np.maximum(rod.tension_limits[:, 1], 0.0) if self.strength is None else np.full(tendons, self.strength)
-        return {"elastic": 1, "stiffness": np.full(tendons, self.stiffness), "strength": strength, "length": rod.tendon_length + slack}
+        strength = (
+            np.maximum(rod.tension_limits[:, 1], 0.0)
+            if self.strength is None
+            else np.full(tendons, self.strength)
+        )
+        return {
+            "elastic": 1,
+            "stiffness": np.full(tendons, self.stiffness),
+            "strength": strength,
+            "length": rod.tendon_length + slack,
+        }
 
 
 @register_effect("tendon_friction")
 class TendonFriction(Effect):
-    """`[effects.tendon_friction]`: regularised Coulomb friction of tendons in their channels by the capstan equation.
+    """`[effects.tendon_friction]`: regularised Coulomb friction of tendons in their channels by the
+    capstan equation.
 
-    With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon is pulled in,
+    With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon
+    is pulled in,
 
         T(s) = T(0) exp(-mu z phi(s)),    z = v / sqrt(v^2 + v_s^2)
 
-    (T. N. Do et al., Mechatronics 24, 2014), one direction for the whole tendon, at the rates of a step's end. Where friction would hold a
-    tendon it creeps instead, at less than v_s: a soft arm of 0.3 m that friction holds 36 mm off its rest is 13 mm off after 10 s. What
-    friction takes away bends coordinates that tensions alone leave at zero: a strain with passive fields follows it better.
+    (T. N. Do et al., Mechatronics 24, 2014), one direction for the whole tendon, at the rates of a
+    step's end. Where friction would hold a tendon it creeps instead, at less than v_s: a soft arm
+    of 0.3 m that friction holds 36 mm off its rest is 13 mm off after 10 s. What friction takes
+    away bends coordinates that tensions alone leave at zero: a strain with passive fields follows
+    it better.
     """
 
     is_actuation: ClassVar[bool] = True
 
-    coefficient: Annotated[float, Field(ge=0, le=10)] = Field(description="coefficient of friction mu [-]")
+    coefficient: Annotated[float, Field(ge=0, le=10)] = Field(
+        description="coefficient of friction mu [-]"
+    )
     stiction_speed: Positive = Field(1e-4, description="speed v_s [m/s] below which friction falls")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         if self.coefficient * (most := float(rod.tendon_turn.max())) > STEEPEST:
-            turned = f"tendon {int(np.argmax(rod.tendon_turn))} turns by {most:.3g} rad: it should be at most {STEEPEST / most:.3g}"
-            text = f"is {self.coefficient:g}: {turned}, or tensions let out grow by more than exp({STEEPEST:g})"
+            turned = (
+                f"tendon {int(np.argmax(rod.tendon_turn))} turns by {most:.3g} rad: it should be at"
+                f" most {STEEPEST / most:.3g}"
+            )
+            text = (
+                f"is {self.coefficient:g}: {turned}, or tensions let out grow by more than"
+                f" exp({STEEPEST:g})"
+            )
             raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), text)])
         return {"friction": self.coefficient, "stiction_speed": self.stiction_speed}

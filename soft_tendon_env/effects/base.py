@@ -1,8 +1,9 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
-An effect is a configuration class under `@register_effect("name")`, its parameters, a `Struct` of numbers and arrays, and the kernels that
-it needs, see mechanics/effects.py; here or in a user's own file as `examples/own_effect.py`. It is then the optional table `[effects.name]`
-of every scene. A scene without that table neither compiles nor calls it.
+An effect is a configuration class under `@register_effect("name")`, its parameters, a `Struct` of
+numbers and arrays, and the kernels that it needs, see mechanics/effects.py; here or in a user's own
+file as `examples/own_effect.py`. It is then the optional table `[effects.name]` of every scene. A
+scene without that table neither compiles nor calls it.
 """
 
 import warnings
@@ -15,32 +16,52 @@ from pydantic import ConfigDict
 
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_registered, shown
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    Problem,
+    not_registered,
+    shown,
+)
 from soft_tendon_env.tools.types import Array as Array
 
 
 @dataclass(frozen=True)
 class Discretisation:
-    """The discretised rod as effects see it when their parameters are made: slices around nodes, and quadrature points.
+    """The discretised rod as effects see it when their parameters are made: slices around nodes,
+    and quadrature points.
 
-    Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and `point_field` lay them out for kernels.
-    `over_nodes` leaves out the share of the base, which does not move: a density of 1 can give 0.285 m in all on a rod of 0.3 m.
+    Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and
+    `point_field` lay them out for kernels. `over_nodes` leaves out the share of the base, which
+    does not move: a density of 1 can give 0.285 m in all on a rod of 0.3 m.
     """
 
     length: float  # [m] of the rod
-    borders: Array  # arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth
+    # arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are
+    # smooth
+    borders: Array
     node: Array  # (nodes,) arc lengths [m]
     point: Array  # (nodes, 2) arc lengths [m]
-    radius: Callable[[Array], Array]  # [m] of the circle around the rod at arc lengths (m,) [m], (m,)
-    hull: Callable[[Array], Array]  # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
+    radius: Callable[
+        [Array], Array
+    ]  # [m] of the circle around the rod at arc lengths (m,) [m], (m,)
+    hull: Callable[
+        [Array], Array
+    ]  # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
     discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
-    elasticity: Callable[[Array], Array]  # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
+    elasticity: Callable[
+        [Array], Array
+    ]  # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
     line_mass: Callable[[Array], Array]  # mass per length [kg/m] there, (m,)
-    over_nodes: Callable[[Callable[[Array], Array]], Array]  # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)
+    over_nodes: Callable[
+        [Callable[[Array], Array]], Array
+    ]  # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)
     tendon_length: Array  # (n_a,) [m] along the stress-free rod
     tendon_turn: Array  # (n_a,) [rad] by which the tendons turn along it
     tension_limits: Array  # (n_a, 2) [N]
-    effects: "Effects"  # all of the scene, for those that depend on another one, as buoyancy on gravity
+    effects: (
+        "Effects"  # all of the scene, for those that depend on another one, as buoyancy on gravity
+    )
     step: float  # [s], the longest time step of the scene's integrator
 
 
@@ -58,7 +79,8 @@ class Configured(NamedTuple):
 
 
 class DeadLoads(NamedTuple):
-    """Loads whose size and direction in the world frame never change: what a strain can have inside, see paper III-B."""
+    """Loads whose size and direction in the world frame never change: what a strain can have
+    inside, see paper III-B."""
 
     acceleration: tuple[float, ...] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
     force: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N] at the tip
@@ -69,12 +91,16 @@ class Effect(Configuration):
     """Base class of effects: the validated table of a scene.
 
     Attributes:
-        is_contact: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
-        is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
-            tensions is without it.
-        command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
-        strengths: keys, of numbers or vectors, whose size says how strong it is: passive fields made under it hold under weaker ones.
-        is_uniform: whether it is the same everywhere in the world, so that the place of the base changes nothing.
+        is_contact: whether the arm comes upon it in places only, as upon obstacles: passive fields
+            are made without it.
+        is_actuation: whether it lies between commands and tensions, as numbers of the
+            `transmission`: what is told of the arm under given tensions is without it.
+        command_unit: unit of the commands that it takes; "N": the tension that comes of them at
+            rest.
+        strengths: keys, of numbers or vectors, whose size says how strong it is: passive fields
+            made under it hold under weaker ones.
+        is_uniform: whether it is the same everywhere in the world, so that the place of the base
+            changes nothing.
     """
 
     strengths: ClassVar[tuple[str, ...]] = ()
@@ -85,80 +111,111 @@ class Effect(Configuration):
 
     @property
     def acts(self) -> bool:
-        """Whether its kernels do anything with these numbers: one that does not costs nothing, as a payload without a force."""
+        """Whether its kernels do anything with these numbers: one that does not costs nothing, as a
+        payload without a force."""
         return True
 
     def parameters(self, rod: Discretisation) -> Any:
-        """The parameters that the kernels read: an instance of the effect's own `Struct` class, see mechanics/effects.py."""
+        """The parameters that the kernels read: an instance of the effect's own `Struct` class, see
+        mechanics/effects.py."""
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
-        """Numbers of `mechanics.effects.Transmission` by name, of an effect between commands and tensions."""
+        """Numbers of `mechanics.effects.Transmission` by name, of an effect between commands and
+        tensions."""
         return {}
 
     def added_inertia(self, rod: Discretisation) -> Array:
-        """Screw inertia (nodes, 6) [kg m^2, kg] that moves with the slices of the rod, about their axes: none unless a class says so."""
+        """Screw inertia (nodes, 6) [kg m^2, kg] that moves with the slices of the rod, about their
+        axes: none unless a class says so."""
         return np.zeros((rod.node.size, 6))
 
     @property
     def payload(self) -> Array:
-        """Screw inertia (6,) [kg m^2, kg] of a body fixed to the tip, at which gravity pulls: none unless a class says so."""
+        """Screw inertia (6,) [kg m^2, kg] of a body fixed to the tip, at which gravity pulls: none
+        unless a class says so."""
         return np.zeros(6)
 
     def state(self, rod: Discretisation) -> Array:
-        """The internal state (m,) of the effect in the stress-free arm that has always been at rest: none unless a class says so."""
+        """The internal state (m,) of the effect in the stress-free arm that has always been at
+        rest: none unless a class says so."""
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError where it has none, as by default."""
+        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError
+        where it has none, as by default."""
         if self.is_actuation and self.command_unit == "N":
             return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
 
     def dead_loads(self) -> DeadLoads | None:
-        """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would add, or None."""
+        """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would
+        add, or None."""
         return None
 
 
 def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
-    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for them; warns of one that reads the time, but
-    limits no step."""
+    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for
+    them; warns of one that reads the time, but limits no step."""
     parameters = effect.parameters(rod)
     kind, kernels = type(parameters).__name__, kernels_of(type(parameters))
     if not kernels:
-        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
-    read = {word for kernel in kernels.values() for word in getattr(kernel, "py_func", kernel).__code__.co_names}
+        raise TypeError(
+            f"the effect {name!r} has no kernel for its parameters: decorate one with"
+            f" @adds_wrench({kind})"
+        )
+    read = {
+        word
+        for kernel in kernels.values()
+        for word in getattr(kernel, "py_func", kernel).__code__.co_names
+    }
     if "limit" not in kernels and "time" in read and "time" not in type(parameters).names():
-        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
+        text = (
+            "reads the time, but no kernel of it is decorated with @limits_step: steps may pass"
+            " over its changes"
+        )
         warnings.warn(f"the effect with parameters {kind} {text}", stacklevel=2)
     return parameters
 
 
 def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
-    """Numbers of the transmission that an effect gives. Raises TypeError for other names or types than kernels read."""
+    """Numbers of the transmission that an effect gives. Raises TypeError for other names or types
+    than kernels read."""
     known = {key: type(value) for key, value in DIRECT.fields().items() if key != "filter"}
     for key, value in (numbers := effect.transmission(rod)).items():
         if known.get(key) is not type(value):
             allowed = ", ".join(f"{name} ({kind.__name__})" for name, kind in known.items())
-            raise TypeError(f"{type(effect).__name__}.transmission gives {key} = {shown(value)}: it may give {allowed}")
+            raise TypeError(
+                f"{type(effect).__name__}.transmission gives {key} = {shown(value)}: it may give"
+                f" {allowed}"
+            )
     return numbers
 
 
 Class = TypeVar("Class", bound=type[Effect])
 
-EFFECTS: dict[str, type[Effect]] = {}  # every registered effect's configuration class, by the name that scenes use
+EFFECTS: dict[
+    str, type[Effect]
+] = {}  # every registered effect's configuration class, by the name that scenes use
 
 
 def register_effect(name: str) -> Callable[[Class], Class]:
     """Class decorator: make an `Effect` available to scenes as `[effects.name]`.
 
-    Registering a class of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
+    Registering a class of the same module and name again replaces it, as in a notebook. Raises
+    ValueError for a name that is taken.
     """
 
     def add(effect: Class) -> Class:
         present = EFFECTS.get(name, effect)
-        if hasattr(Effects, name) or (present.__module__, present.__qualname__) != (effect.__module__, effect.__qualname__):
-            raise ValueError(f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or a method of Effects")
+        if hasattr(Effects, name) or (present.__module__, present.__qualname__) != (
+            effect.__module__,
+            effect.__qualname__,
+        ):
+            raise ValueError(
+                f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or"
+                " a method of Effects"
+            )
         EFFECTS[name] = effect
         return effect
 
@@ -166,7 +223,8 @@ def register_effect(name: str) -> Callable[[Class], Class]:
 
 
 class Effects(Configuration):
-    """The effects of a scene: a table each, by the names of EFFECTS; None where the scene has none of that name."""
+    """The effects of a scene: a table each, by the names of EFFECTS; None where the scene has none
+    of that name."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -176,7 +234,13 @@ class Effects(Configuration):
         for name, table in sorted(tables.items()):
             try:
                 if name not in EFFECTS:
-                    problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_registered(name, EFFECTS)}"))
+                    problems.append(
+                        Problem(
+                            (name,),
+                            f"is an unknown key (given {shown(table)}):"
+                            f" {not_registered(name, EFFECTS)}",
+                        )
+                    )
                 elif isinstance(table, dict | EFFECTS[name]):
                     chosen[name] = EFFECTS[name](**table) if isinstance(table, dict) else table
                 elif table is not None:
@@ -188,7 +252,8 @@ class Effects(Configuration):
         super().__init__(**chosen)
 
     def chosen(self) -> dict[str, Effect]:
-        """Effects that the scene has, by name, in the order of their names: that in which they act."""
+        """Effects that the scene has, by name, in the order of their names: that in which they
+        act."""
         return dict(self.__pydantic_extra__ or {})
 
     def acting(self) -> dict[str, Effect]:
@@ -196,17 +261,27 @@ class Effects(Configuration):
         return {name: effect for name, effect in self.chosen().items() if effect.acts}
 
     def table(self, rod: Discretisation) -> EffectTable:
-        """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
+        """Table of the acting effects for the kernels, in the order of their names. Raises
+        TypeError where one has no kernel."""
         effects, numbers = self.acting(), dict[str, Any]()
-        parameters = [Struct() if effect.is_actuation else _parameters_of(name, effect, rod) for name, effect in effects.items()]
+        parameters = [
+            Struct() if effect.is_actuation else _parameters_of(name, effect, rod)
+            for name, effect in effects.items()
+        ]
         states = [effect.state(rod) for effect in effects.values()]
         for i, effect in enumerate(effects.values()):
-            numbers.update(_transmission_of(effect, rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
+            numbers.update(
+                _transmission_of(effect, rod),
+                **({"filter": i} if effect.is_actuation and states[i].size else {}),
+            )
         return EffectTable(parameters, states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""
-        return sum((effect.added_inertia(rod) for effect in self.chosen().values()), np.zeros((rod.node.size, 6)))
+        return sum(
+            (effect.added_inertia(rod) for effect in self.chosen().values()),
+            np.zeros((rod.node.size, 6)),
+        )
 
     @property
     def payload(self) -> Array:
@@ -214,20 +289,35 @@ class Effects(Configuration):
         return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises ValueError where one has none."""
+        """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises
+        ValueError where one has none."""
         effects = self.chosen().values()
         states = np.split(arm.state, np.cumsum([effect.state(arm.rod).size for effect in effects]))
-        return sum(effect.potential_energy(arm._replace(state=state)) for effect, state in zip(effects, states, strict=False))
+        return sum(
+            effect.potential_energy(arm._replace(state=state))
+            for effect, state in zip(effects, states, strict=False)
+        )
 
     @property
     def command_unit(self) -> str:
         """Unit of commands: "N" where they are tensions, as far as the arm is at rest."""
-        return next((effect.command_unit for effect in self.chosen().values() if effect.command_unit != "N"), "N")
+        return next(
+            (
+                effect.command_unit
+                for effect in self.chosen().values()
+                if effect.command_unit != "N"
+            ),
+            "N",
+        )
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
         elastic = self.tendon_elasticity
-        return limits if elastic is None else np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
+        return (
+            limits
+            if elastic is None
+            else np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
+        )
 
     def _those(self, keep: Callable[[Effect], bool]) -> "Effects":
         return Effects(**{name: effect for name, effect in self.chosen().items() if keep(effect)})
@@ -247,26 +337,42 @@ class Effects(Configuration):
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
         dead = [loads for effect in self.chosen().values() if (loads := effect.dead_loads())]
-        return DeadLoads(*(tuple(np.sum(vectors, axis=0).tolist()) for vectors in zip(DeadLoads(), *dead, strict=True)))
+        return DeadLoads(
+            *(
+                tuple(np.sum(vectors, axis=0).tolist())
+                for vectors in zip(DeadLoads(), *dead, strict=True)
+            )
+        )
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
-        """These effects with their `strengths` at a random size up to their own, and vectors in random directions."""
+        """These effects with their `strengths` at a random size up to their own, and vectors in
+        random directions."""
         tables = self.model_dump()
         for name, effect in self.chosen().items():
-            smaller = {key: (1.0 - random.random()) * np.array(tables[name][key]) for key in effect.strengths}
+            smaller = {
+                key: (1.0 - random.random()) * np.array(tables[name][key])
+                for key in effect.strengths
+            }
             for key, value in smaller.items():
                 direction = random.normal(size=value.size) if value.ndim else np.ones(1)
-                tables[name][key] = (np.linalg.norm(value) / np.linalg.norm(direction) * direction) if value.ndim else value
+                tables[name][key] = (
+                    (np.linalg.norm(value) / np.linalg.norm(direction) * direction)
+                    if value.ndim
+                    else value
+                )
         return Effects(**tables)
 
     def includes(self, other: "Effects") -> bool:
-        """Whether `sample_smaller` reaches all of the other effects: what was made under these holds under those."""
+        """Whether `sample_smaller` reaches all of the other effects: what was made under these
+        holds under those."""
         most = self.model_dump()
         for name, effect in other.everywhere().chosen().items():
             if name not in most:
                 return False
             for key, value in effect.model_dump().items():
-                is_weaker = key in effect.strengths and np.linalg.norm(value) <= np.linalg.norm(most[name][key])
+                is_weaker = key in effect.strengths and np.linalg.norm(value) <= np.linalg.norm(
+                    most[name][key]
+                )
                 if not is_weaker and value != most[name][key]:
                     return False
         return True

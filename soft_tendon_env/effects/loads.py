@@ -1,7 +1,9 @@
-"""Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod that change in time), and a moving base.
+"""Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod
+that change in time), and a moving base.
 
-A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon. By virtual work and the weights of a cubic,
-force and moment are exact, and the error is of fourth order in the distance of the nodes.
+A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon. By
+virtual work and the weights of a cubic, force and moment are exact, and the error is of fourth
+order in the distance of the nodes.
 """
 
 import math
@@ -12,16 +14,47 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import (
+    Array,
+    Configured,
+    DeadLoads,
+    Discretisation,
+    Effect,
+    register_effect,
+)
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, matmul, minus, plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import (
+    coefficients,
+    cross,
+    exp_se3,
+    matmul,
+    minus,
+    plus,
+    rotate_back,
+    times,
+    twist_sum,
+)
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
-from soft_tendon_env.mechanics.effects import Base, adds_wrench, allow_turning, limits_step, moves_base
+from soft_tendon_env.mechanics.effects import (
+    Base,
+    adds_wrench,
+    allow_turning,
+    limits_step,
+    moves_base,
+)
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, pose_of_base, tip_pose_of
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
-from soft_tendon_env.tools.types import Direction, Frequency, NotNegative, Number, Positive, Triple, Turning
+from soft_tendon_env.tools.types import (
+    Direction,
+    Frequency,
+    NotNegative,
+    Number,
+    Positive,
+    Triple,
+    Turning,
+)
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
@@ -59,8 +92,15 @@ class GravityParameters(Struct):
 def gravity_wrench(gravity, nodes):
     """The force m R^T g on every node."""
     for pack in range(nodes.packs):
-        at, down = (pack * 6 + 3) * LANES, rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration)
-        store3(nodes.wrench, at, plus(load3(nodes.wrench, at), times(load(nodes.mass, pack * LANES), down)))
+        at, down = (
+            (pack * 6 + 3) * LANES,
+            rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration),
+        )
+        store3(
+            nodes.wrench,
+            at,
+            plus(load3(nodes.wrench, at), times(load(nodes.mass, pack * LANES), down)),
+        )
 
 
 @register_effect("tip_load")
@@ -72,9 +112,13 @@ class TipLoad(Effect):
 
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")
-    frame: Literal["world", "tip"] = Field("world", description="frame of their components: a dead load, or one that follows the tip")
+    frame: Literal["world", "tip"] = Field(
+        "world", description="frame of their components: a dead load, or one that follows the tip"
+    )
     mass: NotNegative = Field(0.0, description="mass of a payload with its centre at the tip [kg]")
-    inertia: tuple[NotNegative, NotNegative, NotNegative] = Field((0.0, 0.0, 0.0), description="its moments about the tip's axes [kg m^2]")
+    inertia: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        (0.0, 0.0, 0.0), description="its moments about the tip's axes [kg m^2]"
+    )
 
     @property
     def acts(self) -> bool:
@@ -89,11 +133,17 @@ class TipLoad(Effect):
 
     def potential_energy(self, arm: Configured) -> float:
         if any(self.moment) or (self.frame == "tip" and any(self.force)):
-            raise ValueError("a tip load with a moment, or one that follows the tip, has no potential energy")
+            raise ValueError(
+                "a tip load with a moment, or one that follows the tip, has no potential energy"
+            )
         return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
 
     def dead_loads(self) -> DeadLoads | None:
-        return None if self.frame == "tip" and self.acts else DeadLoads(force=self.force, moment=self.moment)
+        return (
+            None
+            if self.frame == "tip" and self.acts
+            else DeadLoads(force=self.force, moment=self.moment)
+        )
 
 
 class TipLoadParameters(Struct):
@@ -148,12 +198,15 @@ class Load(Configuration):
     at: NotNegative = Field(description="arc length of the point [m]")
     force: Triple = Field((0.0, 0.0, 0.0), description="force [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment [N m]")
-    signal: Annotated[Pulse | Sine, Field(discriminator="type")] | None = Field(None, description="factor over time, by default 1")
+    signal: Annotated[Pulse | Sine, Field(discriminator="type")] | None = Field(
+        None, description="factor over time, by default 1"
+    )
 
 
 @register_effect("disturbance")
 class Disturbance(Effect):
-    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those under the loads at time 0."""
+    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those
+    under the loads at time 0."""
 
     is_uniform: ClassVar[bool] = True
 
@@ -162,24 +215,41 @@ class Disturbance(Effect):
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
         for i, push in enumerate(self.loads):
             if push.at > rod.length * (1.0 + SAME):
-                problem = Problem(("effects", "disturbance", "loads", i, "at"), f"is {push.at:g} m: the rod has {rod.length:g} m")
+                problem = Problem(
+                    ("effects", "disturbance", "loads", i, "at"),
+                    f"is {push.at:g} m: the rod has {rod.length:g} m",
+                )
                 raise ConfigurationError([problem])
-        rows = [[*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force] for push in self.loads]
+        rows = [
+            [*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force]
+            for push in self.loads
+        ]
         shares = weights(rod, [push.at for push in self.loads])
-        return DisturbanceParameters(np.array(rows), np.array([node_field(share[:, None]) for share in shares]))
+        return DisturbanceParameters(
+            np.array(rows), np.array([node_field(share[:, None]) for share in shares])
+        )
 
 
 def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:
-    """Weights (m, nodes) with which values at the nodes, 0 at the base, add up to those at arc lengths (m,) [m], of the `most` nodes that
-    are nearest: exact for functions that are cubic between the borders, or linear with 2."""
+    """Weights (m, nodes) with which values at the nodes, 0 at the base, add up to those at arc
+    lengths (m,) [m], of the `most` nodes that are nearest: exact for functions that are cubic
+    between the borders, or linear with 2."""
     places, same = np.append(0.0, rod.node), SAME * rod.length
     found = np.zeros((np.size(arc_length), places.size))
     for row, at in zip(found, np.ravel(arc_length), strict=True):
-        border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
-        inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
-        piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
+        border = min(
+            int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1
+        )
+        inside = np.flatnonzero(
+            (places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same)
+        )
+        piece = inside[
+            np.append(True, np.diff(places[inside]) > same)
+        ]  # without the empty intervals at the tip
         nearest = piece[np.argsort(np.abs(places[piece] - at), kind="stable")[:most]]
-        away = (places[nearest] - min(at, places[piece[-1]])) / (places[piece[1]] - places[piece[0]])
+        away = (places[nearest] - min(at, places[piece[-1]])) / (
+            places[piece[1]] - places[piece[0]]
+        )
         powers = np.arange(nearest.size)
         row[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
     return found[:, 1:]
@@ -210,14 +280,18 @@ def disturbance_wrench(disturbance, nodes):
         for pack in range(nodes.packs if factor != 0.0 else 0):
             at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
             R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-            here = rotate_back(R, times(share, (row[3], row[4], row[5]))), rotate_back(R, times(share, (row[6], row[7], row[8])))
+            here = (
+                rotate_back(R, times(share, (row[3], row[4], row[5]))),
+                rotate_back(R, times(share, (row[6], row[7], row[8]))),
+            )
             store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
 
 
 @limits_step(DisturbanceParameters)
 @kernel
 def limit_disturbance_step(disturbance, nodes, longest):
-    """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a pulse."""
+    """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a
+    pulse."""
     for i in range(disturbance.loads.shape[0]):
         row = disturbance.loads[i]
         if row[0] == SINE:
@@ -229,18 +303,27 @@ def limit_disturbance_step(disturbance, nodes, longest):
 
 @register_effect("moving_base")
 class MovingBase(Effect):
-    """`[effects.moving_base]`: motion of the base from its pose in the scene, along the world's axes and about a fixed axis.
+    """`[effects.moving_base]`: motion of the base from its pose in the scene, along the world's
+    axes and about a fixed axis.
 
-    r(t) = r(0) + `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t) and R(t) = exp(theta `axis`) R(0), theta(t) =
-    `angular_velocity` t + `angular_amplitude` sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and
-    acceleration enter the recursions (17)-(18) where they begin, from which inertia forces follow. Statics are those of the base at rest
-    in its pose at t = 0.
+    r(t) = r(0) + `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t) and R(t) =
+    exp(theta `axis`) R(0), theta(t) = `angular_velocity` t + `angular_amplitude` sin(2 pi f t),
+    with t the time of the simulation or of the episode. Base twist and acceleration enter the
+    recursions (17)-(18) where they begin, from which inertia forces follow. Statics are those of
+    the base at rest in its pose at t = 0.
     """
 
-    velocity: Triple = Field((0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame")
-    acceleration: Triple = Field((0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]")
+    velocity: Triple = Field(
+        (0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame"
+    )
+    acceleration: Triple = Field(
+        (0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]"
+    )
     amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude (x, y, z) of the swing [m]")
-    axis: Direction = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], world frame, of any length but zero")
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0),
+        description="axis about which it turns [-], world frame, of any length but zero",
+    )
     angular_velocity: Turning = Field(0.0, description="constant angular velocity [rad/s]")
     angular_amplitude: Number = Field(0.0, description="amplitude of the turning swing [rad]")
     frequency: Frequency = Field(0.0, description="frequency f of both swings [Hz]")
@@ -253,7 +336,12 @@ class MovingBase(Effect):
 
     def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
         x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
-        turning = (x, y, z), self.angular_velocity, self.angular_amplitude, 2.0 * math.pi * self.frequency
+        turning = (
+            (x, y, z),
+            self.angular_velocity,
+            self.angular_amplitude,
+            2.0 * math.pi * self.frequency,
+        )
         return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
 
 
@@ -272,20 +360,30 @@ class MovingBaseParameters(Struct):
 @moves_base(MovingBaseParameters)
 @kernel
 def move(motion, base: Base):
-    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x r_dot)."""
+    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x
+    r_dot)."""
     t, phase = base.time, motion.omega * base.time
     sine, cosine = math.sin(phase), math.cos(phase)
     angle = motion.angular_velocity * t + motion.angular_amplitude * sine
     rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
     rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
     R_rest, r_rest = pose_of_base(base.pose)
-    r = plus(plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)), times(sine, motion.amplitude))
+    r = plus(
+        plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)),
+        times(sine, motion.amplitude),
+    )
     r = plus(r_rest, r)
-    r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
+    r_dot = plus(
+        plus(motion.velocity, times(t, motion.acceleration)),
+        times(motion.omega * cosine, motion.amplitude),
+    )
     r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
     w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
     v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
-    R = matmul(exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))[0], R_rest)
+    R = matmul(
+        exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))[0],
+        R_rest,
+    )
     for i in range(9):
         base.pose[i] = R[i]
     for i in range(3):

@@ -1,4 +1,5 @@
-"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic memory."""
+"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic
+memory."""
 
 import math
 from typing import ClassVar
@@ -15,21 +16,30 @@ from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Positive
 
-SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
+# of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a
+# spring and a damper
+SHORT = 0.25
 
 
 @register_effect("nonlinear_elasticity")
 class NonlinearElasticity(Effect):
-    """`[effects.nonlinear_elasticity]`: stress sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every strain e = xi - xi*.
+    """`[effects.nonlinear_elasticity]`: stress sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every
+    strain e = xi - xi*.
 
-    The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic Deformations, 1984, chapter 4), as silicone and
-    rubber stiffen. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2). A strain without an e0_i stays linear.
+    The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic
+    Deformations, 1984, chapter 4), as silicone and rubber stiffen. Its energy per length is 1/2
+    Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2). A strain without an e0_i stays linear.
     """
 
     is_uniform: ClassVar[bool] = True
 
     torsion: Positive | None = Field(None, description="e0 of torsion [1/m]")
-    bending: Positive | None = Field(None, description="e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0")
+    bending: Positive | None = Field(
+        None,
+        description=(
+            "e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0"
+        ),
+    )
     stretch: Positive | None = Field(None, description="e0 of stretch [-]")
     shear: Positive | None = Field(None, description="e0 of both shears [-]")
 
@@ -59,7 +69,10 @@ def stiffening_stress(law, points):
     for block in range(2 * points.packs):
         for i in range(6):
             at = (block * 6 + i) * LANES
-            strain, root = load(points.strain, at) - load(points.reference, at), load(points.root_stiffness, at)
+            strain, root = (
+                load(points.strain, at) - load(points.reference, at),
+                load(points.root_stiffness, at),
+            )
             slope = law.rate[i] * root * root * strain * strain
             store(points.stress, at, load(points.stress, at) + slope * strain)
             store(points.stiffness, at, load(points.stiffness, at) + 3.0 * slope)
@@ -74,31 +87,48 @@ class Branch(Configuration):
 
 @register_effect("viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`: Maxwell branches, the standard linear solid.
+    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`: Maxwell
+    branches, the standard linear solid.
 
-    A branch k, a spring of modulus ratio m_k in series with a damper of relaxation time tau_k, adds the stress m_k Sigma (e - s_k) with
-    e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k (J. C. Simo and T. J. R. Hughes, Computational Inelasticity,
-    1998, section 10.2). At rest it adds nothing. The internal state is s_k at every point, exact for a strain that is a quadratic of time.
-    Over a time step a branch answers as a spring where that is short beside tau_k, as a damper where it is long: so it enters the implicit
-    step, and may be as stiff and fast as it likes.
+    A branch k, a spring of modulus ratio m_k in series with a damper of relaxation time tau_k, adds
+    the stress m_k Sigma (e - s_k) with e = xi - xi* and the strain s_k of its damper, s_k_dot = (e
+    - s_k) / tau_k (J. C. Simo and T. J. R. Hughes, Computational Inelasticity, 1998, section 10.2).
+    At rest it adds nothing. The internal state is s_k at every point, exact for a strain that is a
+    quadratic of time. Over a time step a branch answers as a spring where that is short beside
+    tau_k, as a damper where it is long: so it enters the implicit step, and may be as stiff and
+    fast as it likes.
     """
 
     is_uniform: ClassVar[bool] = True
 
-    branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
+    branches: tuple[Branch, ...] = Field(
+        min_length=1, description="one or more tables, see `Branch`"
+    )
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
-        moduli, time = np.array([[branch.modulus, branch.relaxation_time] for branch in self.branches]).T.copy()
-        lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
+        moduli, time = np.array(
+            [[branch.modulus, branch.relaxation_time] for branch in self.branches]
+        ).T.copy()
+        lasting = np.where(
+            rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0
+        )  # substeps are shorter than steps
         return MemoryParameters(moduli, time, lasting * moduli, (1.0 - lasting) * time * moduli)
 
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
 
     def potential_energy(self, arm: Configured) -> float:
-        strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
+        strain, stiffness = (
+            point_field(field.reshape(-1, 2, 6))
+            for field in (arm.strain, arm.weight[:, None] * arm.stiffness)
+        )
         energies = (strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness
-        return 0.5 * float(sum(branch.modulus * energy for branch, energy in zip(self.branches, energies, strict=True)))
+        return 0.5 * float(
+            sum(
+                branch.modulus * energy
+                for branch, energy in zip(self.branches, energies, strict=True)
+            )
+        )
 
 
 class MemoryParameters(Struct):
@@ -112,8 +142,8 @@ class MemoryParameters(Struct):
 
 @kernel
 def lag_weights(x):
-    """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the change of strain, and of the product of that
-    time and the rate."""
+    """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the
+    change of strain, and of the product of that time and the rate."""
     if x == 0.0 or x == math.inf:
         return (1.0, 1.0, 0.0) if x == 0.0 else (0.0, 0.0, 0.0)
     mean = -math.expm1(-x) / x

@@ -1,9 +1,15 @@
-"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`.
+"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`,
+`TendonRod-Reach-v0`.
 
 Every registered task has the classes `<name>Env` and `<name>VectorEnv` in environments.py.
 """
 
-from soft_tendon_env.envs.environments import TendonRodEnv, TendonRodVectorEnv, environment_class, vector_environment_class
+from soft_tendon_env.envs.environments import (
+    TendonRodEnv,
+    TendonRodVectorEnv,
+    environment_class,
+    vector_environment_class,
+)
 from soft_tendon_env.envs.options import Options, ResetOptions
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task, register_task

@@ -1,5 +1,5 @@
-"""Gymnasium environments, with one arm and with many that compiled code steps together on several threads: two classes per task, whose
-description is their documentation."""
+"""Gymnasium environments, with one arm and with many that compiled code steps together on several
+threads: two classes per task, whose description is their documentation."""
 
 from __future__ import annotations
 
@@ -35,16 +35,24 @@ MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 
 
 class EpisodesEnv:
-    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces and its renderer."""
+    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces
+    and its renderer."""
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
     task: ClassVar[Task]
     closed = False
 
-    def _make(self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None) -> None:
+    def _make(
+        self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None
+    ) -> None:
         self.render_mode = render_mode
-        self.episodes = Episodes(self.task, Options.parse(options, type(self).__name__), rows, threads)
-        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / self.episodes.period))}
+        self.episodes = Episodes(
+            self.task, Options.parse(options, type(self).__name__), rows, threads
+        )
+        self.metadata = {
+            "render_modes": [*RENDER_MODES],
+            "render_fps": max(1, round(1.0 / self.episodes.period)),
+        }
         self._begun = False
         self._renderer = make_renderer(self.episodes, render_mode)
 
@@ -55,7 +63,10 @@ class EpisodesEnv:
 
     def _spaces(self) -> tuple[Box | Dict, Box]:
         """Observation and action space of one row."""
-        actions, seen = Box(-1.0, 1.0, (self.model.tendon_count,), np.float32), self.episodes.layout.space
+        actions, seen = (
+            Box(-1.0, 1.0, (self.model.tendon_count,), np.float32),
+            self.episodes.layout.space,
+        )
         if not self.task.goal:
             return seen, actions
         reach = np.float32(self.episodes.goal_bound)
@@ -63,15 +74,18 @@ class EpisodesEnv:
         return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
 
     def set_target(self, target: Any, rows: ArrayLike | None = None) -> None:
-        """Another target from now on: in the episode that runs, where it begins at once and is observed after the next step, and in later
-        ones. target: as the argument of that name, None for that itself. rows: an index of them, by default all.
+        """Another target from now on: in the episode that runs, where it begins at once and is
+        observed after the next step, and in later ones. target: as the argument of that name, None
+        for that itself. rows: an index of them, by default all.
 
         Raises ConfigurationError, IndexError.
         """
         self._refuse("set_target", begun=True)
         every = np.arange(self.episodes.size)
         members = np.unique(every if rows is None else every[np.asarray(rows)])
-        self.episodes.set_target(Options.parse({"target": target}, type(self).__name__).target, members)
+        self.episodes.set_target(
+            Options.parse({"target": target}, type(self).__name__).target, members
+        )
 
     def _refuse(self, called: str, begun: bool) -> None:
         """Raises ClosedEnvironmentError after close, and ResetNeeded unless begun."""
@@ -88,21 +102,30 @@ class EpisodesEnv:
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and pickles go on from where it is."""
+    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and
+    pickles go on from where it is."""
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see `Options`.
+        """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see
+        `Options`.
 
-        Raises ConfigurationError, ValueError for other modes, gymnasium.error.Error where what a mode needs is not there.
+        Raises ConfigurationError, ValueError for other modes, gymnasium.error.Error where what a
+        mode needs is not there.
         """
         self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
         self._most_steps = np.inf
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds
+        and options, before anything changes."""
         self._refuse("reset", begun=True)
-        seed, given = None if seed is None else checked_count("seed", seed, 0), reset_options(options)
+        seed, given = (
+            None if seed is None else checked_count("seed", seed, 0),
+            reset_options(options),
+        )
         beginnings = self.episodes.beginnings(given, ONE)
         super().reset(seed=seed)
         self._begun = False
@@ -113,22 +136,35 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return of_row(self.episodes.observation(), 0), self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
+        """One control period. Raises ValueError or TypeError for an action of wrong shape or type
+        or with NaN, before anything changes."""
         if self.closed or not self._begun:
             self._refuse("step", self._begun)
-        self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
+        self.episodes.step(
+            checked_array("action", action, (self.episodes.model.tendon_count,))[None]
+        )
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated, truncated = info["diverged"], bool(self.episodes.step_count[0] >= self._most_steps)
+        terminated, truncated = (
+            info["diverged"],
+            bool(self.episodes.step_count[0] >= self._most_steps),
+        )
         if terminated:
             info["cause"] = self.episodes.cause(0)
-        return of_row(self.episodes.observation(), 0), float(self.episodes.reward[0]), terminated, truncated, info
+        return (
+            of_row(self.episodes.observation(), 0),
+            float(self.episodes.reward[0]),
+            terminated,
+            truncated,
+            info,
+        )
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it. Setting it puts the arm there, in mid-episode too: the target, commands on
-        their way, noise and past observations of the episode stay. Raises TypeError, ValueError where it is not one of this arm."""
+        """A copy of the arm's state, as `Simulation` has it. Setting it puts the arm there, in
+        mid-episode too: the target, commands on their way, noise and past observations of the
+        episode stay. Raises TypeError, ValueError where it is not one of this arm."""
         return self.episodes.state(0)
 
     @state.setter
@@ -145,29 +181,35 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return {name: value.item(0) for name, value in self.episodes.info().items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a render mode, and with "human": there
-        every reset and step shows itself in the viewer, no faster than in real time."""
+        """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a
+        render mode, and with "human": there every reset and step shows itself in the viewer, no
+        faster than in real time."""
         self._refuse("render", self._begun)
         frames = self._frames()
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Closes the environment and sends the viewer, which stays open, the rest; later calls raise ClosedEnvironmentError."""
+        """Closes the environment and sends the viewer, which stays open, the rest; later calls
+        raise ClosedEnvironmentError."""
         if self._renderer is not None:
             self._renderer.close()
         self.closed = True
 
 
 class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
-    """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
+    """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for
+    bit.
 
     Args:
         num_envs: rows.
         max_episode_steps: steps after which a row is truncated; None: never.
-        autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it ignores), "same_step" (at once; what it ended
-            with is in `info["final_obs"]` and `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
-        threads: at most this many; None: as many as there are processors, with at least eight rows each.
-        render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun viewer, in real time.
+        autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it
+            ignores), "same_step" (at once; what it ended with is in `info["final_obs"]` and
+            `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
+        threads: at most this many; None: as many as there are processors, with at least eight rows
+            each.
+        render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun
+            viewer, in real time.
         options: see `Options`.
     """
 
@@ -182,12 +224,26 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         """Raises ConfigurationError, ValueError or TypeError."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
-        self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
+        self.max_episode_steps = (
+            None
+            if max_episode_steps is None
+            else checked_count("max_episode_steps", max_episode_steps, 1)
+        )
         if autoreset_mode not in (*MODES, *MODES.values()):
-            problem = Problem(("autoreset_mode",), f"is {autoreset_mode!r}: {not_among(str(autoreset_mode), MODES)}")
+            problem = Problem(
+                ("autoreset_mode",),
+                f"is {autoreset_mode!r}: {not_among(str(autoreset_mode), MODES)}",
+            )
             raise ConfigurationError([problem], "environment")
-        self.autoreset_mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else MODES[autoreset_mode]
-        self._make(options, num_envs, None if threads is None else checked_count("threads", threads, 1), render_mode)
+        self.autoreset_mode = (
+            autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else MODES[autoreset_mode]
+        )
+        self._make(
+            options,
+            num_envs,
+            None if threads is None else checked_count("threads", threads, 1),
+            render_mode,
+        )
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -196,19 +252,29 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
 
-    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
 
-        options: the entries of `ResetOptions`, each a sequence of one value per row, None for what is usual.
-        seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
-        Raises ValueError or TypeError for bad seeds and options, before anything changes.
+        options: the entries of `ResetOptions`, each a sequence of one value per row, None for what
+        is usual. seed: an int s seeds row i with s + i; a list names one for each, None to go on
+        with its generator. Raises ValueError or TypeError for bad seeds and options, before
+        anything changes.
         """
         self._refuse("reset", begun=True)
-        members, seeds, given = self._all, row_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
+        members, seeds, given = (
+            self._all,
+            row_seeds(seed, self.num_envs),
+            reset_options(options, self.num_envs),
+        )
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
-                raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
+                raise ValueError(
+                    f"reset_mask should be a bool array of shape ({self.num_envs},) with at least"
+                    f" one true, not {mask!r}"
+                )
             members = np.flatnonzero(mask)
         if not self._begun and members.size < self.num_envs:
             raise ResetNeeded("the first reset should be of all rows")
@@ -221,7 +287,9 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self._begun = True
         for row in members.tolist() if given else ():
             self._most_steps[row] = min(given[row].episode_steps or np.inf, self._usual_steps)
-        return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool)) | self._drawn(members)
+        return self.episodes.observation(), self._info(
+            np.zeros(self.num_envs, dtype=bool)
+        ) | self._drawn(members)
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
         self.episodes.begin(members, [self.episodes.generators[row] for row in members], beginnings)
@@ -229,10 +297,15 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.begin(members)
 
-    def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One control period of every row. Raises ValueError or TypeError for bad actions, before
+        anything changes."""
         self._refuse("step", self._begun)
-        action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
+        action = checked_array(
+            "actions", actions, (self.num_envs, self.episodes.model.tendon_count)
+        )
         stepped, members, begun = ~self._ended, self._all, np.flatnonzero(self._ended)
         if begun.size:
             if self.autoreset_mode is AutoresetMode.DISABLED:
@@ -247,7 +320,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self._ended = terminated | truncated
         observation, info = self.episodes.observation(), self._info(stepped) | self._drawn(begun)
         if terminated.any():
-            causes = [self.episodes.cause(row) if failed else None for row, failed in enumerate(terminated.tolist())]
+            causes = [
+                self.episodes.cause(row) if failed else None
+                for row, failed in enumerate(terminated.tolist())
+            ]
             info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restart(observation, info)
@@ -258,19 +334,30 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
             final_obs[row] = of_row(observation, int(row))
-        final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
+        final_info = {
+            key: value & ended if key.startswith("_") else value for key, value in info.items()
+        }
         self._begin(begun := np.flatnonzero(ended))
-        final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
+        final = {
+            "final_obs": final_obs,
+            "_final_obs": ended,
+            "final_info": final_info,
+            "_final_info": ended,
+        }
         return self.episodes.observation(), {**self._info(~ended), **final, **self._drawn(begun)}
 
     def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
         """The episodes' info with its masks; rewards belong to rows that have stepped."""
         info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
-        return info | {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
+        return info | {
+            f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info
+        }
 
     def _drawn(self, begun: Indices) -> dict[str, Any]:
         """Info of what was drawn for rows that have just begun."""
-        return drawn_in_rows([self.episodes.drawn(row) for row in begun.tolist()], begun, self.num_envs)
+        return drawn_in_rows(
+            [self.episodes.drawn(row) for row in begun.tolist()], begun, self.num_envs
+        )
 
     @property
     def state(self) -> tuple[State, ...]:
@@ -294,8 +381,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.close()
 
 
-def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-    """Rewards (...) of goals (..., 3) [m], as hindsight experience replay asks for; a float for one. Raises ValueError for other shapes."""
+def compute_reward(
+    self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any
+) -> Any:
+    """Rewards (...) of goals (..., 3) [m], as hindsight experience replay asks for; a float for
+    one. Raises ValueError for other shapes."""
     reward = self.episodes.goal_reward(achieved_goal, desired_goal)
     return float(reward) if reward.ndim == 0 else reward
 
@@ -304,11 +394,14 @@ _CLASSES: dict[str, Any] = {}
 
 
 def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class]:
-    """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has `compute_reward`."""
+    """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has
+    `compute_reward`."""
     name = f"{task.name}{suffix}"
     if name not in _CLASSES or _CLASSES[name].task is not task:
         of_goals = {"compute_reward": compute_reward} if task.goal else {}
-        _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals})
+        _CLASSES[name] = type(
+            name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals}
+        )
     return _CLASSES[name]
 
 
@@ -318,12 +411,14 @@ def environment_class(task: Task) -> type[TendonRodEnv]:
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
+    """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every
+    call."""
     return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 
 def __getattr__(name: str) -> type[TendonRodEnv] | type[TendonRodVectorEnv]:
-    """`<name>Env` and `<name>VectorEnv` of every registered task: for Gymnasium's entry points, and for pickles."""
+    """`<name>Env` and `<name>VectorEnv` of every registered task: for Gymnasium's entry points, and
+    for pickles."""
     if name.endswith("VectorEnv"):
         return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
     return environment_class(task_of_class(name, "Env", __name__))

@@ -14,20 +14,29 @@ from soft_tendon_env.tools.types import Array
 
 RENDER_MODES = ("rgb_array", "human")
 LIVE = "soft_tendon_env.recording.live:LiveRows"
-"""Entry point of the renderer of "human", which is imported when an environment is made with it: Rerun is an extra."""
+"""Entry point of the renderer of "human", which is imported when an environment is made with it:
+Rerun is an extra."""
 TRAIL = 250  # tip positions that are shown
 
 Frames = tuple[NDArray[np.uint8], ...]
 
 
 def make_renderer(episodes: Episodes, render_mode: str | None) -> Any:
-    """The renderer of a mode, which has the methods of RowRenderer; None for None. Raises ValueError for other modes, gymnasium.error.Error
-    where a package is missing or the viewer cannot be opened."""
+    """The renderer of a mode, which has the methods of RowRenderer; None for None. Raises
+    ValueError for other modes, gymnasium.error.Error where a package is missing or the viewer
+    cannot be opened."""
     if render_mode is None:
         return None
     if render_mode not in RENDER_MODES:
-        raise ValueError(f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not {render_mode!r}")
-    return RowRenderer(episodes) if render_mode == "rgb_array" else pkgutil.resolve_name(LIVE)(episodes)
+        raise ValueError(
+            f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not"
+            f" {render_mode!r}"
+        )
+    return (
+        RowRenderer(episodes)
+        if render_mode == "rgb_array"
+        else pkgutil.resolve_name(LIVE)(episodes)
+    )
 
 
 class RowRenderer:
@@ -64,7 +73,9 @@ class RowRenderer:
     def _picture(self, row: int) -> Picture:
         episodes = self._episodes
         units = {name: error_unit(name) for name in episodes.errors}
-        errors = "   ".join(f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items())
+        errors = "   ".join(
+            f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items()
+        )
         return Picture(
             strain=episodes.model.grid.unpacked(episodes.arms.rows.xi[row]),
             tension=episodes.tension[row],

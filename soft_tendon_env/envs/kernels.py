@@ -1,4 +1,5 @@
-"""Compiled kernels of the environments, of all rows at once: targets ahead and pose errors, scaled observations, reward terms."""
+"""Compiled kernels of the environments, of all rows at once: targets ahead and pose errors, scaled
+observations, reward terms."""
 
 import math
 
@@ -14,7 +15,8 @@ EFFORT, SMOOTHNESS = -1, -2  # codes of the reward terms that do not come from a
 
 
 class TargetTable(Struct):
-    """Targets of rows at as many steps as there is `room` for, that of a step at its number modulo `room`."""
+    """Targets of rows at as many steps as there is `room` for, that of a step at its number modulo
+    `room`."""
 
     pose: np.ndarray  # (rows, room, 4, 4) of the tip
     other: np.ndarray  # (rows, room, size) twists and what else belongs to them, side by side
@@ -23,8 +25,9 @@ class TargetTable(Struct):
 
 @kernel
 def targets_ahead(table, step_count, tip_pose, pose, other, error, off):
-    """Targets of rows at their step_count (rows,) and ahead of it: poses (rows, m, 4, 4), what else belongs to them (rows, m, size), and
-    the twists error (rows, m, 6) to the poses from tip_pose (rows, 4, 4); off (2, rows): distance [m] and angle [rad] to the first."""
+    """Targets of rows at their step_count (rows,) and ahead of it: poses (rows, m, 4, 4), what else
+    belongs to them (rows, m, size), and the twists error (rows, m, 6) to the poses from tip_pose
+    (rows, 4, 4); off (2, rows): distance [m] and angle [rad] to the first."""
     for row in range(step_count.size):
         for j in range(table.ahead.size):
             place = (step_count[row] + table.ahead[j]) % table.pose.shape[1]
@@ -47,7 +50,9 @@ def scale_and_clip(values, scale, bound, out):
     for row in range(values.shape[0]):
         for i in range(values.shape[1]):
             x = values[row, i] * scale[i]
-            out[row, i] = -bound[i] if x < -bound[i] else bound[i] if x > bound[i] else x  # nan stays nan
+            out[row, i] = (
+                -bound[i] if x < -bound[i] else bound[i] if x > bound[i] else x
+            )  # nan stays nan
 
 
 class TermTable(Struct):
@@ -82,7 +87,8 @@ def economy(values, most):
 
 @kernel
 def reward_terms(table, errors, command, action_change, terms, reward):
-    """Terms (terms, rows) and reward (rows,) of errors (rows, errors), commands (rows, n_a) as applied and changes of the action."""
+    """Terms (terms, rows) and reward (rows,) of errors (rows, errors), commands (rows, n_a) as
+    applied and changes of the action."""
     for row in range(reward.size):
         total = 0.0
         for i in range(table.of.size):

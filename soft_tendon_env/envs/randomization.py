@@ -1,4 +1,5 @@
-"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by default."""
+"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by
+default."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -14,7 +15,14 @@ from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.scene.parameters import TABLES, Range, dotted_ranges, ranges_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.sections import Stiffness
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    Problem,
+    not_among,
+    plain,
+    shown,
+)
 from soft_tendon_env.tools.types import Array
 
 GREATEST = 1e9  # largest absolute value of gains, offsets and latencies that can be drawn
@@ -37,7 +45,11 @@ OF_STIFFNESS = {
 
 def _as_range(value: Any) -> Any:
     ends = value if isinstance(value, tuple) else (value, value)
-    if len(ends) != 2 or not all(type(end) in (int, float) for end in ends) or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
+    if (
+        len(ends) != 2
+        or not all(type(end) in (int, float) for end in ends)
+        or not -GREATEST <= ends[0] <= ends[1] <= GREATEST
+    ):
         raise ValueError(f"should be a number, or (least, greatest), within ±{GREATEST:g}")
     return ends
 
@@ -56,15 +68,18 @@ class Randomization(Configuration):
     """Drawn at every reset, uniformly from (least, greatest); a plain number is a constant.
 
     Attributes:
-        numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the other attributes:
-            `{"segments.*.young_modulus": ...}`. A value is a number or a range; `{"factor": ...}` or `{"offset": ...}`, with one, of what
-            the scene says; of a vector a list with one for each entry. All that a `*` stands for changes together. `stiffness`, `damping`
-            and `density` are short for factors of the whole rod, `payload` for a mass that is added to that of the tip [kg].
+        numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the
+            other attributes: `{"segments.*.young_modulus": ...}`. A value is a number or a range;
+            `{"factor": ...}` or `{"offset": ...}`, with one, of what the scene says; of a vector a
+            list with one for each entry. All that a `*` stands for changes together. `stiffness`,
+            `damping` and `density` are short for factors of the whole rod, `payload` for a mass
+            that is added to that of the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
         noise: of sensors.
-        omit: probability with which an episode leaves out each of the above: a number is as the scene says, gains are 1, offsets,
-            latency and noise 0. Without it nearly all arms differ in every way.
+        omit: probability with which an episode leaves out each of the above: a number is as the
+            scene says, gains are 1, offsets, latency and noise 0. Without it nearly all arms differ
+            in every way.
     """
 
     numbers: dict[str, Any] = Field(default_factory=dict)
@@ -85,14 +100,23 @@ class Randomization(Configuration):
         ]
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        super().__init__(**fields | {"numbers": _in_full(dotted_ranges(plain({**fields.get("numbers", {}), **table})))})
+        super().__init__(
+            **fields
+            | {"numbers": _in_full(dotted_ranges(plain({**fields.get("numbers", {}), **table})))}
+        )
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
-        """The ranges of numbers of a scene, in the order of their keys. Raises ConfigurationError."""
+        """The ranges of numbers of a scene, in the order of their keys. Raises
+        ConfigurationError."""
         try:
-            return ranges_of(scene, {_whole_rod(scene, *drawn): drawn[1] for drawn in sorted(self.numbers.items())})
+            return ranges_of(
+                scene,
+                {_whole_rod(scene, *drawn): drawn[1] for drawn in sorted(self.numbers.items())},
+            )
         except ConfigurationError as error:
-            raise ConfigurationError([Problem(("randomize", *key), text) for key, text in error.problems], "environment") from None
+            raise ConfigurationError(
+                [Problem(("randomize", *key), text) for key, text in error.problems], "environment"
+            ) from None
 
     @property
     def of_actuators(self) -> bool:
@@ -101,28 +125,45 @@ class Randomization(Configuration):
 
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Ranges by the keys that short names stand for, without those that change nothing. Raises ConfigurationError."""
+    """Ranges by the keys that short names stand for, without those that change nothing. Raises
+    ConfigurationError."""
     found: dict[str, Any] = {}
     for name, value in numbers.items():
         key, kind = SHORT.get(name, (name, ""))
         if key in found:
-            raise ConfigurationError([Problem((name,), f"is {key}, which is drawn already: leave one of them out")])
+            raise ConfigurationError(
+                [Problem((name,), f"is {key}, which is drawn already: leave one of them out")]
+            )
         found[key] = {kind: value} if kind else value
     return found
 
 
 def _whole_rod(scene: Scene, name: str, value: Any) -> str:
     """The key of a number, with the others that a factor of it means in some segments."""
-    mixed = isinstance(value, dict) and "factor" in value and any(isinstance(part.section, Stiffness) for part in scene.segments)
-    return "|".join([name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)])
+    mixed = (
+        isinstance(value, dict)
+        and "factor" in value
+        and any(isinstance(part.section, Stiffness) for part in scene.segments)
+    )
+    return "|".join(
+        [name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)]
+    )
 
 
-def drawn_in_rows(infos: Sequence[Mapping[str, Any]], members: Indices, rows: int) -> dict[str, Any]:
-    """Infos of what was drawn for `members` as one of all rows, as Gymnasium has tables in it: arrays (rows, ..), each beside its mask."""
+def drawn_in_rows(
+    infos: Sequence[Mapping[str, Any]], members: Indices, rows: int
+) -> dict[str, Any]:
+    """Infos of what was drawn for `members` as one of all rows, as Gymnasium has tables in it:
+    arrays (rows, ..), each beside its mask."""
     if not any(infos):
         return {}
-    found, of_row = dict[str, Any](), {int(row): info[DRAWN] for row, info in zip(members, infos, strict=True)}
-    for key in dict.fromkeys(key for drawn in of_row.values() for key in drawn):  # some rows may leave it out
+    found, of_row = (
+        dict[str, Any](),
+        {int(row): info[DRAWN] for row, info in zip(members, infos, strict=True)},
+    )
+    for key in dict.fromkeys(
+        key for drawn in of_row.values() for key in drawn
+    ):  # some rows may leave it out
         mask = np.array([key in of_row.get(row, ()) for row in range(rows)])
         values = np.array([of_row[row][key] for row in np.flatnonzero(mask).tolist()])
         found |= {key: np.zeros((rows, *values.shape[1:])), f"_{key}": mask}
@@ -142,10 +183,17 @@ class Measured(NamedTuple):
 class Sensors:
     """Rows of noisy sensors."""
 
-    def __init__(self, noise: SensorNoise, rows: int, tendons: int, sensors: int, omit: float) -> None:
+    def __init__(
+        self, noise: SensorNoise, rows: int, tendons: int, sensors: int, omit: float
+    ) -> None:
         """omit: probability with which an episode has no noise."""
-        of_pose, of_lengths = np.repeat([noise.position, noise.rotation], 3), np.full(tendons, noise.length)
-        self._deviation = np.concatenate([of_pose, of_lengths, noise.of_strains(sensors), noise.of_strain_rates(sensors)])
+        of_pose, of_lengths = (
+            np.repeat([noise.position, noise.rotation], 3),
+            np.full(tendons, noise.length),
+        )
+        self._deviation = np.concatenate(
+            [of_pose, of_lengths, noise.of_strains(sensors), noise.of_strain_rates(sensors)]
+        )
         ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
         self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
@@ -160,7 +208,9 @@ class Sensors:
     def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
         """Sensor readings of true ones; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
-            self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
+            self._noise[row] = (
+                self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
+            )
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK] * self._is_noisy
         position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
         pose, turn = np.empty_like(reading.tip_pose), np.zeros((len(rotation), 1, 6))
@@ -168,4 +218,9 @@ class Sensors:
         move_poses(reading.tip_pose, turn, pose[:, None])
         pose[:, :3, 3] += position
         strain, rate = strain.reshape(reading.strain.shape), rate.reshape(reading.strain_rate.shape)
-        return Measured(pose, reading.tendon_length + length, reading.strain + strain, reading.strain_rate + rate)
+        return Measured(
+            pose,
+            reading.tendon_length + length,
+            reading.strain + strain,
+            reading.strain_rate + rate,
+        )

@@ -1,7 +1,8 @@
-"""How the arms of rows begin: at rest, with numbers of their own where those are drawn, clear of obstacles.
+"""How the arms of rows begin: at rest, with numbers of their own where those are drawn, clear of
+obstacles.
 
-Making an arm takes longer than a reset. So an environment has BANK arms, which follow from its scene and its ranges alone. An episode takes
-the one whose number its generator draws.
+Making an arm takes longer than a reset. So an environment has BANK arms, which follow from its
+scene and its ranges alone. An episode takes the one whose number its generator draws.
 """
 
 import contextlib
@@ -24,9 +25,12 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
-BANK = 64  # arms of an environment that draws numbers of its scene, four times as many if it omits some
+# arms of an environment that draws numbers of its scene, four times as many if it omits some
+BANK = 64
 REDRAWS = 20  # times that an arm of the bank is drawn again which begins inside of drawn obstacles
-DRAWS = 4  # numbers that an episode takes from its generator before anything else, of which the first chooses the arm
+# numbers that an episode takes from its generator before anything else, of which the first chooses
+# the arm
+DRAWS = 4
 
 
 class Drawn(NamedTuple):
@@ -40,26 +44,34 @@ class Drawn(NamedTuple):
 class Starts:
     """Beginnings of rows of arms.
 
-    The scene's arm rests at `q` (n,) under the `tension` (n_a,) [N] nearest to zero within `limits` (n_a, 2), which `command` (n_a,) holds;
-    `setting`: of its targets; `numbers`: drawn ones by row. Arms that need no search for where they rest are made at once, others when
-    they are first drawn.
+    The scene's arm rests at `q` (n,) under the `tension` (n_a,) [N] nearest to zero within `limits`
+    (n_a, 2), which `command` (n_a,) holds; `setting`: of its targets; `numbers`: drawn ones by row.
+    Arms that need no search for where they rest are made at once, others when they are first drawn.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
-        """Raises ConfigurationError where the arm, or one at an end of the ranges, cannot be, does not rest, or begins in an obstacle."""
+        """Raises ConfigurationError where the arm, or one at an end of the ranges, cannot be, does
+        not rest, or begins in an obstacle."""
         self._arms, self._model = arms, arms.model
         self.limits = arms.model.discretisation.tension_limits.copy()
         self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
         self.q, reason = self._settle(arms.model)
         if reason:
-            raise _problem(("scene",), f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}")
+            raise _problem(
+                ("scene",),
+                f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N:"
+                f" {reason}",
+            )
         self.command = arms.model.command(self.tension, self.q)
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
         if arms.model.scene.effects.contact is not None:
             free = ObstacleFreeSpace(arms)
             if free.holds(self.q[None]).all():  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
-        self._usual, self._ranges = Drawn(arms.model, self.q), options.randomize.ranges(arms.model.scene)
+        self._usual, self._ranges = (
+            Drawn(arms.model, self.q),
+            options.randomize.ranges(arms.model.scene),
+        )
         self._omit = options.randomize.omit
         self._bank, self.numbers = dict[int, Drawn](), dict[int, Mapping[str, float]]()
         self._make_bank()
@@ -68,15 +80,28 @@ class Starts:
         return {**self.__dict__, "_bank": {}}  # whose arms can be made again
 
     def _make_bank(self) -> None:
-        """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms that need no search."""
+        """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms
+        that need no search."""
         for drawn in self._ranges:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
         size = 4 * BANK if self._omit else BANK
-        self._size = size if self._omit or any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
-        self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for drawn in self._ranges for key in drawn.keys)
-        soft = np.array([bool(re.search(r"\.(young_modulus|bending)\b", drawn.name)) for drawn in self._ranges])
-        for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
+        self._size = (
+            size if self._omit or any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
+        )
+        self._redraws = REDRAWS * any(
+            key.startswith("effects.contact.obstacles.")
+            for drawn in self._ranges
+            for key in drawn.keys
+        )
+        soft = np.array(
+            [bool(re.search(r"\.(young_modulus|bending)\b", drawn.name)) for drawn in self._ranges]
+        )
+        for shares in (
+            (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft)
+            if self._ranges and not self._redraws
+            else ()
+        ):
             self._make_arm(shares)
         for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):
             self._arm(number)
@@ -89,9 +114,15 @@ class Starts:
         return drawn
 
     def shares(self) -> Array:
-        """How far from the least to the greatest of every range (rows, ranges) the arms of rows are, 0 to 1."""
+        """How far from the least to the greatest of every range (rows, ranges) the arms of rows
+        are, 0 to 1."""
         drawn = [one for one in self._ranges if one.least < one.greatest]
-        return np.array([[one.share(self.numbers.get(row, {})) for one in drawn] for row in range(self._arms.size)])
+        return np.array(
+            [
+                [one.share(self.numbers.get(row, {})) for one in drawn]
+                for row in range(self._arms.size)
+            ]
+        )
 
     def _arm(self, number: int) -> Drawn:
         """The arm of that number. Raises ConfigurationError."""
@@ -102,25 +133,33 @@ class Starts:
             for left in range(self._redraws, -1, -1):
                 with contextlib.suppress(*[ConfigurationError] * (left > 0)):
                     shares = random.random(len(self._ranges))
-                    self._bank[number] = self._make_arm(shares, random.random(shares.size) < self._omit if self._omit else None)
+                    self._bank[number] = self._make_arm(
+                        shares, random.random(shares.size) < self._omit if self._omit else None
+                    )
                     break
         return self._bank[number]
 
     def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
-        """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones. Raises ConfigurationError."""
+        """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
+        Raises ConfigurationError."""
         changes: dict[str, float] = {}
         for i, (drawn, share) in enumerate(zip(self._ranges, shares.tolist(), strict=True)):
             if omitted is None or not omitted[i]:
                 changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
         model = self._model_with(changes)
-        q, reason = self._settle(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
+        q, reason = (
+            self._settle(model)
+            if model.arm.effects.load or self.tension.any() or self._redraws
+            else (self.q, "")
+        )
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
         return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
-        """The model with these numbers of the scene, which the range of that key draws. Raises ConfigurationError."""
+        """The model with these numbers of the scene, which the range of that key draws. Raises
+        ConfigurationError."""
         try:
             model = self._model.with_scene(scene_with_numbers(self._model.scene, changes))
             model.metric  # noqa: B018 # there is one where the arm holds the loads inside of its strain
@@ -133,7 +172,8 @@ class Starts:
         return model
 
     def _settle(self, model: Model) -> tuple[Array, str]:
-        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and why it does not; "": it does."""
+        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and
+        why it does not; "": it does."""
         rest = static_equilibrium(model, self.tension, settle=True)
         return rest.q, why_inside(model, rest.q) or rest.reason
 

@@ -1,6 +1,8 @@
-"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm and a task.
+"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm
+and a task.
 
-A task is one object, here or in a file of a user: `register_task(Task(...))`; `examples/own_task.py` is one from outside.
+A task is one object, here or in a file of a user: `register_task(Task(...))`;
+`examples/own_task.py` is one from outside.
 """
 
 import re
@@ -9,7 +11,17 @@ from dataclasses import dataclass, field
 
 from soft_tendon_env.envs.observation import GROUPS, Group
 from soft_tendon_env.envs.targets import TARGETS
-from soft_tendon_env.envs.tracking import ANGLE, BACKBONE, COORDINATES, OWN_TERMS, POSITION, TERMS, Term, Tracking, TrackingError
+from soft_tendon_env.envs.tracking import (
+    ANGLE,
+    BACKBONE,
+    COORDINATES,
+    OWN_TERMS,
+    POSITION,
+    TERMS,
+    Term,
+    Tracking,
+    TrackingError,
+)
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, id_of, register_environment
 from soft_tendon_env.tools.configuration import not_among, not_registered
 
@@ -26,12 +38,15 @@ class Task:
         name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
         description: the environments' docstring.
         target: name of the target unless options say otherwise, see targets/.
-        observations: names of the groups of each named choice of the option `observation`, "full" the default.
+        observations: names of the groups of each named choice of the option `observation`, "full"
+            the default.
         errors: what is measured at every step, the first of them what is to settle.
-        reward: default weights by term: those of `errors`, "effort", "smoothness", and those of `register_reward_term`. Not for goals.
+        reward: default weights by term: those of `errors`, "effort", "smoothness", and those of
+            `register_reward_term`. Not for goals.
         groups: observation groups of the task's own, besides those of observation.py.
         reference: groups that give a controller its reference, where it observes the coordinates.
-        measured_reference: groups that give a controller its reference, where a state estimator finds the coordinates.
+        measured_reference: groups that give a controller its reference, where a state estimator
+            finds the coordinates.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
         goal: for goal-conditioned tasks, what their goals (3,) [m] are.
     """
@@ -51,13 +66,24 @@ class Task:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        return {**OWN_TERMS, **{name: term for error in self.errors for name, term in error.terms.items()}, **TERMS}
+        return {
+            **OWN_TERMS,
+            **{name: term for error in self.errors for name, term in error.terms.items()},
+            **TERMS,
+        }
 
     @property
     def observable(self) -> dict[str, Group]:
         """The groups that the task has, by name: those whose quantities its target has."""
-        lacks = {name for name, group in GROUPS.items() if group.of_shape and not self.shapes or group.of_target and self.goal is not None}
-        return {**{name: group for name, group in GROUPS.items() if name not in lacks}, **self.groups}
+        lacks = {
+            name
+            for name, group in GROUPS.items()
+            if group.of_shape and not self.shapes or group.of_target and self.goal is not None
+        }
+        return {
+            **{name: group for name, group in GROUPS.items() if name not in lacks},
+            **self.groups,
+        }
 
     def __reduce__(self) -> str:
         return self.name  # pickled by name, since its functions have none; copies share it
@@ -73,27 +99,39 @@ TASKS: dict[str, Task] = {}
 
 
 def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
-    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to `make_policy`; returns the task.
+    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to
+    `make_policy`; returns the task.
 
-    A second task of the same name replaces the first. Raises ValueError for another name than one word in capitals, and for a target or
-    a group that does not exist.
+    A second task of the same name replaces the first. Raises ValueError for another name than one
+    word in capitals, and for a target or a group that does not exist.
     """
     if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
-        raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
-    groups = [*task.reference, *task.measured_reference, *(name for names in task.observations.values() for name in names)]
+        raise ValueError(
+            f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}"
+        )
+    groups = [
+        *task.reference,
+        *task.measured_reference,
+        *(name for names in task.observations.values() for name in names),
+    ]
     for names, valid in (([task.target], [*TARGETS]), (groups, [*task.observable])):
         if unknown := [name for name in names if name not in valid]:
-            raise ValueError(f"the task {task.name} names {unknown[0]!r}: {not_among(unknown[0], valid)}")
+            raise ValueError(
+                f"the task {task.name} names {unknown[0]!r}: {not_among(unknown[0], valid)}"
+            )
     TASKS[task.name] = task
     register_environment(task.name, max_episode_steps)
     return task
 
 
 def task_of_class(name: str, suffix: str, module: str) -> Task:
-    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for what they do not have."""
+    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for
+    what they do not have."""
     task = name.removesuffix(suffix)
     if not name.endswith(suffix) or task not in TASKS:
-        raise AttributeError(f"module {module!r} has no attribute {name!r}; of tasks, {not_registered(task, TASKS)}")
+        raise AttributeError(
+            f"module {module!r} has no attribute {name!r}; of tasks, {not_registered(task, TASKS)}"
+        )
     return TASKS[task]
 
 
@@ -107,46 +145,67 @@ TIP_POSE = register_task(
         name="TipPose",
         description="""
 ## Description
-The policy moves the tip of a tendon-driven soft arm along a moving pose: position and orientation. The arm is a Cosserat rod
-with the statics-based reduced dynamics of Mathew, Renda et al. (RA-L 2024). The default arm is the paper's, 1 m long with ten
-tendons.
+The policy moves the tip of a tendon-driven soft arm along a moving pose: position and orientation.
+The arm is a Cosserat rod with the statics-based reduced dynamics of Mathew, Renda et al. (RA-L
+2024). The default arm is the paper's, 1 m long with ten tendons.
 
 ## Action Space
-`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. -1 and 1 are the largest decrease and increase of a
-tension in one control period: `tension_rate`, 100 N/s, times 20 ms is 2 N. Tensions stay within their limits, 0 and 60 N on the default
-arm: tendons pull and do not push. With `action="tension"`, -1 and 1 are these limits, and tensions may jump.
+`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. -1 and 1 are the
+largest decrease and increase of a tension in one control period: `tension_rate`, 100 N/s, times 20
+ms is 2 N. Tensions stay within their limits, 0 and 60 N on the default arm: tendons pull and do not
+push. With `action="tension"`, -1 and 1 are these limits, and tensions may jump.
 
 ## Observation Space
-`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, tip_twist, target_error, target_twist,
-preview, last_action. Each is scaled to about 1 and clipped to ±10, the two errors of the target to ±100. The option `observation`
-chooses others, see docs/reference/environments.md.
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, tip_twist,
+target_error, target_twist, preview, last_action. Each is scaled to about 1 and clipped to ±10, the
+two errors of the target to ±100. The option `observation` chooses others, see
+docs/reference/environments.md.
 
 ## Rewards
-The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as
-`reward_<term>`.
+The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info`
+has each term as `reward_<term>`.
 
-- `graded_position` (weight 1) and `graded_angle` (0.25) are the mean of 1 / (1 + (error / scale)^2) over three scales: 0.2, 0.02 and 0.002
-  lengths of the rod, and 2, 0.2 and 0.02 rad.
+- `graded_position` (weight 1) and `graded_angle` (0.25) are the mean of 1 / (1 + (error / scale)^2)
+  over three scales: 0.2, 0.02 and 0.002 lengths of the rod, and 2, 0.2 and 0.02 rad.
 - `effort` (0.02) is 1 minus the mean square tension, as a share of the limits.
 - `smoothness` (0.1) is 1 minus a quarter of the mean square change of the action.
 - `position` and `angle`, weight 0 by default, have one scale, 0.05 lengths and 0.5 rad.
 
 ## Starting State
-The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random motion
-through poses that the arm can hold. `reset(options=...)` sets both.
+The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it
+is a closed smooth random motion through poses that the arm can hold. `reset(options=...)` sets
+both.
 
 ## Episode End
-An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is given `max_episode_steps`. It
-is terminated if no time step of the simulation succeeds, however small. Then `info["diverged"]` is true, `info["cause"]` says
-why, and the observation is the last good one.
+An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is
+given `max_episode_steps`. It is terminated if no time step of the simulation succeeds, however
+small. Then `info["diverged"]` is true, `info["cause"]` says why, and the observation is the last
+good one.
 
 ## Arguments
 Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
 """,
         target="random",
         observations={
-            "full": ("coordinates", "rates", *TIP, "tip_twist", "target_error", "target_twist", "preview", "last_action"),
-            "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_twist", "preview", "last_action"),
+            "full": (
+                "coordinates",
+                "rates",
+                *TIP,
+                "tip_twist",
+                "target_error",
+                "target_twist",
+                "preview",
+                "last_action",
+            ),
+            "measurable": (
+                *TIP,
+                "tendon_lengths",
+                "strain",
+                "target_error",
+                "target_twist",
+                "preview",
+                "last_action",
+            ),
         },
         errors=(POSITION, ANGLE),
         reward={"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
@@ -160,23 +219,40 @@ SHAPE = register_task(
         name="Shape",
         description="""
 ## Description
-The policy moves the whole arm through a sequence of shapes: the static equilibria under given tensions (shape control of Mathew,
-Renda et al., RA-L 2024, Section IV-A). Actions, episode end and arguments are those of `TipPoseEnv`. The target must be defined by
-tensions; with `target="ramp"` it is the paper's: tensions rise from rest for 2.5 s and are then held.
+The policy moves the whole arm through a sequence of shapes: the static equilibria under given
+tensions (shape control of Mathew, Renda et al., RA-L 2024, Section IV-A). Actions, episode end and
+arguments are those of `TipPoseEnv`. The target must be defined by tensions; with `target="ramp"` it
+is the paper's: tensions rise from rest for 2.5 s and are then held.
 
 ## Observation Space
-`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, target_coordinates, coordinate_preview,
-last_action. See docs/reference/environments.md.
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation,
+target_coordinates, coordinate_preview, last_action. See docs/reference/environments.md.
 
 ## Rewards
-As in `TipPoseEnv`, with the term `graded_backbone` (weight 1) in place of position and angle. Its error is the root mean square
-distance between the backbone and the target, with the scales of `graded_position`. `backbone`, `coordinates` (norm of the coordinates'
-error) and `position` are further terms, and their graded ones, with weight 0 by default.
+As in `TipPoseEnv`, with the term `graded_backbone` (weight 1) in place of position and angle. Its
+error is the root mean square distance between the backbone and the target, with the scales of
+`graded_position`. `backbone`, `coordinates` (norm of the coordinates' error) and `position` are
+further terms, and their graded ones, with weight 0 by default.
 """,
         target="random",
         observations={
-            "full": ("coordinates", "rates", *TIP, "target_coordinates", "coordinate_preview", "last_action"),
-            "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_lengths", "preview", "last_action"),
+            "full": (
+                "coordinates",
+                "rates",
+                *TIP,
+                "target_coordinates",
+                "coordinate_preview",
+                "last_action",
+            ),
+            "measurable": (
+                *TIP,
+                "tendon_lengths",
+                "strain",
+                "target_error",
+                "target_lengths",
+                "preview",
+                "last_action",
+            ),
         },
         errors=(BACKBONE, COORDINATES, POSITION),
         reward={"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
@@ -191,21 +267,24 @@ REACH = register_task(
         name="Reach",
         description="""
 ## Description
-The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned. Actions, starting state, episode
-end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned.
+Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument
+`threshold`.
 
 ## Observation Space
-`Dict` with three entries. `observation` has the groups coordinates, rates, tip_position, tip_rotation, tip_twist, last_action.
-`achieved_goal` and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
+`Dict` with three entries. `observation` has the groups coordinates, rates, tip_position,
+tip_rotation, tip_twist, last_action. `achieved_goal` and `desired_goal` are tip positions in
+metres, `Box((3,), float32)`.
 
 ## Rewards
-`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is the mean of
-1 / (1 + (distance / scale)^2) over scales of 20, 2 and 0.2 thresholds. `compute_reward(achieved_goal, desired_goal, info)` gives the
-same for many goals.
+`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0.
+`reward="dense"` is the mean of 1 / (1 + (distance / scale)^2) over scales of 20, 2 and 0.2
+thresholds. `compute_reward(achieved_goal, desired_goal, info)` gives the same for many goals.
 
 ## Starting State
-The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the tip begins is drawn
-again; a goal that is given stays. Reaching it does not end the episode; `info["is_success"]` says whether the tip is there.
+The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of
+where the tip begins is drawn again; a goal that is given stays. Reaching it does not end the
+episode; `info["is_success"]` says whether the tip is there.
 """,
         target="hold",
         observations={

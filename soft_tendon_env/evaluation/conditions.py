@@ -1,4 +1,5 @@
-"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the episodes."""
+"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the
+episodes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,8 +16,8 @@ AND = ","  # between the names of conditions that hold together
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes of the scene by dotted keys, and other
-    options of the environment."""
+    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes
+    of the scene by dotted keys, and other options of the environment."""
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
@@ -24,11 +25,21 @@ class Condition:
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The given options of an environment under this condition, which overrides what they have drawn."""
+        """The given options of an environment under this condition, which overrides what they have
+        drawn."""
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
-        arm = {"scene": {**(scene if isinstance(scene, Mapping) else {"scene": scene}), **changes}} if changes else {}
-        return {**given, **arm, **self.others, "randomize": {**plain(given.get("randomize", {})), **self.randomize}}
+        arm = (
+            {"scene": {**(scene if isinstance(scene, Mapping) else {"scene": scene}), **changes}}
+            if changes
+            else {}
+        )
+        return {
+            **given,
+            **arm,
+            **self.others,
+            "randomize": {**plain(given.get("randomize", {})), **self.randomize},
+        }
 
 
 MODEL_ERRORS: dict[str, Condition] = {
@@ -50,29 +61,57 @@ def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
     length = rod_length(scene)
     loads = [
-        {"at": place, "force": [0.0, 0.0, 0.0], "signal": {"type": "pulse", "start": start, "duration": duration}}
-        for place, start, duration in ((length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6))
+        {
+            "at": place,
+            "force": [0.0, 0.0, 0.0],
+            "signal": {"type": "pulse", "start": start, "duration": duration},
+        }
+        for place, start, duration in (
+            (length, 1.5, 0.2),
+            (0.5 * length, 3.0, 0.4),
+            (length, 4.5, 0.6),
+        )
     ]
     return {"effects.disturbance.loads": loads}
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
-    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one along z, and begin beside it."""
+    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one
+    along z, and begin beside it."""
     length, base, balls = rod_length(scene), scene.base.pose, list[dict[str, Any]]()
-    for place, amplitude, often in ((0.4, [0.0, 0.25 * length, 0.0], 0.3), (0.6, [0.0, 0.0, 0.25 * length], 0.4)):
-        swing = {"amplitude": (base[:3, :3] @ amplitude).tolist(), "frequency": often, "phase": 90.0}
+    for place, amplitude, often in (
+        (0.4, [0.0, 0.25 * length, 0.0], 0.3),
+        (0.6, [0.0, 0.0, 0.25 * length], 0.4),
+    ):
+        swing = {
+            "amplitude": (base[:3, :3] @ amplitude).tolist(),
+            "frequency": often,
+            "phase": 90.0,
+        }
         middle = base[:3, 3] + place * length * base[:3, 0]
-        balls.append({"type": "sphere", "radius": 0.05 * length, "position": middle.tolist(), **swing})
+        balls.append(
+            {"type": "sphere", "radius": 0.05 * length, "position": middle.tolist(), **swing}
+        )
     return {"effects.contact": {"obstacles": balls}}
 
 
 SETTINGS: dict[str, Condition] = {
     NOMINAL: MODEL_ERRORS[NOMINAL],
-    "easy": Condition("nominal, and targets that are slower and nearer", others={"difficulty": "easy"}),
-    "hard": Condition("nominal, and targets that are quicker and farther off", others={"difficulty": "hard"}),
+    "easy": Condition(
+        "nominal, and targets that are slower and nearer", others={"difficulty": "easy"}
+    ),
+    "hard": Condition(
+        "nominal, and targets that are quicker and farther off", others={"difficulty": "hard"}
+    ),
     "model_errors": Condition(
         "stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together",
-        {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)},
+        {
+            "stiffness": (0.8, 1.2),
+            "damping": (0.5, 2.0),
+            "payload": (0.0, 0.02),
+            "tension_gain": (0.9, 1.1),
+            "latency": (0.0, 0.02),
+        },
     ),
     "latency": Condition("commands that arrive 0 to 60 ms late", {"latency": (0.0, 0.06)}),
     "load": Condition(
@@ -82,8 +121,16 @@ SETTINGS: dict[str, Condition] = {
     ),
     "actuation": Condition(
         "friction of tendons (coefficient up to 0.1) and first-order lag of actuators (5 to 40 ms)",
-        {"effects": {"tendon_friction.coefficient": (0.0, 0.1), "actuators.time_constant": (0.005, 0.04)}},
-        lambda scene: {"effects.tendon_friction.coefficient": 0.05, "effects.actuators.time_constant": 0.03},
+        {
+            "effects": {
+                "tendon_friction.coefficient": (0.0, 0.1),
+                "actuators.time_constant": (0.005, 0.04),
+            }
+        },
+        lambda scene: {
+            "effects.tendon_friction.coefficient": 0.05,
+            "effects.actuators.time_constant": 0.03,
+        },
     ),
     "obstacles": Condition(
         "two balls that swing through the middle of the arm's space and push it aside",
@@ -105,18 +152,25 @@ SETTINGS: dict[str, Condition] = {
 
 
 def model_error(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g". Raises ValueError for unknown names, and
-    where two set the same value."""
+    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g".
+    Raises ValueError for unknown names, and where two set the same value."""
     parts = list[Condition]()
     for name in names.split(AND):
         if name not in MODEL_ERRORS:
-            raise ValueError(f"names {name!r}: {not_among(name, MODEL_ERRORS)}; several at once with {AND!r} between them")
+            raise ValueError(
+                f"names {name!r}: {not_among(name, MODEL_ERRORS)}; several at once with {AND!r}"
+                " between them"
+            )
         parts.append(MODEL_ERRORS[name])
     keys = [key for part in parts for key in part.randomize]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
     randomize = {key: value for part in parts for key, value in part.randomize.items()}
-    return Condition(names, randomize, lambda scene: {key: value for part in parts for key, value in part.scene(scene).items()})
+    return Condition(
+        names,
+        randomize,
+        lambda scene: {key: value for part in parts for key, value in part.scene(scene).items()},
+    )
 
 
 SEEDS = {
@@ -126,9 +180,10 @@ SEEDS = {
     "validation": range(3_000_000, 3_000_100),
     "training": range(2**32, 2**32 + 2**48),
 }
-"""Ranges of seeds of `reset` by purpose, which share none: policies are not judged on what chose them. Parameters of controllers are tuned
-on "tuning"; `evaluate`, `compare` and `demo` judge on "evaluation", `arena` on "arena"; agents of a training are chosen on "validation";
-arms that agents train on draw theirs from "training"."""
+"""Ranges of seeds of `reset` by purpose, which share none: policies are not judged on what chose
+them. Parameters of controllers are tuned on "tuning"; `evaluate`, `compare` and `demo` judge on
+"evaluation", `arena` on "arena"; agents of a training are chosen on "validation"; arms that agents
+train on draw theirs from "training"."""
 
 EVALUATION_SEEDS = tuple(SEEDS["evaluation"])
 """Fixed list of episodes on which agents and controllers are compared."""

@@ -1,6 +1,8 @@
-"""Experiments: policies x conditions x seeds, as cells that are played once, kept in a file each, and so go on where they were stopped.
+"""Experiments: policies x conditions x seeds, as cells that are played once, kept in a file each,
+and so go on where they were stopped.
 
-A cell's file is named after a digest of the cell, its scenes, the policy's files, and the sources: what changes is played again.
+A cell's file is named after a digest of the cell, its scenes, the policy's files, and the sources:
+what changes is played again.
 """
 
 import hashlib
@@ -30,16 +32,19 @@ from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing, s
 from soft_tendon_env.tools.parallel import run_all
 
 BELIEF = "standard"
-"""Fidelity of the model that controllers are told of, unless their name says another, as in filtered:predictive@fast."""
+"""Fidelity of the model that controllers are told of, unless their name says another, as in
+filtered:predictive@fast."""
 Label = TypeVar("Label", bound=Hashable)
 
 
 class Cell(NamedTuple):
-    """Unit of work: a policy under a condition, over its episodes. Plain values, which other processes and machines can get.
+    """Unit of work: a policy under a condition, over its episodes. Plain values, which other
+    processes and machines can get.
 
-    options: of the environment. seconds: length of an episode; errors count from `skip` [s] on. alone: played with nothing beside it, for
-    times per action. rows: episodes are side by side, else one after another. controller_scene: option `scene` of the arm that controllers
-    believe in, while agents may have been trained with other effects; None: the environment's own model.
+    options: of the environment. seconds: length of an episode; errors count from `skip` [s] on.
+    alone: played with nothing beside it, for times per action. rows: episodes are side by side,
+    else one after another. controller_scene: option `scene` of the arm that controllers believe in,
+    while agents may have been trained with other effects; None: the environment's own model.
     """
 
     task: str
@@ -53,29 +58,53 @@ class Cell(NamedTuple):
     controller_scene: Mapping[str, Any] | None = None
 
     def open(self) -> tuple[Policy, Any]:
-        """The policy and its environment: a single one, or with a row per seed. Raises ConfigurationError, ValueError, OSError."""
-        given = {"max_episode_steps": episode_steps(self.seconds, self.skip, self.options), **self.options}
+        """The policy and its environment: a single one, or with a row per seed. Raises
+        ConfigurationError, ValueError, OSError."""
+        given = {
+            "max_episode_steps": episode_steps(self.seconds, self.skip, self.options),
+            **self.options,
+        }
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
             rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
-            env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
-            return policy.load(env, believed_scene(policy, self.controller_scene), other_effects=self.controller_scene is not None), env
+            env: Any = (
+                gym.make_vec(IDS[self.task], **rows, **given)
+                if self.rows
+                else gym.make(IDS[self.task], **given)
+            )
+            return policy.load(
+                env,
+                believed_scene(policy, self.controller_scene),
+                other_effects=self.controller_scene is not None,
+            ), env
 
     def key(self, code: str) -> str:
-        """Digest of all that the result depends on, with the sources' `code`. Raises ConfigurationError, ValueError, OSError."""
-        options, policy = Options.parse(self.options, "options"), PolicyName.parse(self.policy, self.task)
+        """Digest of all that the result depends on, with the sources' `code`. Raises
+        ConfigurationError, ValueError, OSError."""
+        options, policy = (
+            Options.parse(self.options, "options"),
+            PolicyName.parse(self.policy, self.task),
+        )
         both = resolved_scene(options), believed_scene(policy, self.controller_scene)
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
-        known = {"policy": policy.fingerprint(), "files": {path: digest(Path(path)) for path in _files_in(scenes)}, "code": code}
-        known |= {"options": options.model_dump(mode="json"), "controller_scene": scenes, "machine": self.alone and machine()}
+        known = {
+            "policy": policy.fingerprint(),
+            "files": {path: digest(Path(path)) for path in _files_in(scenes)},
+            "code": code,
+        }
+        known |= {
+            "options": options.model_dump(mode="json"),
+            "controller_scene": scenes,
+            "machine": self.alone and machine(),
+        }
         content = {**self._asdict(), **known}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller or a user's policy believes in, at BELIEF unless its name says a fidelity; None for agents, and without the
-    option `scene` of such an arm. Raises ValueError."""
+    """Arm that a controller or a user's policy believes in, at BELIEF unless its name says a
+    fidelity; None for agents, and without the option `scene` of such an arm. Raises ValueError."""
     if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
     scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
@@ -92,11 +121,24 @@ def _files_in(value: Any) -> Iterator[str]:
 
 
 def code_digest() -> str:
-    """Digest of the package's sources, and of loaded modules that are not installed, which may register controllers or metrics."""
-    loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
-    known = PACKAGE, *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts"))
+    """Digest of the package's sources, and of loaded modules that are not installed, which may
+    register controllers or metrics."""
+    loaded = {
+        Path(str(name))
+        for module in [*sys.modules.values()]
+        if (name := getattr(module, "__file__", None))
+    }
+    known = (
+        PACKAGE,
+        *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts")),
+    )
     users = [path for path in loaded if not any(map(path.is_relative_to, known)) and path.is_file()]
-    return " ".join([sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz"), *sorted(map(digest, users))])
+    return " ".join(
+        [
+            sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz"),
+            *sorted(map(digest, users)),
+        ]
+    )
 
 
 def measure(cell: Cell) -> list[EpisodeScore]:
@@ -104,7 +146,9 @@ def measure(cell: Cell) -> list[EpisodeScore]:
     policy, env = cell.open()
     try:
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
-        return [score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)]
+        return [
+            score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)
+        ]
     finally:
         env.close()
 
@@ -112,11 +156,13 @@ def measure(cell: Cell) -> list[EpisodeScore]:
 class Experiment(Generic[Label]):
     """Cells by their labels, and the folder that keeps their results.
 
-    Cells that are played alone come first, in this process. Raises ConfigurationError, ValueError, OSError.
+    Cells that are played alone come first, in this process. Raises ConfigurationError, ValueError,
+    OSError.
     """
 
     def __init__(self, cells: Mapping[Label, Cell], folder: Path) -> None:
-        """Cells that are played alone are opened: what is wrong with a policy is said before anything takes long."""
+        """Cells that are played alone are opened: what is wrong with a policy is said before
+        anything takes long."""
         code = code_digest()
         self.cells, self._folder = cells, folder
         self._paths = {label: folder / f"{cell.key(code)}.json" for label, cell in cells.items()}
@@ -127,16 +173,31 @@ class Experiment(Generic[Label]):
     def missing(self) -> list[Label]:
         """Labels of cells that have no result yet, one for all cells that are alike."""
         first = {path: label for label, path in reversed(self._paths.items())}
-        return [label for label, path in self._paths.items() if first[path] == label and not path.exists()]
+        return [
+            label
+            for label, path in self._paths.items()
+            if first[path] == label and not path.exists()
+        ]
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
-        """Play the cells that are missing, see `run_all`, and keep each result as soon as it is there. Raises as `measure`."""
+        """Play the cells that are missing, see `run_all`, and keep each result as soon as it is
+        there. Raises as `measure`."""
         where, left = origin(), self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
 
         def keep(labels: list[Label], place: int, scores: list[EpisodeScore]) -> None:
-            with replacing(self._paths[labels[place]]) as path:  # NaN and infinity stand in the file, as json has them
-                path.write_text(json.dumps({"cell": self.cells[labels[place]]._asdict(), **where, "scores": [*map(record, scores)]}))
+            with replacing(
+                self._paths[labels[place]]
+            ) as path:  # NaN and infinity stand in the file, as json has them
+                path.write_text(
+                    json.dumps(
+                        {
+                            "cell": self.cells[labels[place]]._asdict(),
+                            **where,
+                            "scores": [*map(record, scores)],
+                        }
+                    )
+                )
 
         for alone, processes, address in ((True, 1, None), (False, workers, cluster)):
             labels = [label for label in left if self.cells[label].alone == alone]
@@ -149,4 +210,6 @@ class Experiment(Generic[Label]):
         try:
             return [*map(score_from, read_json(path)["scores"])]
         except (KeyError, TypeError) as error:
-            raise ValueError(f"{path} is no result of an experiment: take it away, and it is played again") from error
+            raise ValueError(
+                f"{path} is no result of an experiment: take it away, and it is played again"
+            ) from error

@@ -1,6 +1,7 @@
 """Metrics of episodes, each defined once: errors, settling, effort, chatter, time per action.
 
-`score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to METRICS: tables and files follow.
+`score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to
+METRICS: tables and files follow.
 """
 
 import math
@@ -14,7 +15,8 @@ from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
 
 FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
-SETTLED = 0.01  # share of the rod's length below which the task's first error stays once an episode has settled
+# share of the rod's length below which the task's first error stays once an episode has settled
+SETTLED = 0.01
 STAY = 1.0  # [s] for which it has to stay there, up to the end of the episode
 BAD = 0.02  # share of the rod's length above which the first error makes an episode a bad one
 
@@ -23,10 +25,11 @@ BAD = 0.02  # share of the rod's length above which the first error makes an epi
 class Episode:
     """Course of an episode; sample 0 is what its reset left, sample k what its k-th step did.
 
-    period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
-    (1 + steps, n_a) [N] as applied; tip_position and target_position (1 + steps, 3) [m], both of the tip; seconds (steps,) that the
-    policy took; jumped: whether a stepwise target jumped in the last step; reached: whether a goal was in the end (None: no goal);
-    cause of its divergence (None: it lived).
+    period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to
+    settle; reward (steps,); tension (1 + steps, n_a) [N] as applied; tip_position and
+    target_position (1 + steps, 3) [m], both of the tip; seconds (steps,) that the policy took;
+    jumped: whether a stepwise target jumped in the last step; reached: whether a goal was in the
+    end (None: no goal); cause of its divergence (None: it lived).
     """
 
     seed: int
@@ -44,8 +47,9 @@ class Episode:
 
 
 class Metric(NamedTuple):
-    """Number of an episode: its heading in tables, with the unit, and its function of the episode and the first sample that counts, in SI
-    units. factor: from these to the heading's unit. Of several episodes it is the root mean square. NaN: the episode has none."""
+    """Number of an episode: its heading in tables, with the unit, and its function of the episode
+    and the first sample that counts, in SI units. factor: from these to the heading's unit. Of
+    several episodes it is the root mean square. NaN: the episode has none."""
 
     heading: str
     of_episode: Callable[[Episode, int], float]
@@ -60,7 +64,9 @@ class ErrorScore(NamedTuple):
 
     @classmethod
     def of(cls, error: Array) -> "ErrorScore":
-        return cls(root_mean_square(error), float(np.percentile(error, 95)) if error.size else math.nan)
+        return cls(
+            root_mean_square(error), float(np.percentile(error, 95)) if error.size else math.nan
+        )
 
 
 @dataclass(frozen=True)
@@ -69,12 +75,14 @@ class EpisodeScore:
 
     Attributes:
         errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.
-        settled: whether the first error stays below SETTLED times the rod's length to the end, for STAY at least.
+        settled: whether the first error stays below SETTLED times the rod's length to the end, for
+            STAY at least.
         metrics: values of METRICS by name: `effort`, `chatter`, and your own.
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
-        action_time: median time of the calls of `predict` [s], but the first, which may load or compile.
+        action_time: median time of the calls of `predict` [s], but the first, which may load or
+            compile.
         length: [m] of the rod.
     """
 
@@ -91,14 +99,22 @@ class EpisodeScore:
 
     @property
     def bad(self) -> bool:
-        """Whether the episode diverged, or its first error is above BAD times the rod's length as root mean square."""
-        return self.diverged is not None or not next(iter(self.errors.values())).rms <= BAD * self.length
+        """Whether the episode diverged, or its first error is above BAD times the rod's length as
+        root mean square."""
+        return (
+            self.diverged is not None
+            or not next(iter(self.errors.values())).rms <= BAD * self.length
+        )
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that has an interquartile mean over episodes, by name: NaN where an episode has no such number, but infinite errors and
-        chatter where it diverged."""
-        errors = {f"{name}_{kind}": value for name, of in self.errors.items() for kind, value in of._asdict().items()}
+        """All that has an interquartile mean over episodes, by name: NaN where an episode has no
+        such number, but infinite errors and chatter where it diverged."""
+        errors = {
+            f"{name}_{kind}": value
+            for name, of in self.errors.items()
+            for kind, value in of._asdict().items()
+        }
         lost = {*errors, "chatter"} if self.diverged is not None else set[str]()
         found = {**errors, **self.metrics, "return": self.total_reward, "seconds": self.action_time}
         return {name: math.inf if name in lost else value for name, value in found.items()}
@@ -106,26 +122,44 @@ class EpisodeScore:
 
 def record(score: Any) -> dict[str, Any]:
     """Plain values of an EpisodeScore or a Summary by name, for JSON."""
-    return {**vars(score), "errors": {name: error._asdict() for name, error in score.errors.items()}}
+    return {
+        **vars(score),
+        "errors": {name: error._asdict() for name, error in score.errors.items()},
+    }
 
 
 def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
     """Score from its `record`. Raises KeyError, TypeError for another."""
-    return EpisodeScore(**{**saved, "errors": {name: ErrorScore(**error) for name, error in saved["errors"].items()}})
+    return EpisodeScore(
+        **{
+            **saved,
+            "errors": {name: ErrorScore(**error) for name, error in saved["errors"].items()},
+        }
+    )
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
-    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also where the episode ended before that."""
+    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also
+    where the episode ended before that."""
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
-    first, steps, seconds = math.ceil(skip / episode.period - 1e-9), len(episode.reward), episode.seconds[1:]
+    first, steps, seconds = (
+        math.ceil(skip / episode.period - 1e-9),
+        len(episode.reward),
+        episode.seconds[1:],
+    )
     if first > steps and episode.cause is None:
-        raise ValueError(f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s")
-    to_settle = next(iter(episode.errors.values()))[: -1 if episode.jumped else None]  # nobody has acted on a jump in the last step
+        raise ValueError(
+            f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s"
+        )
+    to_settle = next(iter(episode.errors.values()))[
+        : -1 if episode.jumped else None
+    ]  # nobody has acted on a jump in the last step
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
         errors={name: ErrorScore.of(error[first:]) for name, error in episode.errors.items()},
-        settled=episode.cause is None and has_settled(to_settle, episode.period, SETTLED * episode.length),
+        settled=episode.cause is None
+        and has_settled(to_settle, episode.period, SETTLED * episode.length),
         metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
@@ -143,9 +177,10 @@ def has_settled(error: Array, period: float, below: float) -> bool:
 
 
 def chatter(tension: Array, period: float) -> float:
-    """Root mean square [N], over time and tendons, of what lies above FAST in the changes of tensions (m, n_a) [N] from one control period
-    [s] to the next: by the Fourier transform under a Hann window. Zero where the period is too long for such frequencies, else NaN for
-    fewer than 8 changes."""
+    """Root mean square [N], over time and tendons, of what lies above FAST in the changes of
+    tensions (m, n_a) [N] from one control period [s] to the next: by the Fourier transform under a
+    Hann window. Zero where the period is too long for such frequencies, else NaN for fewer than 8
+    changes."""
     if 2.0 * FAST * period >= 1.0:
         return 0.0
     change = np.diff(tension, axis=0)
@@ -155,8 +190,12 @@ def chatter(tension: Array, period: float) -> float:
     window = np.hanning(steps + 2)[1:-1, None]
     power = np.abs(np.fft.rfft(window * change, axis=0)) ** 2
     frequency = np.fft.rfftfreq(steps, period)
-    twice = np.where(frequency * period < 0.5 - 1e-9, 2.0, 1.0)[:, None]  # the same at negative frequencies, but at Nyquist's
-    return float(np.sqrt((twice * power)[frequency > FAST].sum(axis=0).mean() / (steps * np.sum(window**2))))
+    twice = np.where(frequency * period < 0.5 - 1e-9, 2.0, 1.0)[
+        :, None
+    ]  # the same at negative frequencies, but at Nyquist's
+    return float(
+        np.sqrt((twice * power)[frequency > FAST].sum(axis=0).mean() / (steps * np.sum(window**2)))
+    )
 
 
 def root_mean_square(values: Array) -> float:
@@ -166,6 +205,9 @@ def root_mean_square(values: Array) -> float:
 
 METRICS: dict[str, Metric] = {
     "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
-    "chatter": Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
+    "chatter": Metric(
+        "chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)
+    ),
 }
-"""Metrics by name: tensions applied over tendons and time, and what of their changes lies above FAST."""
+"""Metrics by name: tensions applied over tendons and time, and what of their changes lies above
+FAST."""

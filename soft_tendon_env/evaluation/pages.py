@@ -1,4 +1,5 @@
-"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp that says what made it.
+"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp
+that says what made it.
 
 <!-- made {"command": ..., "commit": ..., "made": ...} -->
 <small>Made by `soft-tendon ...` at commit ..., on ...</small>
@@ -30,13 +31,25 @@ class Stamp(NamedTuple):
     def of(cls, command: Sequence[str]) -> "Stamp":
         """The stamp of a command, which may be the path of a script, that is running now."""
         script, words = Path(command[0]).resolve(), command[1:]
-        is_script = script.is_relative_to(ROOT) and not script.is_relative_to(PACKAGE) and script.suffix == ".py"
-        line = ["python", script.relative_to(ROOT).as_posix(), *words] if is_script else ["soft-tendon", *words]
+        is_script = (
+            script.is_relative_to(ROOT)
+            and not script.is_relative_to(PACKAGE)
+            and script.suffix == ".py"
+        )
+        line = (
+            ["python", script.relative_to(ROOT).as_posix(), *words]
+            if is_script
+            else ["soft-tendon", *words]
+        )
         return cls(shlex.join(line), commit(), datetime.now(UTC).date().isoformat())
 
     def text(self) -> str:
         """The comment that programs read, and the line that people read, with this machine."""
-        at = "" if self.commit is None else f" at commit {self.commit[:10]}{'+' * self.commit.endswith('+')}"
+        at = (
+            ""
+            if self.commit is None
+            else f" at commit {self.commit[:10]}{'+' * self.commit.endswith('+')}"
+        )
         shown = f"<small>Made by `{self.command}`{at} on {self.made}. Machine: {machine()}.</small>"
         return f"<!-- made {json.dumps(self._asdict())} -->\n{shown}"
 
@@ -47,7 +60,8 @@ def stamp() -> str:
 
 
 class Page:
-    """File in which generated blocks stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`; without a path nothing is written.
+    """File in which generated blocks stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`;
+    without a path nothing is written.
 
     Raises as `around_markers` for names whose lines are not there.
     """
@@ -59,7 +73,8 @@ class Page:
                 around_markers(self._path, name)
 
     def write(self, name: str, text: str) -> None:
-        """Replaces what stands between the lines of a name, with a stamp before it. Raises as `around_markers`, OSError."""
+        """Replaces what stands between the lines of a name, with a stamp before it. Raises as
+        `around_markers`, OSError."""
         if self._path is not None:
             before, after = around_markers(self._path, name)
             with replacing(self._path) as path:
@@ -68,9 +83,16 @@ class Page:
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """Text before and after the markers in a file, with them. Raises ValueError, FileNotFoundError."""
+    """Text before and after the markers in a file, with them. Raises ValueError,
+    FileNotFoundError."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     content = read_text(path)
-    if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):
-        raise ValueError(f"{path} should have the lines {begin} and {end}, once each and in this order")
+    if (
+        content.count(begin) != 1
+        or content.count(end) != 1
+        or content.index(end) < content.index(begin)
+    ):
+        raise ValueError(
+            f"{path} should have the lines {begin} and {end}, once each and in this order"
+        )
     return content.partition(begin)[0] + begin, end + content.partition(end)[2]

@@ -1,9 +1,11 @@
-"""Episodes of any policy, played by one loop of `predict` and `step`: one arm at a time, or many side by side as rows.
+"""Episodes of any policy, played by one loop of `predict` and `step`: one arm at a time, or many
+side by side as rows.
 
     scores = evaluate(policy, env, EVALUATION_SEEDS)
     print(summarise(scores).errors["position_error"].rms)
 
-A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones, whatever the sensors say; see metrics.py.
+A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones, whatever the
+sensors say; see metrics.py.
 """
 
 import time
@@ -23,34 +25,61 @@ from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
 
 STILL = 1e-9
-"""Greatest change of a target's pose [m, or of its rotation's entries] in a control period of a target that holds still."""
+"""Greatest change of a target's pose [m, or of its rotation's entries] in a control period of a
+target that holds still."""
 Env = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
 
 
-def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0) -> list[EpisodeScore]:
+def evaluate(
+    policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0
+) -> list[EpisodeScore]:
     """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
 
-    Raises TypeError for environments of other packages, ValueError for episodes that end before `skip` or have no end.
+    Raises TypeError for environments of other packages, ValueError for episodes that end before
+    `skip` or have no end.
     """
     if isinstance(env, TendonRodEnv):
-        raise ValueError("env should end its episodes: make it with gym.make, or wrap it in gymnasium.wrappers.TimeLimit")
+        raise ValueError(
+            "env should end its episodes: make it with gym.make, or wrap it in"
+            " gymnasium.wrappers.TimeLimit"
+        )
     checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')")
     return [score(episode, skip) for seed in seeds for episode in play(policy, env, [seed])]
 
 
-def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], seeds: Sequence[int], skip: float = 1.0) -> list[EpisodeScore]:
-    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i]. The time of an
-    action is that of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed."""
-    inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)")
+def evaluate_rows(
+    policy: Policy,
+    envs: gym.vector.VectorEnv[Any, Any, Any],
+    seeds: Sequence[int],
+    skip: float = 1.0,
+) -> list[EpisodeScore]:
+    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment
+    plays the one of seeds[i]. The time of an action is that of all rows divided by their number.
+    Raises as `evaluate`, ValueError unless there is a row per seed."""
+    inner = checked_type(
+        "envs",
+        envs.unwrapped,
+        TendonRodVectorEnv,
+        "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)",
+    )
     if len(seeds) != envs.num_envs:
-        raise ValueError(f"seeds should be one for each of the {envs.num_envs} rows, not {len(seeds)}")
-    if envs.metadata["autoreset_mode"] is not AutoresetMode.NEXT_STEP or inner.max_episode_steps is None:
-        raise ValueError("envs should be made with autoreset_mode='next_step' and with max_episode_steps: rows stay as they ended")
+        raise ValueError(
+            f"seeds should be one for each of the {envs.num_envs} rows, not {len(seeds)}"
+        )
+    if (
+        envs.metadata["autoreset_mode"] is not AutoresetMode.NEXT_STEP
+        or inner.max_episode_steps is None
+    ):
+        raise ValueError(
+            "envs should be made with autoreset_mode='next_step' and with max_episode_steps: rows"
+            " stay as they ended"
+        )
     return [score(episode, skip) for episode in play(policy, envs, seeds)]
 
 
 class Step(NamedTuple):
-    """One control period of all rows: rewards (rows,), rows that ended (rows,), and the time [s] that each action took."""
+    """One control period of all rows: rewards (rows,), rows that ended (rows,), and the time [s]
+    that each action took."""
 
     reward: Array
     ended: NDArray[np.bool_]
@@ -58,8 +87,9 @@ class Step(NamedTuple):
 
 
 def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
-    """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector environment has a row per seed, any other one
-    seed. `env` stands where the step left it when a step is yielded."""
+    """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector
+    environment has a row per seed, any other one seed. `env` stands where the step left it when a
+    step is yielded."""
     rows, many = len(seeds), isinstance(env, gym.vector.VectorEnv)
     observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
     state, ended = None, np.ones(rows, dtype=bool)
@@ -76,24 +106,38 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
     episodes, rows = episodes_of(env), len(seeds)
-    course: list[tuple[Array, ...]] = []  # reward, seconds, target, tip, tension, errors of all rows, after every step
+    course: list[
+        tuple[Array, ...]
+    ] = []  # reward, seconds, target, tip, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
         target, errors = episodes.target_pose.copy(), np.array([*episodes.errors.values()]).T
         tip = episodes.arms.reading.tip_pose[:, :3, 3].copy()
-        course.append((step.reward, np.full(rows, step.seconds), target, tip, episodes.tension.copy(), errors))
+        course.append(
+            (step.reward, np.full(rows, step.seconds), target, tip, episodes.tension.copy(), errors)
+        )
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
-            there = cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold) if episodes.task.goal else None
+            there = (
+                cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold)
+                if episodes.task.goal
+                else None
+            )
             ends.setdefault(row, {"steps": k, "cause": cause, "reached": there})
         if len(ends) == rows:
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        samples = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
+        samples = zip(
+            *(tuple(values[row] for values in sample) for sample in course[: steps + 1]),
+            strict=True,
+        )
         reward, seconds, target, tip, tension, errors = map(np.array, samples)
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
-        jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [False, True]
+        jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [
+            False,
+            True,
+        ]
         moved = reward[1:], tension, tip, target[:, :3, 3], seconds[1:]
         return Episode(seed, episodes.period, episodes.model.length, named, *moved, jumped, **end)
 

@@ -13,28 +13,58 @@ from typing import Any
 
 from soft_tendon_env.tools.files import PACKAGE
 
-PACKAGES = {"soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray"}
+PACKAGES = {
+    "soft_tendon_env",
+    "numpy",
+    "scipy",
+    "numba",
+    "gymnasium",
+    "daqp",
+    "stable_baselines3",
+    "sb3_contrib",
+    "torch",
+    "ray",
+}
 
 
 def origin() -> dict[str, Any]:
     """Provenance of a result: command, time, commit, machine, versions."""
-    command, created = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]), datetime.now(UTC).isoformat(timespec="seconds")
-    return {"command": command, "created": created, "commit": commit(), "machine": machine(), "versions": versions()}
+    command, created = (
+        shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+    return {
+        "command": command,
+        "created": created,
+        "commit": commit(),
+        "machine": machine(),
+        "versions": versions(),
+    }
 
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed, by name."""
-    installed = {package.name.replace("-", "_"): package.version for package in importlib.metadata.distributions()}
-    return {"python": platform.python_version(), **{name: installed[name] for name in sorted(PACKAGES & installed.keys())}}
+    installed = {
+        package.name.replace("-", "_"): package.version
+        for package in importlib.metadata.distributions()
+    }
+    return {
+        "python": platform.python_version(),
+        **{name: installed[name] for name in sorted(PACKAGES & installed.keys())},
+    }
 
 
 def commit() -> str | None:
-    """Commit of the clone that the package is in, with "+" where other files than documents differ; None for an installed package."""
+    """Commit of the clone that the package is in, with "+" where other files than documents differ;
+    None for an installed package."""
     if not (PACKAGE.parent / ".git").exists():
         return None
     commands = (["rev-parse", "HEAD"], ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"])
     try:
-        head, changed = (subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True) for words in commands)
+        head, changed = (
+            subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True)
+            for words in commands
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
     return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
@@ -44,14 +74,17 @@ def machine() -> str:
     """Processor, cores and Python version, on which times depend."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        processor = next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         processor = platform.processor() or platform.machine()
     return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
 def write_json(path: Path, content: Any, say: bool = True) -> None:
-    """Write a JSON file, and print its path; numbers that are not finite become null, which is what JSON has. Raises OSError."""
+    """Write a JSON file, and print its path; numbers that are not finite become null, which is what
+    JSON has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     plain = json.loads(json.dumps(content), parse_constant=lambda number: None)
     path.write_text(json.dumps(plain, indent=1) + "\n")

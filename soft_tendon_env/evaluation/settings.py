@@ -1,4 +1,5 @@
-"""Settings of experiments, as files and command lines have them: episodes, conditions, policies, workers."""
+"""Settings of experiments, as files and command lines have them: episodes, conditions, policies,
+workers."""
 
 import math
 from collections.abc import Mapping
@@ -7,7 +8,12 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
+from soft_tendon_env.evaluation.conditions import (
+    EVALUATION_SEEDS,
+    MODEL_ERRORS,
+    SETTINGS,
+    model_error,
+)
 from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.policies.regimes import REGIMES
@@ -39,7 +45,8 @@ class Workers(Configuration):
 
     Attributes:
         workers: processes, or on a cluster processors, side by side.
-        cluster: address of a Ray cluster that plays in place of this machine; "auto": the one that this machine belongs to.
+        cluster: address of a Ray cluster that plays in place of this machine; "auto": the one that
+            this machine belongs to.
     """
 
     workers: int = Field(default=2, ge=1)
@@ -52,8 +59,8 @@ class EpisodeSettings(Configuration):
     Attributes:
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        options: environment's options, see `soft_tendon_env.envs.Options`; every arm has what `randomize` says, unless a model error says
-            otherwise.
+        options: environment's options, see `soft_tendon_env.envs.Options`; every arm has what
+            `randomize` says, unless a model error says otherwise.
     """
 
     seconds: Positive = 10.0
@@ -65,8 +72,8 @@ class Settings(EpisodeSettings, Workers):
     """Conditions and episodes of an evaluation.
 
     Attributes:
-        errors: names of model errors (soft_tendon_env.evaluation.MODEL_ERRORS), several at once with commas between, as in
-            stiffness+20%,payload-20g,noise; or "all", one by one.
+        errors: names of model errors (soft_tendon_env.evaluation.MODEL_ERRORS), several at once
+            with commas between, as in stiffness+20%,payload-20g,noise; or "all", one by one.
         episodes: number of episodes, on the first of the evaluation seeds.
     """
 
@@ -87,11 +94,18 @@ MOST_STEPS = 1_000_000
 
 
 def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> int:
-    """Control periods of an episode in an environment with these options. Raises ConfigurationError, ValueError."""
+    """Control periods of an episode in an environment with these options. Raises
+    ConfigurationError, ValueError."""
     period = Options.parse(options, "options").control_period
     steps = seconds / period
     if steps > MOST_STEPS:
-        raise ValueError(f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods, {MOST_STEPS * period:g} s")
+        raise ValueError(
+            f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods,"
+            f" {MOST_STEPS * period:g} s"
+        )
     if round(steps) < 1 or math.ceil(skip / period - 1e-9) > round(steps):
-        raise ValueError(f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and skip, which is {skip:g}")
+        raise ValueError(
+            f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and"
+            f" skip, which is {skip:g}"
+        )
     return round(steps)

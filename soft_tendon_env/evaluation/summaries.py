@@ -1,7 +1,9 @@
-"""Summaries of episodes: root mean squares, interquartile means, their intervals, differences of pairs.
+"""Summaries of episodes: root mean squares, interquartile means, their intervals, differences of
+pairs.
 
-After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. `tails` say what the middle half
-hides. NaN, a run without a number, counts as larger than every number, as fits errors.
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice",
+NeurIPS 2021. `tails` say what the middle half hides. NaN, a run without a number, counts as larger
+than every number, as fits errors.
 """
 
 import math
@@ -16,9 +18,11 @@ from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore, root_me
 from soft_tendon_env.tools.types import Array
 
 WORST = 0.1
-"""Error, as a share of the rod's length, that an episode counts as at most where parameters are tuned; those that diverge count as much."""
+"""Error, as a share of the rod's length, that an episode counts as at most where parameters are
+tuned; those that diverge count as much."""
 CHATTER_COST = 0.01
-"""Error, as a share of the rod's length, that 1 N of chatter counts as where parameters are tuned."""
+"""Error, as a share of the rod's length, that 1 N of chatter counts as where parameters are
+tuned."""
 HIGH = 90  # percentile that shows the bad ones
 CUT = 0.25  # of the values, at either end
 RESAMPLES = 5000
@@ -26,8 +30,8 @@ CONFIDENCE = 0.95
 
 
 def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
-    """Mean of the middle half along an axis, NaN where no value remains that is one: a quarter of the count is cut at either end, rounded
-    down. Raises ValueError without any."""
+    """Mean of the middle half along an axis, NaN where no value remains that is one: a quarter of
+    the count is cut at either end, rounded down. Raises ValueError without any."""
     ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
     if not len(ordered):
         raise ValueError("values should have at least one run")
@@ -37,17 +41,23 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
 
 def tails(values: ArrayLike) -> tuple[float, float]:
-    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and there is at least one."""
+    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and
+    there is at least one."""
     ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
-    return float(ordered.mean()), float(np.interp(HIGH * (ordered.size - 1) / 100, np.arange(ordered.size), ordered))
+    return float(ordered.mean()), float(
+        np.interp(HIGH * (ordered.size - 1) / 100, np.arange(ordered.size), ordered)
+    )
 
 
-def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> tuple[Any, Any]:
+def bootstrap_interval(
+    values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean
+) -> tuple[Any, Any]:
     """Interval of a statistic at CONFIDENCE by the percentile bootstrap.
 
-    values (n_1, ..., n_axes, ...): along each of the first `axes` (seeds of training, episodes) entries are drawn again as a whole, with
-    replacement; statistic(drawn, axis=1) is of all that was drawn (RESAMPLES, n_1 * ... * n_axes, ...). The bounds are among the values
-    that the resamples have. Raises ValueError where there is nothing to draw.
+    values (n_1, ..., n_axes, ...): along each of the first `axes` (seeds of training, episodes)
+    entries are drawn again as a whole, with replacement; statistic(drawn, axis=1) is of all that
+    was drawn (RESAMPLES, n_1 * ... * n_axes, ...). The bounds are among the values that the
+    resamples have. Raises ValueError where there is nothing to draw.
     """
     given = np.asarray(values, dtype=float)
     counts, rest = given.shape[:axes], given.shape[axes:]
@@ -55,8 +65,13 @@ def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[...
         raise ValueError("values should have at least one run")
     rng = np.random.default_rng(0)
     drawn = [rng.integers(count, size=(RESAMPLES, count)) for count in counts]
-    index = tuple(np.expand_dims(chosen, tuple(1 + k for k in range(axes) if k != axis)) for axis, chosen in enumerate(drawn))
-    found = np.sort(np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0)
+    index = tuple(
+        np.expand_dims(chosen, tuple(1 + k for k in range(axes) if k != axis))
+        for axis, chosen in enumerate(drawn)
+    )
+    found = np.sort(
+        np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0
+    )
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = (found[math.ceil(share * RESAMPLES) - 1] for share in (tail, 1.0 - tail))
     return (low, high) if found.ndim > 1 else (float(low), float(high))
@@ -64,11 +79,13 @@ def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[...
 
 @dataclass(frozen=True)
 class Summary:
-    """Scores of several episodes together. Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
-    return, the goals reached and the time, which are of all.
+    """Scores of several episodes together. Where some diverged, the numbers are those of the
+    others, NaN if none lived; but for the mean return, the goals reached and the time, which are of
+    all.
 
     Attributes:
-        errors: `rms` over all samples of all episodes (these are alike in number), the others means of the episodes'.
+        errors: `rms` over all samples of all episodes (these are alike in number), the others means
+            of the episodes'.
         settled: number of episodes that settled.
         metrics: root mean square over episodes of every metric, by name.
         mean_return: over all episodes; no reward follows a divergence.
@@ -91,18 +108,27 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     if not scores:
         raise ValueError("scores should have at least one episode")
     lived = [score for score in scores if score.diverged is None]
-    errors = {name: [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)] for name in scores[0].errors}
+    errors = {
+        name: [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
+        for name in scores[0].errors
+    }
     reached = [score.reached for score in scores if score.reached is not None]
     known = [score.action_time for score in scores if math.isfinite(score.action_time)]
     return Summary(
         episodes=len(scores),
         diverged=len(scores) - len(lived),
         errors={
-            name: ErrorScore(root_mean_square(np.array([score.rms for score in of])), float(np.mean([score.percentile_95 for score in of])))
+            name: ErrorScore(
+                root_mean_square(np.array([score.rms for score in of])),
+                float(np.mean([score.percentile_95 for score in of])),
+            )
             for name, of in errors.items()
         },
         settled=sum(score.settled for score in scores),
-        metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
+        metrics={
+            name: root_mean_square(np.array([score.metrics[name] for score in lived]))
+            for name in scores[0].metrics
+        },
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,
         action_time=float(np.median(known)) if known else math.nan,
@@ -110,12 +136,15 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
 
 
 def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
-    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean square and CHATTER_COST times the chatter,
-    at most WORST, which is that of an episode that diverged, both times the rod's length."""
+    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean
+    square and CHATTER_COST times the chatter, at most WORST, which is that of an episode that
+    diverged, both times the rod's length."""
 
     def cost(score: EpisodeScore) -> float:
         error, worst = next(iter(score.errors.values())).rms, WORST * score.length
-        shaken = CHATTER_COST * score.length * float(np.nan_to_num(score.metrics["chatter"]))  # of too few samples it is not known
+        shaken = (
+            CHATTER_COST * score.length * float(np.nan_to_num(score.metrics["chatter"]))
+        )  # of too few samples it is not known
         return worst if score.diverged is not None else min(error + shaken, worst)
 
     return float(np.mean([cost(score) for score in scores]))
@@ -130,7 +159,8 @@ class Mean(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Scores of a policy's episodes by member: a controller is one, an agent has one per seed of its training."""
+    """Scores of a policy's episodes by member: a controller is one, an agent has one per seed of
+    its training."""
 
     scores: Sequence[Sequence[EpisodeScore]]
 
@@ -149,24 +179,38 @@ class Standing(NamedTuple):
         return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
 
     def mean(self, key: str) -> Mean:
-        """Interquartile mean over all episodes of all members; members and episodes are drawn anew for its interval."""
+        """Interquartile mean over all episodes of all members; members and episodes are drawn anew
+        for its interval."""
         values = self.values(key)
-        return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
+        return Mean(
+            float(interquartile_mean(values.ravel())),
+            *map(float, bootstrap_interval(values, axes=2)),
+        )
 
 
 def difference(one: Standing, other: Standing, key: str) -> Mean:
-    """Interquartile mean of a policy less that of another of a single member, and its interval by the paired bootstrap: negative where the
-    first has less error. Raises ValueError unless the other has played all episodes of the first."""
+    """Interquartile mean of a policy less that of another of a single member, and its interval by
+    the paired bootstrap: negative where the first has less error. Raises ValueError unless the
+    other has played all episodes of the first."""
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
     if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")
-    pairs = np.array([[(score.numbers[key], theirs[score.seed]) for score in of_member] for of_member in one.scores], dtype=float)
+    pairs = np.array(
+        [
+            [(score.numbers[key], theirs[score.seed]) for score in of_member]
+            for of_member in one.scores
+        ],
+        dtype=float,
+    )
 
     def apart(drawn: Array, axis: int = 0) -> Any:
         with np.errstate(invalid="ignore"):  # NaN where both means are infinite
             return -np.diff(interquartile_mean(drawn, axis))[..., 0]
 
-    return Mean(float(apart(pairs.reshape(-1, 2))), *map(float, bootstrap_interval(pairs, axes=2, statistic=apart)))
+    return Mean(
+        float(apart(pairs.reshape(-1, 2))),
+        *map(float, bootstrap_interval(pairs, axes=2, statistic=apart)),
+    )
 
 
 Standings = Mapping[tuple[str, str], Standing]

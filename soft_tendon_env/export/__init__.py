@@ -1,1 +1,2 @@
-"""Trained agents as ONNX files, `agent`, and arms as chains in MuJoCo, `mujoco_chain`: each needs the libraries of its own extra alone."""
+"""Trained agents as ONNX files, `agent`, and arms as chains in MuJoCo, `mujoco_chain`: each needs
+the libraries of its own extra alone."""

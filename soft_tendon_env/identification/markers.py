@@ -1,4 +1,5 @@
-"""Markers of motion capture: where they sit on the arm, the frame of their positions, and the columns of the data, from a TOML file."""
+"""Markers of motion capture: where they sit on the arm, the frame of their positions, and the
+columns of the data, from a TOML file."""
 
 import os
 from collections.abc import Mapping
@@ -9,7 +10,12 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, read_toml
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    Problem,
+    read_toml,
+)
 from soft_tendon_env.tools.types import Array, NotNegative, Quaternion, Triple
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -24,11 +30,16 @@ class Marker(Configuration):
     """Marker that is fixed to a section of the rod, `[markers.NAME]`."""
 
     arc_length: NotNegative  # of the section, from the rod's base [m]
-    offset: Triple = (0.0, 0.0, 0.0)  # of the marker in the section's frame (x along the rod, y, z) [m]
+    offset: Triple = (
+        0.0,
+        0.0,
+        0.0,
+    )  # of the marker in the section's frame (x along the rod, y, z) [m]
 
 
 class Frame(Configuration):
-    """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p + translation."""
+    """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p +
+    translation."""
 
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of the rotation R, (w, x, y, z)
     translation: Triple = (0.0, 0.0, 0.0)  # [m]
@@ -40,7 +51,8 @@ class Frame(Configuration):
 
 
 class Column(Configuration):
-    """Column of the data that holds a quantity, `[columns]`, by the quantity's name; a `*` there stands for what `*` in `name` does."""
+    """Column of the data that holds a quantity, `[columns]`, by the quantity's name; a `*` there
+    stands for what `*` in `name` does."""
 
     name: str | None = None  # of the column; None: the quantity's own
     unit: str | None = None  # one of `UNITS`; None: the SI unit
@@ -67,24 +79,37 @@ class MarkerSet(Configuration):
     def with_offsets(self, offsets: Array) -> "MarkerSet":
         """The markers with other offsets (m, 3) [m]."""
         pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
-        moved = {name: marker.model_copy(update={"offset": tuple(offset)}) for (name, marker), offset in pairs}
+        moved = {
+            name: marker.model_copy(update={"offset": tuple(offset)})
+            for (name, marker), offset in pairs
+        }
         return MarkerSet(markers=moved, frame=self.frame, columns=self.columns)
 
 
 def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:
-    """Markers, frame and columns of a TOML file, for the arm of a scene. Raises ConfigurationError, see `check_places`."""
+    """Markers, frame and columns of a TOML file, for the arm of a scene. Raises ConfigurationError,
+    see `check_places`."""
     found = MarkerSet.parse(read_toml(path), os.fspath(path))
     check_places(found, scene, os.fspath(path))
     return found
 
 
 def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
-    """Raises ConfigurationError for markers beyond the rod's tip, and for offsets that are longer than the rod."""
+    """Raises ConfigurationError for markers beyond the rod's tip, and for offsets that are longer
+    than the rod."""
     length, problems = rod_length(scene), list[Problem]()
     for name, marker in markers.markers.items():
-        for key, size in (("arc_length", marker.arc_length), ("offset", float(np.linalg.norm(marker.offset)))):
+        for key, size in (
+            ("arc_length", marker.arc_length),
+            ("offset", float(np.linalg.norm(marker.offset))),
+        ):
             if size > length * (1 + 1e-9):
                 hint = "; is it in mm?" if size > 10.0 * length else ""
-                problems.append(Problem(("markers", name, key), f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"))
+                problems.append(
+                    Problem(
+                        ("markers", name, key),
+                        f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}",
+                    )
+                )
     if problems:
         raise ConfigurationError(problems, source)

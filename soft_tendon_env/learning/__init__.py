@@ -1,1 +1,2 @@
-"""Reinforcement learning with Stable-Baselines3: trainings, sweeps over seeds, learning curves, and its vector environment."""
+"""Reinforcement learning with Stable-Baselines3: trainings, sweeps over seeds, learning curves, and
+its vector environment."""

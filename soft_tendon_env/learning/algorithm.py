@@ -1,4 +1,5 @@
-"""Base of the package's own algorithms: the interface of Stable-Baselines3 and PPO's policies, on vector environments of this package."""
+"""Base of the package's own algorithms: the interface of Stable-Baselines3 and PPO's policies, on
+vector environments of this package."""
 
 import math
 from abc import abstractmethod
@@ -20,7 +21,8 @@ class ActorAlgorithm(BaseAlgorithm):
     """Algorithm that learns the mean action of a policy of PPO, whose value network learns nothing.
 
     Args:
-        env: vector environment of this package, see `make_sb3_vec_env`. Raises TypeError for others.
+        env: vector environment of this package, see `make_sb3_vec_env`. Raises TypeError for
+            others.
         settings: of the algorithm's `settings_class`.
         others: see BaseAlgorithm; `device` is "cpu" by default.
     """
@@ -39,7 +41,14 @@ class ActorAlgorithm(BaseAlgorithm):
         _init_setup_model: bool = True,
         **general: Any,
     ) -> None:
-        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **{"device": "cpu", **general})
+        super().__init__(
+            policy,
+            env,
+            learning_rate,
+            policy_kwargs,
+            support_multi_env=True,
+            **{"device": "cpu", **general},
+        )
         self.settings = self.settings_class() if settings is None else settings
         if _init_setup_model:
             self._setup_model()
@@ -48,7 +57,9 @@ class ActorAlgorithm(BaseAlgorithm):
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         spaces = self.observation_space, self.action_space
-        self.policy = cast(ActorCriticPolicy, self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs)).to(self.device)
+        self.policy = cast(
+            ActorCriticPolicy, self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs)
+        ).to(self.device)
         if self.env is not None:
             self._prepare()
 
@@ -60,17 +71,27 @@ class ActorAlgorithm(BaseAlgorithm):
 
     @abstractmethod
     def _prepare(self) -> None:
-        """Prepare to learn on the environment that is set. Raises TypeError, ValueError where the algorithm cannot."""
+        """Prepare to learn on the environment that is set. Raises TypeError, ValueError where the
+        algorithm cannot."""
 
     @abstractmethod
     def _learn_part(self, callback: BaseCallback) -> bool:
         """Act for a while and learn from that; False where the callback ends the training."""
 
-    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:  # type: ignore[override]
-        """Learn for so many steps of all rows; every `log_interval`-th part has a row of the log. See `BaseAlgorithm.learn`."""
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int = 1,
+        **others: Any,
+    ) -> Self:  # type: ignore[override]
+        """Learn for so many steps of all rows; every `log_interval`-th part has a row of the log.
+        See `BaseAlgorithm.learn`."""
         self._prepare()
         reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)
-        total, called = self._setup_learn(total_timesteps, callback, reset, others.get("tb_log_name", type(self).__name__), bar)
+        total, called = self._setup_learn(
+            total_timesteps, callback, reset, others.get("tb_log_name", type(self).__name__), bar
+        )
         called.on_training_start(locals(), globals())
         parts = 0
         while self.num_timesteps < total and self._learn_part(called):

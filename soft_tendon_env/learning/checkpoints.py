@@ -1,7 +1,9 @@
-"""Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that a killed training can go on.
+"""Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that
+a killed training can go on.
 
-A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` and `config.json`,
-which has the digests of the other files. What a training goes on from has the other files too, which are unpickled then, and only then.
+A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`,
+`statistics.npz` and `config.json`, which has the digests of the other files. What a training goes
+on from has the other files too, which are unpickled then, and only then.
 """
 
 import pickle
@@ -23,15 +25,31 @@ from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.files import check_digests, digests, read_json
 from soft_tendon_env.tools.messages import UserError, first_line
 
-BUFFER, MODEL, PICKLED, ENVIRONMENT = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl", "environment.pkl"
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")  # what of a model belongs to its environment
+BUFFER, MODEL, PICKLED, ENVIRONMENT = (
+    "replay_buffer.pkl",
+    "model.zip",
+    "vecnormalize.pkl",
+    "environment.pkl",
+)
+LAST = (
+    "_last_obs",
+    "_last_original_obs",
+    "_last_episode_starts",
+    "action_space",
+)  # what of a model belongs to its environment
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
-    """Environment of a model in the midst of its episodes, with all else that the next step of its training depends on."""
+    """Environment of a model in the midst of its episodes, with all else that the next step of its
+    training depends on."""
     statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
     generators = torch.get_rng_state(), np.random.get_state()
-    return {"env": unwrapped(statistics), "returns": statistics.returns, "last": last, "generators": generators}
+    return {
+        "env": unwrapped(statistics),
+        "returns": statistics.returns,
+        "last": last,
+        "generators": generators,
+    }
 
 
 def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
@@ -43,7 +61,8 @@ def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
 
 
 def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
-    """Write an agent of Stable-Baselines3 into a folder. resumable: with what a training needs to go on from it."""
+    """Write an agent of Stable-Baselines3 into a folder. resumable: with what a training needs to
+    go on from it."""
     statistics = statistics_of(model)
     save_agent(folder, model.policy, normalization_of(statistics))
     if resumable:
@@ -55,13 +74,17 @@ def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
-    """Content of config.json: the configuration as resolved, layout of observations, strain parametrisation, and provenance."""
+    """Content of config.json: the configuration as resolved, layout of observations, strain
+    parametrisation, and provenance."""
     known = {"layout": layout_of(episodes), "strain": strain_of(episodes.model.scene)}
     return {**training.model_dump(mode="json"), **known, "record": origin()}
 
 
-def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]) -> None:
-    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises UserError."""
+def replace_checkpoint(
+    folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]
+) -> None:
+    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises
+    UserError."""
     new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
@@ -71,7 +94,10 @@ def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[
         write_json(new / CONFIG, {**config, "files": digests(new)}, say=False)
     except (OSError, RuntimeError) as error:  # PyTorch's own, where a disk is full
         shutil.rmtree(new, ignore_errors=True)
-        raise UserError(f"{folder} cannot be written: {first_line(error)}. What stood there before, if anything, is as it was") from error
+        raise UserError(
+            f"{folder} cannot be written: {first_line(error)}. What stood there before, if"
+            " anything, is as it was"
+        ) from error
     if folder.exists():
         folder.rename(old)
     new.rename(folder)
@@ -83,11 +109,14 @@ def find_checkpoint(folder: Path) -> Path | None:
     new, old = (folder.with_name(f"{folder.name}.{kind}") for kind in ("new", "old"))
     if folder.exists():
         return folder
-    return new if old.exists() else None  # killed between the two renamings, when the new one was complete
+    return (
+        new if old.exists() else None
+    )  # killed between the two renamings, when the new one was complete
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
-    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError, FileNotFoundError."""
+    """Content of config.json of a checkpoint whose files are as they were written. Raises
+    ValueError, FileNotFoundError."""
     config = read_json(checkpoint / CONFIG)
     check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
     return config

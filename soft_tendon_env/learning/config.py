@@ -1,4 +1,5 @@
-"""Configuration of a training: the keys of the files in configs/, read strictly, and what `--set key=value` changes of them."""
+"""Configuration of a training: the keys of the files in configs/, read strictly, and what
+`--set key=value` changes of them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,15 @@ from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
 from soft_tendon_env.policies.network import ALGORITHMS
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    Problem,
+    not_among,
+    override,
+    parsed_changes,
+    read_toml,
+)
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.types import NotNegative, Positive
 
@@ -23,16 +32,17 @@ Rate = Annotated[float, Field(ge=1e-12, le=1)]
 
 
 class Normalisation(Configuration):
-    """Running normalisation by VecNormalize of Stable-Baselines3. By default observations keep the scales of the environment: under
-    running statistics an oscillating arm changes the observations of all others."""
+    """Running normalisation by VecNormalize of Stable-Baselines3. By default observations keep the
+    scales of the environment: under running statistics an oscillating arm changes the observations
+    of all others."""
 
     observations: bool = False
     rewards: bool = True
 
 
 class Evaluation(Configuration):
-    """Validation and checkpoint after every so many steps, without exploration, on the first `episodes` validation seeds, on arms as in
-    training; errors count from `skip` [s] on."""
+    """Validation and checkpoint after every so many steps, without exploration, on the first
+    `episodes` validation seeds, on arms as in training; errors count from `skip` [s] on."""
 
     every: int = Field(default=100_000, ge=1)
     episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))
@@ -40,7 +50,8 @@ class Evaluation(Configuration):
 
 
 class Training(Configuration):
-    """Training of one agent, by reinforcement learning, by imitation of an expert, or by gradients of the simulation.
+    """Training of one agent, by reinforcement learning, by imitation of an expert, or by gradients
+    of the simulation.
 
     Attributes:
         task, algorithm: names of what is to be learned, and of the algorithm.
@@ -48,11 +59,13 @@ class Training(Configuration):
         arms: number of arms that move side by side.
         seconds: length of an episode.
         seed: seed of networks, arms and exploration.
-        learning_rate: a number, or (first, last) with a straight line between them, or with "geometric" behind them a straight line between
-            their logarithms.
-        hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
+        learning_rate: a number, or (first, last) with a straight line between them, or with
+            "geometric" behind them a straight line between their logarithms.
+        hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names;
+            `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
-        integral_time: [s], integral action around the agent once it acts and is evaluated, see policies/integral.py; None: none.
+        integral_time: [s], integral action around the agent once it acts and is evaluated, see
+            policies/integral.py; None: none.
     """
 
     task: TaskName
@@ -69,8 +82,12 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
-        """First arm's seed for `reset`, of a training that has done so many steps; those of others follow. No two trainings share any."""
-        return SEEDS["training"].start + int(np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0] >> np.uint64(16))
+        """First arm's seed for `reset`, of a training that has done so many steps; those of others
+        follow. No two trainings share any."""
+        return SEEDS["training"].start + int(
+            np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0]
+            >> np.uint64(16)
+        )
 
     @field_validator("algorithm")
     @classmethod
@@ -82,7 +99,10 @@ class Training(Configuration):
     @field_validator("options")
     @classmethod
     def _say_action(cls, options: dict[str, Any]) -> dict[str, Any]:
-        return {"action": Options.model_fields["action"].default, **options}  # so that config.json says it
+        return {
+            "action": Options.model_fields["action"].default,
+            **options,
+        }  # so that config.json says it
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":
@@ -92,7 +112,10 @@ class Training(Configuration):
             try:
                 scene = resolved_scene(options)
             except ConfigurationError as error:
-                raise ConfigurationError(Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()) from error
+                raise ConfigurationError(
+                    Problem(("scene",), f"cannot be used: {line}")
+                    for line in str(error).splitlines()
+                ) from error
             check_fit(options, task, scene)
             groups_of(options, task)
             episode_steps(self.seconds, self.evaluation.skip, self.options)
@@ -116,23 +139,34 @@ NO_TRAININGS = ("published", "tune_")  # prefixes of the files in configs/ that 
 def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
     stems = sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
-    return tuple(stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS))
+    return tuple(
+        stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS)
+    )
 
 
 def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
-    """Path of the file of a training that ships (or of another kind, by its prefix), or of any other file. Raises ConfigurationError."""
+    """Path of the file of a training that ships (or of another kind, by its prefix), or of any
+    other file. Raises ConfigurationError."""
     name, names = str(name_or_path), config_names(prefix)
     if name in names and not Path(name).is_file():
         return CONFIGS / f"{prefix}{name}.toml"
     if Path(name).suffix != ".toml" and not Path(name).exists():
-        text = f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that ships: {not_among(name, names)}"
+        text = (
+            f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that"
+            f" ships: {not_among(name, names)}"
+        )
         raise ConfigurationError([Problem((), text)], name)
     return Path(name)
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """Training of a file, overridden by `changes` "key=value" and by `more` keys. Raises ConfigurationError, ValueError."""
-    table, given, source = read_toml(path), parsed_changes(changes), f"{path}, changed" if changes or more else str(path)
+    """Training of a file, overridden by `changes` "key=value" and by `more` keys. Raises
+    ConfigurationError, ValueError."""
+    table, given, source = (
+        read_toml(path),
+        parsed_changes(changes),
+        f"{path}, changed" if changes or more else str(path),
+    )
     if twice := given.keys() & more.keys():
         raise ValueError(f"--set has {min(twice)}, which is given twice")
     try:

@@ -1,4 +1,5 @@
-"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in the training's folder, and progress."""
+"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in
+the training's folder, and progress."""
 
 import csv
 import time
@@ -33,15 +34,25 @@ from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.tables import read_numbers
 
-COLUMNS = ("steps", "seconds", "return", "diverged")  # of every learning curve, before the task's own
+COLUMNS = (
+    "steps",
+    "seconds",
+    "return",
+    "diverged",
+)  # of every learning curve, before the task's own
 Watch = Callable[[Mapping[str, float]], None]
 """Function that gets every row of a learning curve as it is measured."""
 
 
 def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Sort key of rows, the smaller the better: more goals reached, then a smaller `tracking_cost`, then a smaller typical error."""
+    """Sort key of rows, the smaller the better: more goals reached, then a smaller `tracking_cost`,
+    then a smaller typical error."""
     typical = row["typical"]
-    return -row.get("reached", 0.0), row["cost"], np.inf if typical is None or np.isnan(typical) else typical
+    return (
+        -row.get("reached", 0.0),
+        row["cost"],
+        np.inf if typical is None or np.isnan(typical) else typical,
+    )
 
 
 def format_row(row: Mapping[str, float]) -> str:
@@ -51,7 +62,8 @@ def format_row(row: Mapping[str, float]) -> str:
 
 
 class TrainingMonitor(ABC):
-    """Validations and checkpoints of a training while it learns. An engine says what its network is, and when nothing is half done.
+    """Validations and checkpoints of a training while it learns. An engine says what its network
+    is, and when nothing is half done.
 
     checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
     """
@@ -61,12 +73,22 @@ class TrainingMonitor(ABC):
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         found = {} if checkpoint is None else read_checkpoint(checkpoint)
         self.training, self.folder, self._csv = training, folder, folder / "evaluations.csv"
-        self.began, self._before, self._untimed = found.get("steps_done", 0), found.get("seconds_learned", 0.0), 0.0
+        self.began, self._before, self._untimed = (
+            found.get("steps_done", 0),
+            found.get("seconds_learned", 0.0),
+            0.0,
+        )
         rows = read_numbers(self._csv, COLUMNS) if self._csv.exists() else []
-        self.curve = [row for row in rows if row["steps"] <= self.began]  # what follows was learned by an agent that is lost
+        self.curve = [
+            row for row in rows if row["steps"] <= self.began
+        ]  # what follows was learned by an agent that is lost
         best = find_checkpoint(folder / "best")  # which may be further than the last checkpoint
         self._best = None if best is None else quality(read_json(best / CONFIG)["evaluated"])
-        size: dict[str, Any] = {"num_envs": training.evaluation.episodes, "max_episode_steps": training.episode_steps, "threads": 1}
+        size: dict[str, Any] = {
+            "num_envs": training.evaluation.episodes,
+            "max_episode_steps": training.episode_steps,
+            "threads": 1,
+        }
         self.envs = gym.make_vec(IDS[training.task], **size, **training.options)
 
     @abstractmethod
@@ -94,21 +116,49 @@ class TrainingMonitor(ABC):
             self.evaluate()  # compiles, if need be
 
     def between_rollouts(self, ends: bool = False) -> None:
-        """Evaluate and keep the agent if that is due, when nothing is half done. ends: after the last step, when it is."""
-        before, self._evaluated = self._evaluated, self.steps_done() // self.training.evaluation.every
+        """Evaluate and keep the agent if that is due, when nothing is half done. ends: after the
+        last step, when it is."""
+        before, self._evaluated = (
+            self._evaluated,
+            self.steps_done() // self.training.evaluation.every,
+        )
         if self._evaluated > before or ends and self.curve[-1]["steps"] < self.steps_done():
             self.evaluate()
-            self.save(self.folder / "last", self._config | {"steps_done": self.steps_done(), "seconds_learned": self._seconds()}, True)
+            self.save(
+                self.folder / "last",
+                self._config
+                | {
+                    "steps_done": self.steps_done(),
+                    "seconds_learned": self._seconds(),
+                },
+                True,
+            )
 
     def evaluate(self) -> None:
-        """Add a row of fixed validation episodes, in SI units, to the learning curve, and keep the agent if it is the best so far."""
+        """Add a row of fixed validation episodes, in SI units, to the learning curve, and keep the
+        agent if it is the best so far."""
         self.check()
         row: dict[str, float] = {"steps": self.steps_done(), "seconds": self._seconds()}
-        policy = acting_policy(NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time)
+        policy = acting_policy(
+            NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time
+        )
         seeds = VALIDATION_SEEDS[: self.envs.num_envs]
         scores = evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip)
-        summary, first = summarise(scores), np.array([next(iter(score.errors.values())).rms for score in scores if score.diverged is None])
-        row |= {"return": summary.mean_return, "diverged": summary.diverged, "cost": tracking_cost(scores)}
+        summary, first = (
+            summarise(scores),
+            np.array(
+                [
+                    next(iter(score.errors.values())).rms
+                    for score in scores
+                    if score.diverged is None
+                ]
+            ),
+        )
+        row |= {
+            "return": summary.mean_return,
+            "diverged": summary.diverged,
+            "cost": tracking_cost(scores),
+        }
         row |= {"typical": float(np.exp(np.log(first).mean())) if first.size else np.nan}
         row |= {} if summary.reached is None else {"reached": summary.reached}
         for name, error in summary.errors.items():
@@ -117,11 +167,21 @@ class TrainingMonitor(ABC):
         with replacing(self._csv) as new, open(new, "w", newline="") as file:
             writer = csv.DictWriter(file, list(row))
             writer.writeheader()
-            writer.writerows({name: f"{value:.9g}" for name, value in values.items()} for values in self.curve)
-        print(f"{row['steps']} of {self.training.steps} steps, {row['seconds']:.0f} s: {format_row(row)}", flush=True)
+            writer.writerows(
+                {name: f"{value:.9g}" for name, value in values.items()} for values in self.curve
+            )
+        print(
+            f"{row['steps']} of {self.training.steps} steps, {row['seconds']:.0f} s:"
+            f" {format_row(row)}",
+            flush=True,
+        )
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
-            self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, False)
+            self.save(
+                self.folder / "best",
+                self._config | {"steps_done": self.steps_done(), "evaluated": row},
+                False,
+            )
         self._untimed += self._seconds() - row["seconds"]
         if self.watch is not None:
             self.watch(row)
@@ -129,13 +189,19 @@ class TrainingMonitor(ABC):
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
         if not all(bool(torch.isfinite(weights).all()) for weights in self.network().parameters()):
-            text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
+            text = (
+                f"after {self.steps_done()} steps the agent's weights are no longer finite: a"
+                " smaller learning_rate may help"
+            )
             raise UserError(f"{text}. The last checkpoint in {self.folder} is from before")
 
     def report(self) -> None:
         """Print the speed of learning in this process."""
         steps, learned = self.steps_done() - self.began, self._seconds() - self._before
-        print(f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s; at the end: {format_row(self.curve[-1])}")
+        print(
+            f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s; at the end:"
+            f" {format_row(self.curve[-1])}"
+        )
 
     def _seconds(self) -> float:
         return self._before + time.perf_counter() - self._started - self._untimed

@@ -1,7 +1,8 @@
-"""Sweeps: trainings of every configuration with several seeds, side by side in processes, or on a Ray cluster.
+"""Sweeps: trainings of every configuration with several seeds, side by side in processes, or on a
+Ray cluster.
 
-Every run has its folder OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are done are not repeated, and interrupted
-ones go on. A run that fails stops no other.
+Every run has its folder OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are
+done are not repeated, and interrupted ones go on. A run that fails stops no other.
 """
 
 import traceback
@@ -17,13 +18,15 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 
 class Sweep(Configuration):
-    """Train every configuration with several seeds (runs that are done are not repeated), and draw and print their learning curves.
+    """Train every configuration with several seeds (runs that are done are not repeated), and draw
+    and print their learning curves.
 
     Attributes:
         configs: names of trainings that ship, or paths of TOML files.
         seeds: number of seeds of each configuration, from 0 on.
         workers: runs side by side.
-        cluster: address of a Ray cluster that runs them, or "auto" for the one of this machine, whose machines all see the folder.
+        cluster: address of a Ray cluster that runs them, or "auto" for the one of this machine,
+            whose machines all see the folder.
         set: overrides the files in all runs, dotted keys with values as in TOML, as for train.
         only_plot: train nothing, show all seeds that are there.
         out: folder of the runs, OUT/CONFIG/seed_N; OUT/CONFIG is a policy for compare.
@@ -39,17 +42,32 @@ class Sweep(Configuration):
 
     @property
     def folders(self) -> list[Path]:
-        """Folders of the configurations' runs. Raises ConfigurationError where two would share one."""
+        """Folders of the configurations' runs. Raises ConfigurationError where two would share
+        one."""
         folders = [Path(self.out).absolute() / Path(config).stem for config in self.configs]
         if twice := [folder.name for folder in folders if folders.count(folder) > 1]:
-            raise ConfigurationError([Problem(("configs",), f"has two files {twice[0]}.toml, whose runs would share a folder")])
+            raise ConfigurationError(
+                [
+                    Problem(
+                        ("configs",),
+                        f"has two files {twice[0]}.toml, whose runs would share a folder",
+                    )
+                ]
+            )
         return folders
 
     def jobs(self) -> list["Job"]:
-        """Runs, seed by seed, so that all have come equally far. Raises ConfigurationError where one cannot be trained."""
-        pairs = [(folder, find_config(config)) for folder, config in zip(self.folders, self.configs, strict=True)]
+        """Runs, seed by seed, so that all have come equally far. Raises ConfigurationError where
+        one cannot be trained."""
+        pairs = [
+            (folder, find_config(config))
+            for folder, config in zip(self.folders, self.configs, strict=True)
+        ]
         every = ((seed, *pair) for seed in range(self.seeds) for pair in pairs)
-        return [Job(read_training(file, self.set, seed=seed), folder / f"seed_{seed}") for seed, folder, file in every]
+        return [
+            Job(read_training(file, self.set, seed=seed), folder / f"seed_{seed}")
+            for seed, folder, file in every
+        ]
 
 
 class Job(NamedTuple):
@@ -73,7 +91,11 @@ def run_job(job: Job) -> str | None:
 
     with into_log(job.folder / "train.log"):
         try:
-            train.train(job.training, job.folder, train.checkpoint_to_resume(job.folder, job.training, resume=True))
+            train.train(
+                job.training,
+                job.folder,
+                train.checkpoint_to_resume(job.folder, job.training, resume=True),
+            )
         except Exception:
             return traceback.format_exc()
     return None

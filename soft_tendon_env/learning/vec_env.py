@@ -1,9 +1,11 @@
-"""The environments with many arms for Stable-Baselines3, which has no adapter of its own for Gymnasium's vector environments.
+"""The environments with many arms for Stable-Baselines3, which has no adapter of its own for
+Gymnasium's vector environments.
 
     from soft_tendon_env.learning.vec_env import make_sb3_vec_env
     agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
 
-Nothing else of the package imports this module, since it needs `pip install "soft_tendon_env[agents]"`.
+Nothing else of the package imports this module, since it needs
+`pip install "soft_tendon_env[agents]"`.
 """
 
 import time
@@ -22,25 +24,41 @@ from soft_tendon_env.envs.environments import TendonRodVectorEnv
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """Rows of an environment as a VecEnv of Stable-Baselines3; row i is the single environment under DummyVecEnv with Monitor, bit for bit.
+    """Rows of an environment as a VecEnv of Stable-Baselines3; row i is the single environment
+    under DummyVecEnv with Monitor, bit for bit.
 
-    An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats, with "TimeLimit.truncated" and, at
-    the end of an episode, "terminal_observation" and "episode": return "r", length "l" and seconds "t" since this object was made.
+    An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats,
+    with "TimeLimit.truncated" and, at the end of an episode, "terminal_observation" and "episode":
+    return "r", length "l" and seconds "t" since this object was made.
     """
 
     def __init__(self, env: TendonRodVectorEnv) -> None:
-        """env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for other environments."""
+        """env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for other
+        environments."""
         if not isinstance(env, TendonRodVectorEnv):
-            raise TypeError(f"env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids, not {type(env).__name__}")
+            raise TypeError(
+                "env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids,"
+                f" not {type(env).__name__}"
+            )
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"env should be made with autoreset_mode='same_step', not {env.autoreset_mode.name.lower()!r}")
+            raise ValueError(
+                "env should be made with autoreset_mode='same_step', not"
+                f" {env.autoreset_mode.name.lower()!r}"
+            )
         self.env, self.spec, self._born = env, env.spec, time.time()
-        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
+        self._returns, self._lengths = (
+            np.zeros(env.num_envs),
+            np.zeros(env.num_envs, dtype=np.int64),
+        )
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """New episodes of all rows, with the seeds that `seed` has set, once, and the options of `reset` from `set_options`, likewise."""
-        options = {key: [of_row.get(key) for of_row in self._options] for key in set().union(*self._options)}
+        """New episodes of all rows, with the seeds that `seed` has set, once, and the options of
+        `reset` from `set_options`, likewise."""
+        options = {
+            key: [of_row.get(key) for of_row in self._options]
+            for key in set().union(*self._options)
+        }
         observation, _ = self.env.reset(seed=self._seeds, options=options)
         self._reset_seeds()
         self._reset_options()
@@ -59,31 +77,63 @@ class StableBaselinesVecEnv(VecEnv):
         self._returns += reward
         self._lengths += 1
         for row in np.flatnonzero(done).tolist():
-            infos[row] = {**_of_row(info["final_info"], row), "TimeLimit.truncated": bool(late[row])}
+            infos[row] = {
+                **_of_row(info["final_info"], row),
+                "TimeLimit.truncated": bool(late[row]),
+            }
             infos[row]["terminal_observation"] = info["final_obs"][row]
             total, length = float(self._returns[row]), int(self._lengths[row])
-            infos[row]["episode"] = {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
+            infos[row]["episode"] = {
+                "r": round(total, 6),
+                "l": length,
+                "t": round(time.time() - self._born, 6),
+            }
             self._returns[row], self._lengths[row] = 0.0, 0
         return observation, reward.astype(np.float32), done, infos
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the environment, which the rows share, for each of `indices`; spaces are those of one row."""
-        value = getattr(self.env, f"single_{attr_name}" if attr_name in ("observation_space", "action_space") else attr_name)
+        """An attribute of the environment, which the rows share, for each of `indices`; spaces are
+        those of one row."""
+        value = getattr(
+            self.env,
+            (
+                f"single_{attr_name}"
+                if attr_name in ("observation_space", "action_space")
+                else attr_name
+            ),
+        )
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the environment. Raises ValueError unless `indices` are all rows, since they share it."""
+        """Set an attribute of the environment. Raises ValueError unless `indices` are all rows,
+        since they share it."""
         if {*self._get_indices(indices)} != {*range(self.num_envs)}:
-            raise ValueError(f"indices should be None: the rows share {attr_name!r}, it cannot be set for some")
+            raise ValueError(
+                f"indices should be None: the rows share {attr_name!r}, it cannot be set for some"
+            )
         setattr(self.env, attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
-        """Results of a method of the environment, called once for each of `indices`. Raises ValueError for those of all rows at once."""
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """Results of a method of the environment, called once for each of `indices`. Raises
+        ValueError for those of all rows at once."""
         if method_name in ("reset", "step", "set_target", "render", "close", "close_extras"):
-            raise ValueError(f"{method_name!r} acts on all rows at once: it cannot be called by env_method")
-        return [getattr(self.env, method_name)(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
+            raise ValueError(
+                f"{method_name!r} acts on all rows at once: it cannot be called by env_method"
+            )
+        return [
+            getattr(self.env, method_name)(*method_args, **method_kwargs)
+            for _ in self._get_indices(indices)
+        ]
 
-    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
         """True for Monitor, whose work is done here, else False."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
@@ -97,13 +147,15 @@ class StableBaselinesVecEnv(VecEnv):
 
 
 def make_sb3_vec_env(id: str, num_envs: int, **options: Any) -> StableBaselinesVecEnv:
-    """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ..."""
+    """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`:
+    `max_episode_steps`, `fidelity`, `target`, ..."""
     env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
     return StableBaselinesVecEnv(env)
 
 
 def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
-    """Vector environment of the arms within wrappers of Stable-Baselines3. Raises TypeError for others than this package's."""
+    """Vector environment of the arms within wrappers of Stable-Baselines3. Raises TypeError for
+    others than this package's."""
     while isinstance(env, VecEnvWrapper):
         env = env.venv
     if not isinstance(env, StableBaselinesVecEnv):
@@ -112,15 +164,23 @@ def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
 
 
 def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """Dictionaries of plain values, quickly and without regard to masks: `step_wait` replaces those of rows that have ended."""
+    """Dictionaries of plain values, quickly and without regard to masks: `step_wait` replaces those
+    of rows that have ended."""
     columns = {name: value for name, value in info.items() if _is_value(name)} | more
     names = tuple(columns)
-    return [dict(zip(names, values, strict=True)) for values in zip(*(value.tolist() for value in columns.values()), strict=True)]
+    return [
+        dict(zip(names, values, strict=True))
+        for values in zip(*(value.tolist() for value in columns.values()), strict=True)
+    ]
 
 
 def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
     """Info of a row, as plain values."""
-    return {name: value[row : row + 1].tolist()[0] for name, value in info.items() if _is_value(name) and info[f"_{name}"][row]}
+    return {
+        name: value[row : row + 1].tolist()[0]
+        for name, value in info.items()
+        if _is_value(name) and info[f"_{name}"][row]
+    }
 
 
 def _is_value(name: str) -> bool:

@@ -1,8 +1,10 @@
-"""Effects as the kernels see them: what an effect reads and adds to, its own kernels, their addresses, and how they are called.
+"""Effects as the kernels see them: what an effect reads and adds to, its own kernels, their
+addresses, and how they are called.
 
-The kernels of an effect are compiled by themselves and called through their addresses, which stand in a table with those of their
-parameters, a `Struct`: the mechanics are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at
-all. An effect is a pure function of its parameters, of the time, and of poses and twists, or of strains.
+The kernels of an effect are compiled by themselves and called through their addresses, which stand
+in a table with those of their parameters, a `Struct`: the mechanics are compiled once, whatever
+effects an arm has, and an effect that no scene names is not compiled at all. An effect is a pure
+function of its parameters, of the time, and of poses and twists, or of strains.
 """
 
 import dis
@@ -36,34 +38,51 @@ class ContactFlags(Struct):
     """Flags of a step, 1 or 0: whether the arm touches something or goes through it."""
 
     touched: np.ndarray  # (1) the arm touched something within the step
-    tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
-    active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too
+    # (1) the arm went through something on its way: the step is tried again at half of its length
+    tunnelled: np.ndarray
+    # (1) it touches something or is about to: the next step is as short as its error calls for,
+    # with fixed steps too
+    active: np.ndarray
 
 
 class Nodes(NamedTuple):
-    """The slices of the rod that the nodes stand for: what an effect reads of them, and what it adds to; layout as in types.py."""
+    """The slices of the rod that the nodes stand for: what an effect reads of them, and what it
+    adds to; layout as in types.py."""
 
     packs: int
     time: float  # [s]
     mass: np.ndarray  # nodes [kg], of the rod and its payload
-    inertia: np.ndarray  # nodes x 6, screw inertia about the slice's axes [kg m^2, kg], with what effects add
+    inertia: (
+        np.ndarray
+    )  # nodes x 6, screw inertia about the slice's axes [kg m^2, kg], with what effects add
     pose: np.ndarray  # nodes x 12, R rows, r
     twist: np.ndarray  # nodes x 6, body frame
-    base: np.ndarray  # (24) pose of the base, R rows and r; its twist and the rate of that, as in Base
+    base: (
+        np.ndarray
+    )  # (24) pose of the base, R rows and r; its twist and the rate of that, as in Base
     wrench: np.ndarray  # nodes x 6, body frame, of the whole slice
-    stiffness: np.ndarray  # nodes x 21, -d wrench / d displacement, symmetric, its lower triangle by rows: where it is stiff
+    # nodes x 21, -d wrench / d displacement, symmetric, its lower triangle by rows: where it is
+    # stiff
+    stiffness: np.ndarray
     damping: np.ndarray  # nodes x 21, -d wrench / d twist: where that is large
-    before_step: BeforeStep  # for a continuous collision check between two poses, under `limits_step`
+    before_step: (
+        BeforeStep  # for a continuous collision check between two poses, under `limits_step`
+    )
     contact: ContactFlags
 
 
 class Points(NamedTuple):
-    """The sections at the quadrature points: what an effect reads of them, and what it adds to; layout as in types.py."""
+    """The sections at the quadrature points: what an effect reads of them, and what it adds to;
+    layout as in types.py."""
 
     packs: int
     time: float  # [s]
-    since: float  # [s] since the strain was `before` and the effect's own state was what it is; infinity: the arm has rested
-    state: np.ndarray  # the effect's own internal state then, which its stress brings up to the present
+    # [s] since the strain was `before` and the effect's own state was what it is; infinity: the arm
+    # has rested
+    since: float
+    state: (
+        np.ndarray
+    )  # the effect's own internal state then, which its stress brings up to the present
     before: np.ndarray  # points x 6, xi then
     strain: np.ndarray  # points x 6, xi
     rate: np.ndarray  # points x 6, xi_dot
@@ -79,20 +98,26 @@ class Base(NamedTuple):
 
     time: float  # [s]
     pose: np.ndarray  # (12) R rows, r, world frame; to begin with as the scene has it
-    twist: np.ndarray  # (6) world frame: angular velocity, and velocity of the point of the base that is at the world's origin
+    # (6) world frame: angular velocity, and velocity of the point of the base that is at the
+    # world's origin
+    twist: np.ndarray
     acceleration: np.ndarray  # (6) its rate
 
 
 class Transmission(Struct):
-    """Path from commands to tensions: a filter in front of the tendons, elastic tendons, friction along them. Each may be off."""
+    """Path from commands to tensions: a filter in front of the tendons, elastic tendons, friction
+    along them. Each may be off."""
 
-    filter: int  # index of the effect whose internal state is that of the filter, see transmission; -1: commands act at once
+    # index of the effect whose internal state is that of the filter, see transmission; -1: commands
+    # act at once
+    filter: int
     lags: int  # 1 where what has arrived acts with a lag or a limited rate, else 0
     delay: float  # [s]
     time_constant: float  # [s] of the lag
     rate_limit: float  # [N/s], or where commands are displacements [m/s]
     finest: float  # [s], the shortest step that a command on its way asks for
-    elastic: int  # 1 where tendons are springs and commands are displacements of their actuators [m], else 0
+    # 1 where tendons are springs and commands are displacements of their actuators [m], else 0
+    elastic: int
     stiffness: np.ndarray  # (n_a) [N/m] of the springs
     strength: np.ndarray  # (n_a) [N] of their actuators
     length: np.ndarray  # (n_a) [m] of the tendons along the stress-free rod
@@ -106,9 +131,19 @@ class Transmission(Struct):
 
 
 DIRECT = Transmission(
-    filter=-1, lags=0, delay=0.0, time_constant=0.0, rate_limit=math.inf, finest=0.0, elastic=0,
-    stiffness=np.zeros(0), strength=np.zeros(0), length=np.zeros(0), friction=0.0, stiction_speed=1.0,
-)  # fmt: skip
+    filter=-1,
+    lags=0,
+    delay=0.0,
+    time_constant=0.0,
+    rate_limit=math.inf,
+    finest=0.0,
+    elastic=0,
+    stiffness=np.zeros(0),
+    strength=np.zeros(0),
+    length=np.zeros(0),
+    friction=0.0,
+    stiction_speed=1.0,
+)
 """Commands that are tensions at once."""
 
 
@@ -123,20 +158,27 @@ HOOKS: dict[str, tuple[Any, ...]] = {
     "base": (Base(0.0, *[_ROW] * 3),),
     "limit": (_NODES, _ROW),
 }
-"""Kinds of kernels that an effect can have, as fields of `EffectTable`, with examples of their arguments after the parameters."""
+"""Kinds of kernels that an effect can have, as fields of `EffectTable`, with examples of their
+arguments after the parameters."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _IMPLICIT: dict[type, int] = {}
-_PARAMETERS = StructType(Struct, ())  # numba's type of parameters, of which a call passes the address alone
-_FUNCTIONS: list[Callable[..., None]] = []  # kernels by their addresses less 1, where nothing is compiled
+_PARAMETERS = StructType(
+    Struct, ()
+)  # numba's type of parameters, of which a call passes the address alone
+_FUNCTIONS: list[
+    Callable[..., None]
+] = []  # kernels by their addresses less 1, where nothing is compiled
 
 Decorator = Callable[[Any], Any]
 
 
 class EffectTable(Struct):
-    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and of their parameters.
+    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and
+    of their parameters.
 
-    The same type whatever the effects. Addresses hold within a process: a copy that is unpickled in another one gets its own.
+    The same type whatever the effects. Addresses hold within a process: a copy that is unpickled in
+    another one gets its own.
     """
 
     count: int
@@ -148,15 +190,26 @@ class EffectTable(Struct):
     parameters: np.ndarray  # (count) int64
     transmission: Transmission
     first_state: np.ndarray  # (count + 1) int64
-    state: np.ndarray  # internal states of all effects, in the unloaded arm that has always been at rest
+    state: (
+        np.ndarray
+    )  # internal states of all effects, in the unloaded arm that has always been at rest
 
-    def __init__(self, structs: Sequence[Struct], states: Sequence[np.ndarray], transmission: Transmission = DIRECT) -> None:
-        """The table of effects with these parameters and internal states, in their order; compiles their kernels when needed. Those whose
-        parameters no kernel reads act by the transmission alone."""
+    def __init__(
+        self,
+        structs: Sequence[Struct],
+        states: Sequence[np.ndarray],
+        transmission: Transmission = DIRECT,
+    ) -> None:
+        """The table of effects with these parameters and internal states, in their order; compiles
+        their kernels when needed. Those whose parameters no kernel reads act by the transmission
+        alone."""
         self.__dict__["_structs"] = tuple(structs)  # which their addresses do not keep
         super().__init__(
             count=len(structs),
-            **{hook: _words(_address_of_kernel(hook, struct) for struct in structs) for hook in HOOKS},
+            **{
+                hook: _words(_address_of_kernel(hook, struct) for struct in structs)
+                for hook in HOOKS
+            },
             implicit=_words(_IMPLICIT.get(type(struct), EXPLICIT) for struct in structs),
             parameters=_words(struct.address for struct in structs),
             transmission=transmission,
@@ -175,7 +228,8 @@ class EffectTable(Struct):
 
     @property
     def load(self) -> bool:
-        """True if any of them acts on an arm at rest, or moves its base: what the path from commands to tensions holds does not."""
+        """True if any of them acts on an arm at rest, or moves its base: what the path from
+        commands to tensions holds does not."""
         return bool(np.any([self.wrench, self.stress, self.base]))
 
     @property
@@ -196,12 +250,16 @@ def _words(values: Any) -> np.ndarray:
 
 def _register(hook: str, kind: type) -> Decorator:
     if not (isinstance(kind, type) and issubclass(kind, Struct)):
-        raise TypeError(f"parameters of an effect should be a class derived from soft_tendon_env.effects.Struct, not {kind!r}")
+        raise TypeError(
+            "parameters of an effect should be a class derived from"
+            f" soft_tendon_env.effects.Struct, not {kind!r}"
+        )
 
     def register(function: Any) -> Any:
         if not (config.DISABLE_JIT or hasattr(function, "kernel") or hasattr(function, "compile")):
             raise TypeError(
-                f"{getattr(function, '__name__', function)!r} should be a kernel: put @kernel beneath the decorator for {kind.__name__}"
+                f"{getattr(function, '__name__', function)!r} should be a kernel: put @kernel"
+                f" beneath the decorator for {kind.__name__}"
             )
         _KERNELS[hook, kind] = function
         return function
@@ -210,23 +268,39 @@ def _register(hook: str, kind: type) -> Decorator:
 
 
 def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
-    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds to `nodes.wrench`, see `Nodes`.
+    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds
+    to `nodes.wrench`, see `Nodes`.
 
-    A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what it depends on so, "pose", "twist" or
-    both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
-    `nodes.damping` itself. Raises ValueError for another name, and where both would count.
+    A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what
+    it depends on so, "pose", "twist" or both, and the step takes its derivatives at every node by
+    differences; or the kernel adds them to `nodes.stiffness` and `nodes.damping` itself. Raises
+    ValueError for another name, and where both would count.
     """
     bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
     if odd := {*implicit} - {*bits}:
-        raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',), not {min(odd)!r}")
+        raise ValueError(
+            f"implicit is {implicit!r}: it should name pose, twist or both, as in"
+            f" implicit=('twist',), not {min(odd)!r}"
+        )
     register = _register("wrench", kind)
 
     def register_once(function: Any) -> Any:
-        steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
-        stiff = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
+        steps = pairwise(
+            dis.get_instructions(code := getattr(function, "py_func", function).__code__)
+        )
+        stiff = {
+            now.argval
+            for before, now in steps
+            if before.argrepr.split(", ")[-1] == code.co_varnames[1]
+        } & {"stiffness", "damping"}
         if stiff and implicit:
-            text = f"adds to nodes.{min(stiff)} what implicit={implicit!r} finds by differences: leave out one of the two"
-            raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
+            text = (
+                f"adds to nodes.{min(stiff)} what implicit={implicit!r} finds by differences: leave"
+                " out one of the two"
+            )
+            raise ValueError(
+                f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice"
+            )
         _IMPLICIT[kind] = sum(bits[name] for name in {*implicit})
         return register(function)
 
@@ -234,15 +308,19 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
 
 
 adds_stress = functools.partial(_register, "stress")
-"""Decorator: the kernel (parameters, points) adds to `points.stress`, and the diagonals of its derivatives to `points.stiffness` and
-`points.damping`, see `Points`. An internal state, `points.state`, it brings up to the present: after a time `points.since` of 0 that stays
-as it is, for one of infinity it is that at rest."""
+"""Decorator: the kernel (parameters, points) adds to `points.stress`, and the diagonals of its
+derivatives to `points.stiffness` and `points.damping`, see `Points`. An internal state,
+`points.state`, it brings up to the present: after a time `points.since` of 0 that stays as it is,
+for one of infinity it is that at rest."""
 moves_base = functools.partial(_register, "base")
-"""Decorator: the kernel (parameters, base) sets pose, twist and acceleration of the base at a time, see `Base`."""
+"""Decorator: the kernel (parameters, base) sets pose, twist and acceleration of the base at a time,
+see `Base`."""
 limits_step = functools.partial(_register, "limit")
-"""Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself, or begins at
-once. It lowers `longest` (1,) [s], the longest integrator step that may begin in this configuration: to the time until something begins or
-ends, or for what is periodic by `allow_turning`. Contact checks for collisions between `nodes.before_step` and now, see `ContactFlags`."""
+"""Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than
+an arm does by itself, or begins at once. It lowers `longest` (1,) [s], the longest integrator step
+that may begin in this configuration: to the time until something begins or ends, or for what is
+periodic by `allow_turning`. Contact checks for collisions between `nodes.before_step` and now, see
+`ContactFlags`."""
 
 
 @kernel
@@ -254,11 +332,14 @@ def allow_turning(rate, longest):
 
 def kernels_of(kind: type) -> dict[str, Any]:
     """The kernels for parameters of this class, by hook."""
-    return {hook: function for hook in HOOKS if (function := _KERNELS.get((hook, kind))) is not None}
+    return {
+        hook: function for hook in HOOKS if (function := _KERNELS.get((hook, kind))) is not None
+    }
 
 
 def _address_of_kernel(hook: str, parameters: Struct) -> int:
-    """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
+    """The address of the kernel for these parameters, 0 where there is none; compiles it when
+    needed."""
     function = _KERNELS.get((hook, type(parameters)))
     kind: Any = type(parameters) if config.DISABLE_JIT else numba.typeof(parameters)
     return 0 if function is None else _address(hook, function, kind)
@@ -278,7 +359,8 @@ def _address(hook: str, function: Any, kind: Hashable) -> int:
 
 
 def call(address, parameters, arguments):
-    """Call the kernel at an address with the parameters at another one and a tuple of further arguments."""
+    """Call the kernel at an address with the parameters at another one and a tuple of further
+    arguments."""
     _FUNCTIONS[address - 1](struct_at(None, [parameters], 0), *arguments)
 
 
@@ -287,7 +369,14 @@ def _call(typingctx, address, parameters, arguments):
     def emit(context, builder, signature, given):
         kinds = (_PARAMETERS, *signature.args[2].types)
         pointer = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
-        return emit_call_at(context, builder, given[0], types.none, kinds, [pointer, *cgutils.unpack_tuple(builder, given[2])])
+        return emit_call_at(
+            context,
+            builder,
+            given[0],
+            types.none,
+            kinds,
+            [pointer, *cgutils.unpack_tuple(builder, given[2])],
+        )
 
     return types.none(address, parameters, arguments), emit
 

@@ -1,4 +1,5 @@
-"""Workspace of one evaluation: the arrays that the kernels write; layout and letters as in types.py."""
+"""Workspace of one evaluation: the arrays that the kernels write; layout and letters as in
+types.py."""
 
 import inspect
 import math
@@ -16,9 +17,11 @@ Kind = TypeVar("Kind", bound=Struct)
 
 
 def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
-    """A struct of the fields given, and of zeros of the shapes that the annotations name: aligned to cache lines, in one piece of memory.
+    """A struct of the fields given, and of zeros of the shapes that the annotations name: aligned
+    to cache lines, in one piece of memory.
 
-    A shape is a text for each dimension, a size or a product of sizes and numbers, `Annotated[np.ndarray, "n", "points x 6"]`.
+    A shape is a text for each dimension, a size or a product of sizes and numbers,
+    `Annotated[np.ndarray, "n", "points x 6"]`.
     """
     size, places = _places(kind, tuple(sizes.items()), tuple(fields))  # type: ignore[arg-type]  # mypy takes no class as hashable
     memory = aligned_zeros(size)
@@ -29,50 +32,78 @@ def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
 def _places(
     kind: type[Struct], sizes: tuple[tuple[str, int], ...], given: tuple[str, ...]
 ) -> tuple[int, list[tuple[str, slice, list[int]]]]:
-    """Numbers in all, and name, place and shape of the arrays of a struct, but for the fields that are given."""
+    """Numbers in all, and name, place and shape of the arrays of a struct, but for the fields that
+    are given."""
     known, size, places = dict(sizes) | {str(number): number for number in range(25)}, 0, []
     line = LINE // 8  # numbers of a cache line
     for name, annotation in inspect.get_annotations(kind).items():
         if name not in given:
-            shape = [math.prod(known[factor] for factor in text.split(" x ")) for text in annotation.__metadata__]
+            shape = [
+                math.prod(known[factor] for factor in text.split(" x "))
+                for text in annotation.__metadata__
+            ]
             places.append((name, slice(size, size + math.prod(shape)), shape))
             size += -(-math.prod(shape) // line) * line
     return size, places
 
 
 def sizes_of(arm: Arm) -> dict[str, int]:
-    """Sizes of an arm's arrays: coordinates n, tendons n_a, nodes, points, and internal states of the effects."""
+    """Sizes of an arm's arrays: coordinates n, tendons n_a, nodes, points, and internal states of
+    the effects."""
     nodes = arm.rod.length.size
-    return {"n": arm.strain.size, "n_a": arm.tendons.size, "nodes": nodes, "points": 2 * nodes, "states": arm.effects.state.size}
+    return {
+        "n": arm.strain.size,
+        "n_a": arm.tendons.size,
+        "nodes": nodes,
+        "points": 2 * nodes,
+        "states": arm.effects.state.size,
+    }
 
 
 class LoadMemory(Struct):
-    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other strains."""
+    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other
+    strains."""
 
     e: Annotated[np.ndarray, "points x 6"]  # the scaled strain
     step: Annotated[np.ndarray, "points x 6"]  # residual of the balance and its correction
-    inverse: Annotated[np.ndarray, "nodes", "12", "12"]  # of the blocks on the diagonal: the two points of an interval have 12 unknowns
-    turn: Annotated[np.ndarray, "nodes", "12", "3"]  # turn of what is beyond by the unknowns, over the weight
+    inverse: Annotated[
+        np.ndarray, "nodes", "12", "12"
+    ]  # of the blocks on the diagonal: the two points of an interval have 12 unknowns
+    turn: Annotated[
+        np.ndarray, "nodes", "12", "3"
+    ]  # turn of what is beyond by the unknowns, over the weight
     columns: Annotated[np.ndarray, "nodes", "12", "3"]  # y of the unknowns
     answer: Annotated[np.ndarray, "nodes", "12", "3"]  # unknowns by a turn of the interval's start
 
 
 class Workspace(Struct):
-    """Arrays that one evaluation fills. Kernels read what the same evaluation has written, and besides xi, the guess of Newton's method,
-    clock, state, before and since; and what nothing writes: ones, twist and acceleration of a base that stands still, Phi of explicit
-    strains, and zeros."""
+    """Arrays that one evaluation fills. Kernels read what the same evaluation has written, and
+    besides xi, the guess of Newton's method, clock, state, before and since; and what nothing
+    writes: ones, twist and acceleration of a base that stands still, Phi of explicit strains, and
+    zeros."""
 
-    tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; of explicit strains those that pull
+    tau: Annotated[
+        np.ndarray, "n_a"
+    ]  # tensions of the strain law [N]; of explicit strains those that pull
     tau_dot: Annotated[np.ndarray, "n_a"]
     Phi: Annotated[np.ndarray, "n x points x 6"]
-    Y: Annotated[np.ndarray, "n x points x 6"]  # wrenches of the coordinates times the weight, Phi^T Y = G
-    mismatch: Annotated[np.ndarray, "points x 6"]  # the stress that drives the coordinates, times the weight
+    Y: Annotated[
+        np.ndarray, "n x points x 6"
+    ]  # wrenches of the coordinates times the weight, Phi^T Y = G
+    mismatch: Annotated[
+        np.ndarray, "points x 6"
+    ]  # the stress that drives the coordinates, times the weight
     factor: Annotated[np.ndarray, "points x 21"]  # L below the diagonal then 1 / D
     tangent: Annotated[np.ndarray, "n_a x points x 4"]  # unit tangent t and 1 / |t_c|
     xi: Annotated[np.ndarray, "points x 6"]
     xi_dot: Annotated[np.ndarray, "points x 6"]
     xi_bias: Annotated[np.ndarray, "points x 6"]  # the part of xi_ddot without q_ddot
-    base: Annotated[np.ndarray, "24"]  # pose of the base, R rows and r; its twist and the rate of that, world frame, at the world's origin
+    base: Annotated[
+        np.ndarray,
+        "24",
+        # pose of the base, R rows and r; its twist and the rate of that, world frame, at the
+        # world's origin
+    ]
     relative: Annotated[np.ndarray, "nodes x 12"]  # exp(Omega) of each interval: R rows, r
     start: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's start
     pose: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's end
@@ -87,7 +118,9 @@ class Workspace(Struct):
     point_stiffness: Annotated[np.ndarray, "points x 6"]
     point_damping: Annotated[np.ndarray, "points x 6"]
     state: Annotated[np.ndarray, "states"]  # internal states of the effects
-    before: Annotated[np.ndarray, "remembered x 6"]  # the strain to which they belong; empty where no effect remembers it
+    before: Annotated[
+        np.ndarray, "remembered x 6"
+    ]  # the strain to which they belong; empty where no effect remembers it
     since: Annotated[np.ndarray, "1"]  # time since then [s]
     clock: Annotated[np.ndarray, "1"]  # time [s]
     before_step: BeforeStep
@@ -107,7 +140,9 @@ class Workspace(Struct):
     tension: Annotated[np.ndarray, "n_a"]  # [N] that come of a command, where effects are between
     shortening: Annotated[np.ndarray, "n_a"]  # [m] of elastic tendons beside the stress-free rod
     pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which tendons that rub are pulled in
-    grip: Annotated[np.ndarray, "n_a"]  # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
+    grip: Annotated[
+        np.ndarray, "n_a"
+    ]  # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
     columns: Annotated[np.ndarray, "n_a", "n"]  # B_i of tendons that are elastic or rub
     rubbed: Annotated[np.ndarray, "n_a", "n"]  # the same, with what friction leaves of the tension
     rubbing: Annotated[np.ndarray, "n_a", "n"]  # -d force / d direction of sliding
@@ -124,7 +159,11 @@ def make_workspace(arm: Arm) -> Workspace:
     loaded = sizes["nodes"] if isinstance(strain, Loaded) else 0
     work = zeros(
         Workspace,
-        {**sizes, "columns": strain.size + 2, "remembered": sizes["points"] if arm.effects.remembers else 0},
+        {
+            **sizes,
+            "columns": strain.size + 2,
+            "remembered": sizes["points"] if arm.effects.remembers else 0,
+        },
         **({"Phi": strain.field} if isinstance(strain, Explicit) else {}),
         before_step=BeforeStep(np.zeros(1), np.zeros(12 * sizes["nodes"]), np.zeros(24)),
         contact=ContactFlags(np.zeros(1), np.zeros(1), np.zeros(1)),

@@ -1,1 +1,2 @@
-"""Equation of motion, static equilibria, inverse statics and simulation of a scene; `model.py` and `simulation.py` first."""
+"""Equation of motion, static equilibria, inverse statics and simulation of a scene; `model.py` and
+`simulation.py` first."""

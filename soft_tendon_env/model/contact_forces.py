@@ -14,27 +14,39 @@ from soft_tendon_env.tools.types import Array
 
 
 class ContactForces(NamedTuple):
-    """Contact of an arm with its obstacles, in their order; vectors in the world frame, forces on the arm."""
+    """Contact of an arm with its obstacles, in their order; vectors in the world frame, forces on
+    the arm."""
 
     force: Array  # (obstacles, 3) [N]
-    clearance: Array  # (obstacles,) [m] between surfaces, least along the arm; negative: the deepest penetration
+    # (obstacles,) [m] between surfaces, least along the arm; negative: the deepest penetration
+    clearance: Array
     penetration: Array  # (obstacles,) [m] the deepest, 0 without contact
     arc_length: Array  # (samples,) [m] of the samples along the arm
     position: Array  # (samples, 3) [m]
     sample_force: Array  # (obstacles, samples, 3) [N] on each sample
-    gap: Array  # (obstacles, samples) [m] between the surfaces of sample and obstacle, negative where they overlap
+    # (obstacles, samples) [m] between the surfaces of sample and obstacle, negative where they
+    # overlap
+    gap: Array
 
 
 def contact_forces(model: Model, state: State) -> ContactForces:
-    """Contact forces, clearance and penetration in a state. Raises ValueError where the model has no contact."""
+    """Contact forces, clearance and penetration in a state. Raises ValueError where the model has
+    no contact."""
     work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")
     parameters = contact.parameters(model.discretisation)
     work.xi[:], work.clock[0] = model.grid.packed(state.strain), state.time
     evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, TOLERANCE, work)
-    gap, position = np.empty((len(parameters.obstacles), len(parameters.samples))), np.empty((len(parameters.samples), 3))
+    gap, position = (
+        np.empty((len(parameters.obstacles), len(parameters.samples))),
+        np.empty((len(parameters.samples), 3)),
+    )
     force, places = np.empty((*gap.shape, 3)), contact.sample_places(model.discretisation)
-    read_contacts(parameters, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force)
+    read_contacts(
+        parameters, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force
+    )
     least = gap.min(axis=1)
-    return ContactForces(force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap)
+    return ContactForces(
+        force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap
+    )

@@ -1,6 +1,8 @@
-"""Full physics of a rod: an explicit Legendre basis of every strain that it has, and what an equilibrium of another model is off by.
+"""Full physics of a rod: an explicit Legendre basis of every strain that it has, and what an
+equilibrium of another model is off by.
 
-The rod is cut into parts that turn once at most, since polynomials over several turns could all miss the same strain and agree.
+The rod is cut into parts that turn once at most, since polynomials over several turns could all
+miss the same strain and agree.
 """
 
 import math
@@ -17,7 +19,9 @@ from soft_tendon_env.scene.scene import Scene, breakpoints
 from soft_tendon_env.tools.types import Array
 
 INTERVALS, SPARE = 5, 3  # of quadrature: along the rod per order, and per part above the order
-AGREED = 0.2  # part of the distance to a model by which that may still change from one level to the next
+AGREED = (
+    0.2  # part of the distance to a model by which that may still change from one level to the next
+)
 NEGLIGIBLE = 1e-9  # share of the length below which an error is round-off
 
 
@@ -33,7 +37,8 @@ FIRST = 1  # the first level that equilibria are judged by
 
 
 def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
-    """Arc lengths [m] that cut every piece of a rod into parts which turn once at most, rod and tendons, or into `cuts` times as many."""
+    """Arc lengths [m] that cut every piece of a rod into parts which turn once at most, rod and
+    tendons, or into `cuts` times as many."""
     rates = [math.hypot(*segment.curvature) for segment in scene.segments]
     rates += [abs(getattr(tendon.routing, "angular_rate", 0.0)) for tendon in scene.tendons]
     borders, found = breakpoints(scene), list[float]()
@@ -44,20 +49,26 @@ def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
 
 
 def full_physics(scene: Scene, level: Level, tolerance: float | None = None) -> Model:
-    """Model of a scene with an explicit basis of every strain that the rod has; tolerance: of its time steps [m]."""
+    """Model of a scene with an explicit basis of every strain that the rod has; tolerance: of its
+    time steps [m]."""
     added = part_borders(scene, level.cuts)
     pieces = breakpoints(scene).size - 1
     parts = pieces + len(added)
-    coarser = math.ceil(math.log2(parts) + 0.5 * math.log2(pieces))  # short pieces need lower orders than parts that turn once
+    coarser = math.ceil(
+        math.log2(parts) + 0.5 * math.log2(pieces)
+    )  # short pieces need lower orders than parts that turn once
     order = max(LEVELS.index(level) + 1, min(level.order - coarser, 12))
     modes = [{"strains": list(scene.strain.free), "order": order, "span": "piece"}]
     strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *added]}
     changes = {"strain": strain, "integrator": {"tolerance": tolerance}}
-    return model_on(scene.replace(changes), max(order + SPARE, math.ceil(INTERVALS * level.order / parts)))
+    return model_on(
+        scene.replace(changes), max(order + SPARE, math.ceil(INTERVALS * level.order / parts))
+    )
 
 
 def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
-    """Coordinates of full physics (m,) whose strain is nearest to that of a model at q (n,). Raises StrainLimitError."""
+    """Coordinates of full physics (m,) whose strain is nearest to that of a model at q (n,). Raises
+    StrainLimitError."""
     places = fine.grid.points[fine.grid.real].ravel()
     wanted = model.strain_at(q, places)[0] - fine.grid.unpacked(fine.arm.rod.reference_strain)
     fields = fine.grid.unpacked(make_workspace(fine.arm).Phi.reshape(fine.coordinate_count, -1))
@@ -65,10 +76,12 @@ def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
 
 
 def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stable: bool) -> float:
-    """Distance [m] of the tip from full physics at an equilibrium q (n,) under a part of tensions (n_a,) and loads, 0 to 1.
+    """Distance [m] of the tip from full physics at an equilibrium q (n,) under a part of tensions
+    (n_a,) and loads, 0 to 1.
 
-    Full physics is refined until the distance hardly changes. Where it does change to the end the last change is added; infinite where
-    full physics has no equilibrium near, or no stable one beside a stable one.
+    Full physics is refined until the distance hardly changes. Where it does change to the end the
+    last change is added; infinite where full physics has no equilibrium near, or no stable one
+    beside a stable one.
     """
     tip, here, found = model.tip_pose(q)[:3, 3], (model, q), np.inf
     last: Array | None = None
@@ -90,9 +103,11 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
     return found
 
 
-def rest_near(model: Model, guess: Array, tension: Array, part: float, stable: bool) -> Array | None:
-    """Coordinates (n,) of the equilibrium that Newton's method finds from a guess (n,); where it should be stable and none is, that of a
-    slowly loaded arm."""
+def rest_near(
+    model: Model, guess: Array, tension: Array, part: float, stable: bool
+) -> Array | None:
+    """Coordinates (n,) of the equilibrium that Newton's method finds from a guess (n,); where it
+    should be stable and none is, that of a slowly loaded arm."""
     with model.workspace() as work:
         path = LoadPath(Balance(model, tension, work))
         found = path.equilibrium(guess, part)

@@ -1,4 +1,5 @@
-"""Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
+"""Time integration of a model: one control step at a time (`Simulation`), or a whole input at once
+(`simulate`)."""
 
 from __future__ import annotations
 
@@ -18,21 +19,40 @@ from soft_tendon_env.mechanics.terms.external_forces import rest_states
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_count, step_method
+from soft_tendon_env.model.step_control import (
+    Command,
+    cause_of,
+    command_table,
+    linear_rate,
+    step_control,
+    step_count,
+    step_method,
+)
 from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
-from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
+from soft_tendon_env.tools.checks import (
+    checked_array,
+    checked_count,
+    checked_number,
+    checked_type,
+    shown_numbers,
+)
 from soft_tendon_env.tools.types import Array
 
 Given = ArrayLike | None
 STEPS_LOGGED = 4096  # of a period that is linearised
 SHARE, TOUCHING = 1e-4, 1e-2  # steps as shares of units; their factor among obstacles
 RATE, LEAST_STATE = 3.0, 1e-3  # unit of a rate, in those of its coordinate; least unit of a state
-STRAIN, SPARE, JUMP = 1e-12, 2.0, 1e3  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
+STRAIN, SPARE, JUMP = (
+    1e-12,
+    2.0,
+    1e3,
+)  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
 
 
 class SimulationDiverged(RuntimeError):
-    """Raised where no step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
+    """Raised where no step of the smallest allowed size succeeds. `state` is the last good one,
+    `cause` says why."""
 
     def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
         super().__init__(state, cause, command, unit)  # what it is pickled as
@@ -40,7 +60,10 @@ class SimulationDiverged(RuntimeError):
 
     def __str__(self) -> str:
         kind = "tensions" if self.unit == "N" else "commands"
-        return f"no step succeeds at {self.state.time:.6g} s under {kind} {shown_numbers(self.command)} {self.unit}: {self.cause}"
+        return (
+            f"no step succeeds at {self.state.time:.6g} s under {kind}"
+            f" {shown_numbers(self.command)} {self.unit}: {self.cause}"
+        )
 
 
 class NoEquilibriumError(ValueError):
@@ -48,11 +71,13 @@ class NoEquilibriumError(ValueError):
 
 
 class StepReport(NamedTuple):
-    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, the estimated error, and what it all cost."""
+    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, the
+    estimated error, and what it all cost."""
 
     steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
-    error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
+    # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
+    error: float
     evaluations: int  # of the equation of motion, those of rejected steps with them
 
 
@@ -63,7 +88,8 @@ class Trajectory(NamedTuple):
     q: Array  # (samples, n)
     q_dot: Array  # (samples, n)
     tip_pose: Array  # (samples, 4, 4)
-    command: Array  # (samples - 1, steps per sample, n_a) in Model.command_unit, as held over each integrator step
+    # (samples - 1, steps per sample, n_a) in Model.command_unit, as held over each integrator step
+    command: Array
     final: State
     steps: int
     rejected: int
@@ -72,10 +98,12 @@ class Trajectory(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
+    """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal
+    states of effects, k forces.
 
-    The derivatives are those of a linearly implicit method with the matrices of the period's beginning, see
-    docs/explanation/derivatives.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
+    The derivatives are those of a linearly implicit method with the matrices of the period's
+    beginning, see docs/explanation/derivatives.md: 2 to 15 percent of the largest entry off on most
+    arms, all of it at an impact.
     """
 
     q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four
@@ -89,9 +117,11 @@ class Rollout(NamedTuple):
 
 
 class Linearization(NamedTuple):
-    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
+    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates,
+    their rates, m internal states.
 
-    Columns are by the numbers of the state before, then by the n_a commands; angular components before linear ones.
+    Columns are by the numbers of the state before, then by the n_a commands; angular components
+    before linear ones.
     """
 
     next: State
@@ -102,12 +132,15 @@ class Linearization(NamedTuple):
 
 
 class Simulation:
-    """Simulation of a model, one control step at a time. Commands are held over a step (zero-order hold); arguments are checked."""
+    """Simulation of a model, one control step at a time. Commands are held over a step (zero-order
+    hold); arguments are checked."""
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self._method, self._unit = step_method(model), model.command_unit
-        self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits).tolist()
+        self._limits = model.scene.effects.command_limits(
+            model.discretisation.tension_limits
+        ).tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
         if state is not None:
@@ -116,42 +149,71 @@ class Simulation:
     def __repr__(self) -> str:
         return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
-    def reset(self, q: Given = None, q_dot: Given = None, *, time: float = 0.0, effects: Given = None, tension: Given = None) -> State:
-        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
+    def reset(
+        self,
+        q: Given = None,
+        q_dot: Given = None,
+        *,
+        time: float = 0.0,
+        effects: Given = None,
+        tension: Given = None,
+    ) -> State:
+        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises
+        ValueError, TypeError, StrainLimitError.
 
-        effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
-        held at q since long before.
+        effects (m,): the effects' internal states, see State; by default those of an arm that
+        tensions (n_a,) [N], by default zero, have held at q since long before.
         """
-        still, clock = np.zeros(self.model.coordinate_count), np.array([checked_number("time", time, -np.inf, "a finite number")])
+        still, clock = (
+            np.zeros(self.model.coordinate_count),
+            np.array([checked_number("time", time, -np.inf, "a finite number")]),
+        )
         start = checked_array("q", still if q is None else q, still.shape)
         rate = checked_array("q_dot", still if q_dot is None else q_dot, still.shape)
-        command = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
+        command = self.model.command(
+            np.zeros(self.model.tendon_count) if tension is None else tension, start
+        )
         strain, work = self.model.packed_strain(start), self._scratch.work
         if effects is None and work.state.size:
             work.xi[:] = strain
             rest_states(self.model.arm, command, work)
-        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
+        states = (
+            work.state.copy()
+            if effects is None
+            else checked_array("effects", effects, work.state.shape)
+        )
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
     def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
-        """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the loads at time 0; returns the state.
+        """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the
+        loads at time 0; returns the state.
 
-        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles.
-        Raises ValueError, TypeError, NoEquilibriumError.
+        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the
+        arm is let go to where it settles. Raises ValueError, TypeError, NoEquilibriumError.
         """
-        u = np.zeros(self.model.tendon_count) if tension is None else checked_array("tension", tension, (self.model.tendon_count,))
+        u = (
+            np.zeros(self.model.tendon_count)
+            if tension is None
+            else checked_array("tension", tension, (self.model.tendon_count,))
+        )
         if not u.any() and not self.model.arm.effects.load:
             return self.reset(time=time)
         found = static_equilibrium(self.model, u, settle=True)
         if not found.converged:
-            text = f"{self.model.scene.name!r} is at rest nowhere under its loads and tensions {shown_numbers(u)} N: {found.reason}"
-            raise NoEquilibriumError(f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape")
+            text = (
+                f"{self.model.scene.name!r} is at rest nowhere under its loads and tensions"
+                f" {shown_numbers(u)} N: {found.reason}"
+            )
+            raise NoEquilibriumError(
+                f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape"
+            )
         return self.reset(found.q, time=time, tension=u)
 
     @property
     def state(self) -> State:
-        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
+        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError
+        leave the simulation as it was."""
         return state_of(self.model, self._motion, self._step)
 
     @state.setter
@@ -160,13 +222,17 @@ class Simulation:
 
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step
-        self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
+        self._sample = Record(
+            motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy()
+        )
         advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
-        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,), see `Model.command_unit`.
+        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant
+        command (n_a,), see `Model.command_unit`.
 
-        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError, TypeError, `SimulationDiverged`.
+        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError,
+        TypeError, `SimulationDiverged`.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -174,49 +240,89 @@ class Simulation:
             return StepReport(0, 0, 0.0, 0)
         warn_beyond_limits(self._limits, u, self._unit)
         control = step_control(self.model, duration)
-        return self._run(u[None].repeat(step_count(duration, control), axis=0), control, self._sample)
+        return self._run(
+            u[None].repeat(step_count(duration, control), axis=0), control, self._sample
+        )
 
     def linearize(self, command: ArrayLike, duration: float) -> Linearization:
-        """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
+        """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves
+        the simulation where it is.
 
-        Central differences with the integrator's steps held, by 1e-4 of units, `Model.coordinate_scale`, limits of commands and internal
-        states, among obstacles by a hundredth of that. The error is below 1e-6 of the largest entry of a block where the motion is smooth.
-        At a kink both sides are mixed; where one jumps or fails, the other one counts. Raises as `step`, LinAlgError where both sides fail.
+        Central differences with the integrator's steps held, by 1e-4 of units,
+        `Model.coordinate_scale`, limits of commands and internal states, among obstacles by a
+        hundredth of that. The error is below 1e-6 of the largest entry of a block where the motion
+        is smooth. At a kink both sides are mixed; where one jumps or fails, the other one counts.
+        Raises as `step`, LinAlgError where both sides fail.
         """
         start, step = self._motion.copy(), self._step
         try:
             if (steps := self.step(command, duration).steps) > STEPS_LOGGED:
-                raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
-            inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
-            taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
+                raise ValueError(
+                    f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}"
+                )
+            inputs = np.concatenate(
+                [start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)]
+            )
+            taken = (
+                self._scratch.taken[:steps].copy()
+                if steps
+                else np.array([[0.0, self._method.columns]])
+            )
             return period_derivatives(self.model, start, inputs, taken, self.state)
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: Given = None, steps: int | None = None) -> Rollout:
-        """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
+    def rollout(
+        self,
+        commands: ArrayLike,
+        duration: ArrayLike,
+        *,
+        forces: Given = None,
+        steps: int | None = None,
+    ) -> Rollout:
+        """Simulated motion over N periods from the present state, with its linearisation; leaves
+        the simulation where it was.
 
-        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
-        generalised forces by which to differentiate besides. steps: of a period that the linearisation takes, by default as many as resolve
-        the slowest vibration. Raises ValueError, TypeError, `SimulationDiverged`, LinAlgError where there is no linearisation.
+        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with
+        durations (p,) [s]. forces (n, k): generalised forces by which to differentiate besides.
+        steps: of a period that the linearisation takes, by default as many as resolve the slowest
+        vibration. Raises ValueError, TypeError, `SimulationDiverged`, LinAlgError where there is no
+        linearisation.
         """
         n, n_a = self.model.coordinate_count, self.model.tendon_count
         parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
-        played = checked_array("commands", commands, (None, n_a) if np.ndim(duration) == 0 else (None, parts.size, n_a))
+        played = checked_array(
+            "commands", commands, (None, n_a) if np.ndim(duration) == 0 else (None, parts.size, n_a)
+        )
         others = np.empty((n, 0)) if forces is None else checked_array("forces", forces, (n, None))
-        checked_number("duration", float(parts.min(initial=0.0)), 0.0, "a number of seconds, at least 0")
+        checked_number(
+            "duration", float(parts.min(initial=0.0)), 0.0, "a number of seconds, at least 0"
+        )
         checked_number("duration", float(parts.sum()), SHORTEST, "a positive number of seconds")
-        plan = make_plan(self.model.arm, checked_count("commands", len(played), 1), parts.size, others)
+        plan = make_plan(
+            self.model.arm, checked_count("commands", len(played), 1), parts.size, others
+        )
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
         warn_beyond_limits(self._limits, plan.command, self._unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
+        steps = (
+            math.ceil(period * linear_rate(self.model))
+            if steps is None
+            else checked_count("steps", steps, 1)
+        )
         control = step_control(self.model, period)
-        code, row = linearised_rollout(self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan)
+        code, row = linearised_rollout(
+            self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan
+        )
         if code != status.OK:
-            raise self._divergence(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
+            raise self._divergence(
+                code, motion, plan.command[min(row, len(plan.command) - 1), 0], control
+            )
         if not np.isfinite(plan.jacobian).all():
-            raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
+            raise np.linalg.LinAlgError(
+                "there is no linearisation of this motion: the matrix of an implicit step is"
+                " singular"
+            )
         by = np.split(plan.jacobian, [2 * n, 2 * n + n_a], axis=2)
         return Rollout(plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian, *by)
 
@@ -226,95 +332,177 @@ class Simulation:
         return self._sample.tip_pose[0].copy()
 
     def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
-        """Advance by control.step under each row of commands (rows, n_a), with the record's samples evenly among them; unchecked."""
+        """Advance by control.step under each row of commands (rows, n_a), with the record's samples
+        evenly among them; unchecked."""
         arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
-        done = advance.advance(arm, Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
+        done = advance.advance(
+            arm,
+            Scheme(self._method, control),
+            commands,
+            durations,
+            motion,
+            self._step,
+            self._scratch,
+            record,
+        )
         self._step = done.step
         if done.status == status.OK:
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
         raise self._divergence(done.status, self._motion, commands[done.row], control)
 
-    def _divergence(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
+    def _divergence(
+        self, code: int, motion: Motion, command: Array, control: Control
+    ) -> SimulationDiverged:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
-            cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self._unit)
+            cause += (
+                "; in the last good state"
+                f" {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
+            )
+        return SimulationDiverged(
+            state_of(self.model, motion, self._step), cause, command, self._unit
+        )
 
 
-def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
+def simulate(
+    model: Model,
+    command: Command,
+    duration: float,
+    sample_period: float,
+    initial: State | None = None,
+) -> Trajectory:
     """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
-    command, in the unit `Model.command_unit`: an array (n_a,) is constant. A table (duration / sample_period, n_a) has a row per sample
-    period. A function of time [s] is sampled at the middle of each integrator step and held over it: second order, exact for jumps at the
-    borders of steps. Commands beyond `tension_limits` are used as given, with a TensionLimitWarning. initial: first state, by default at
-    rest without tension; `Simulation(model).state` is the stress-free shape.
+    command, in the unit `Model.command_unit`: an array (n_a,) is constant. A table (duration /
+    sample_period, n_a) has a row per sample period. A function of time [s] is sampled at the middle
+    of each integrator step and held over it: second order, exact for jumps at the borders of steps.
+    Commands beyond `tension_limits` are used as given, with a TensionLimitWarning. initial: first
+    state, by default at rest without tension; `Simulation(model).state` is the stress-free shape.
 
-    Raises ValueError or TypeError before anything is computed, NoEquilibriumError if the arm has no equilibrium, `SimulationDiverged`.
+    Raises ValueError or TypeError before anything is computed, NoEquilibriumError if the arm has no
+    equilibrium, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
-    period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
+    period = checked_number(
+        "sample_period", sample_period, SHORTEST, "a positive number of seconds"
+    )
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
     control = step_control(model, period)
     step_count(duration, control)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
-        raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
-    commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
+        raise ValueError(
+            f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s"
+        )
+    commands = command_table(
+        model, command, simulation.state.time, samples, round(period / control.step), control.step
+    )
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
-    record = Record(*(value[None].repeat(samples + 1, axis=0) for value in (start.q, start.q_dot, simulation.tip_pose)))
+    record = Record(
+        *(
+            value[None].repeat(samples + 1, axis=0)
+            for value in (start.q, start.q_dot, simulation.tip_pose)
+        )
+    )
     report = StepReport(0, 0, 0.0, 0)
     if samples:
-        report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
+        report = simulation._run(
+            commands.reshape(-1, model.tendon_count),
+            control,
+            Record(*(values[1:] for values in record)),
+        )
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
     steps, rejected, error, evaluations = report
-    return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
+    return Trajectory(
+        times, *record, commands, simulation.state, steps, rejected, error, evaluations
+    )
 
 
 def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array, Array]:
-    """States (copies, s), tip poses (copies, 4, 4) and twists (copies, 6) after a period, inf where it fails. Raises LinAlgError.
+    """States (copies, s), tip poses (copies, 4, 4) and twists (copies, 6) after a period, inf where
+    it fails. Raises LinAlgError.
 
-    inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
-    the same for all copies, since an order that follows their errors would jump.
+    inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2):
+    length [s] and columns of every step, the same for all copies, since an order that follows their
+    errors would jump.
     """
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
     batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)
     rows, failed = batch.rows, np.zeros(count, dtype=bool)
-    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + start.state.size], axis=1)
-    for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(
+        inputs, [n, 2 * n, 2 * n + start.state.size], axis=1
+    )
+    for row, q in enumerate(
+        rows.q if rows.state.size else ()
+    ):  # a memory remembers the strain before a step
         with contextlib.suppress(StrainLimitError):
             rows.xi[row] = model.packed_strain(q)
-    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, taken[:, 0].sum() or 1.0)
+    method, control = (
+        step_method(model)._replace(strain_tolerance=STRAIN),
+        step_control(model, taken[:, 0].sum() or 1.0),
+    )
     control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
     for begins, (length, columns) in zip([True, *[False] * len(taken)], taken, strict=False):
         scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
-        step_rows(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        step_rows(
+            batch,
+            scheme,
+            np.flatnonzero(~failed),
+            commands[:, None].copy(),
+            np.full((count, 1), length),
+            scratch,
+            tape,
+        )
         failed |= batch.outcome.status != status.OK
     if failed[0]:
-        raise np.linalg.LinAlgError(f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}")
-    found = np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading.tip_pose, batch.reading.tip_twist
+        raise np.linalg.LinAlgError(
+            f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}"
+        )
+    found = (
+        np.hstack([rows.q, rows.q_dot, rows.state]),
+        batch.reading.tip_pose,
+        batch.reading.tip_twist,
+    )
     for values in found:
         values[failed] = np.inf
     return found
 
 
 @np.errstate(invalid="ignore")
-def period_derivatives(model: Model, start: Motion, inputs: Array, taken: Array, following: State) -> Linearization:
-    """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`. Raises LinAlgError."""
+def period_derivatives(
+    model: Model, start: Motion, inputs: Array, taken: Array, following: State
+) -> Linearization:
+    """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`.
+    Raises LinAlgError."""
     scale, effects = model.coordinate_scale(), model.scene.effects
     largest = np.abs(effects.command_limits(model.discretisation.tension_limits)).max(axis=1)
-    step = SHARE * np.concatenate([scale, RATE * scale, np.maximum(np.abs(start.state), LEAST_STATE), largest])
+    step = SHARE * np.concatenate(
+        [scale, RATE * scale, np.maximum(np.abs(start.state), LEAST_STATE), largest]
+    )
     step *= TOUCHING if any(effect.is_contact for effect in effects.chosen().values()) else 1.0
-    values, slopes = ends(model, start, taken, np.vstack([inputs, inputs + np.diag(step), inputs - np.diag(step)])), []
+    values, slopes = (
+        ends(
+            model, start, taken, np.vstack([inputs, inputs + np.diag(step), inputs - np.diag(step)])
+        ),
+        [],
+    )
     for value in values:
         right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
-        jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
-        slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
+        jumps = [
+            (abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a))
+            for a, b in ((right, left), (left, right))
+        ]  # not from rest: a kink
+        slopes.append(
+            np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step
+        )
     by, pose_slopes, twists = slopes
     if not np.isfinite(by).all():
-        raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
+        raise np.linalg.LinAlgError(
+            "the motion has no derivative: on either side of it a step fails"
+        )
     moved = np.einsum("ji,jkm->ikm", values[1][0][:3, :3], pose_slopes[:3])  # in the tip frame
     tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
     return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip, twists)

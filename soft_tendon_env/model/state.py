@@ -15,49 +15,73 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN, SHORTEST = 1e-6, 1e-12  # relative difference of strains that counts as none; [s], what may count as a time step
+SAME_STRAIN, SHORTEST = (
+    1e-6,
+    1e-12,
+)  # relative difference of strains that counts as none; [s], what may count as a time step
 STATE = "state that State.save wrote"
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a simulation, everything that the next step depends on: a saved state continues bit for bit."""
+    """State of a simulation, everything that the next step depends on: a saved state continues bit
+    for bit."""
 
     time: float  # [s]
     q: Array  # (n,) coordinates
     q_dot: Array  # (n,) rates
     strain: Array  # (points, 6) at the quadrature points, from which the next solution starts
     step: float  # [s], the size to try next, where steps follow a tolerance
-    effects: Array = field(default_factory=lambda: np.zeros(0))  # (m,) internal states of the scene's effects, one after the other
+    effects: Array = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (m,) internal states of the scene's effects, one after the other
     names: tuple[str, ...] = ()  # of these effects, see `Model.state_names`
 
     def __repr__(self) -> str:
-        return f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal states)"
+        return (
+            f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal"
+            " states)"
+        )
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
-            np.savez(file, **{entry.name: getattr(self, entry.name) for entry in reversed(fields(self))})
+            np.savez(
+                file, **{entry.name: getattr(self, entry.name) for entry in reversed(fields(self))}
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
         saved = read_arrays(path, STATE)
         try:
-            time, step, names = float(saved.pop("time")), float(saved.pop("step")), tuple(map(str, saved.pop("names")))
+            time, step, names = (
+                float(saved.pop("time")),
+                float(saved.pop("step")),
+                tuple(map(str, saved.pop("names"))),
+            )
             return cls(time=time, step=step, names=names, **saved)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
 
 
 def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
-    """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError, ValueError where it is not of the model."""
+    """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError,
+    ValueError where it is not of the model."""
     checked_type("state", state, State, "see Simulation.state")
-    q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
+    q, q_dot = (
+        checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,))
+        for name in ("q", "q_dot")
+    )
     strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
     if tuple(state.names) != model.state_names:
-        wanted, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
-        raise ValueError(f"state.names should be those of the model's states, {wanted}; this state is of {given}")
+        wanted, given = (
+            " + ".join(names) or "no effects with states"
+            for names in (model.state_names, state.names)
+        )
+        raise ValueError(
+            f"state.names should be those of the model's states, {wanted}; this state is of {given}"
+        )
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
@@ -65,12 +89,27 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
         work.xi[:] = motion.xi
         failed = strain_from_guess(model.arm, motion.q, STEP_TOLERANCE, work)
         found = model.grid.unpacked(work.xi)  # empty intervals have no strain that matters
-    if failed >= 0 or not np.allclose(found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()):
-        raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use Simulation.reset(q, q_dot)")
-    return motion, checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
+    if failed >= 0 or not np.allclose(
+        found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()
+    ):
+        raise ValueError(
+            "state.strain should be the strain at state.q; to start from other coordinates, use"
+            " Simulation.reset(q, q_dot)"
+        )
+    return motion, checked_number(
+        "state.step", state.step, SHORTEST, "a positive number of seconds"
+    )
 
 
 def state_of(model: Model, motion: Motion, step: float) -> State:
     """State of a motion, its arrays copied, with the step [s] to try next."""
     strain, effects = model.grid.unpacked(motion.xi), motion.state.copy()
-    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects, model.state_names)
+    return State(
+        float(motion.clock[0]),
+        motion.q.copy(),
+        motion.q_dot.copy(),
+        strain,
+        step,
+        effects,
+        model.state_names,
+    )

@@ -1,4 +1,5 @@
-"""Static equilibria B u - K + F = 0 of (23): of many the one where a slowly loaded arm goes, see load_continuation."""
+"""Static equilibria B u - K + F = 0 of (23): of many the one where a slowly loaded arm goes, see
+load_continuation."""
 
 from __future__ import annotations
 
@@ -22,9 +23,15 @@ from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_l
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
-MOST_COMMANDED, SAME_TENSION = 50, 1e-11  # iterations under a command; relative difference of tensions that counts as none
-CONTRACTION = 0.5  # from a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up
-SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave the tip off without a warning
+MOST_COMMANDED, SAME_TENSION = (
+    50,
+    1e-11,
+)  # iterations under a command; relative difference of tensions that counts as none
+# from a correction to the next, above which Newton's method with the stiffness of another
+# equilibrium is given up
+CONTRACTION = 0.5
+# share of the rod's length: how far redundant tendons may leave the tip off without a warning
+SEEN = 1e-4
 
 
 class RedundancyWarning(UserWarning):
@@ -33,10 +40,11 @@ class RedundancyWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A static equilibrium, n coordinates; if not `converged`, the last one on the path from the unloaded arm to the full load.
+    """A static equilibrium, n coordinates; if not `converged`, the last one on the path from the
+    unloaded arm to the full load.
 
-    `residual` is the angle by which the unbalanced force would bend a rod as stiff as this one: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with
-    E_1 from a rod bent by one radian.
+    `residual` is the angle by which the unbalanced force would bend a rod as stiff as this one:
+    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
     """
 
     q: Array  # (n,)
@@ -45,31 +53,41 @@ class Equilibrium:
     residual: float  # [rad]
     reason: str  # why the path goes no further; empty when converged
     iterations: int  # linearisations of the balance on the way
-    stable: bool  # the energy has a minimum, maybe a flat one; for loads without a potential M q_ddot + D q_dot + S q = 0 does not grow
+    # the energy has a minimum, maybe a flat one; for loads without a potential M q_ddot + D q_dot +
+    # S q = 0 does not grow
+    stable: bool
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
     model: Model = field(repr=False)
     tension: Array = field(repr=False)  # (n_a,) [N] of the full load
 
     @cached_property
     def tip_error(self) -> float:
-        """Estimated distance [m] of the tip from that of the rod itself: error of coordinates and quadrature, computed when first read.
+        """Estimated distance [m] of the tip from that of the rod itself: error of coordinates and
+        quadrature, computed when first read.
 
-        A converged reference model solves the equilibrium again, see full_physics.equilibrium_error. Infinite where it has none near.
+        A converged reference model solves the equilibrium again, see
+        full_physics.equilibrium_error. Infinite where it has none near.
         """
         return equilibrium_error(self.model, self.q, self.tension, self.load, self.stable)
 
 
-def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
-    """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
+def static_equilibrium(
+    model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False
+) -> Equilibrium:
+    """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as
+    a slowly loaded arm reaches it.
 
-    Tensions and effects grow together from zero (continuation), along the branch of stable equilibria that begins at the unloaded arm.
-    Loads inside the strain act from the beginning. If the branch ends before the full load (at a limit point, a bifurcation, flutter, the
-    strain limit), the result is not `converged`. It then has the load reached and the reason.
+    Tensions and effects grow together from zero (continuation), along the branch of stable
+    equilibria that begins at the unloaded arm. Loads inside the strain act from the beginning. If
+    the branch ends before the full load (at a limit point, a bifurcation, flutter, the strain
+    limit), the result is not `converged`. It then has the load reached and the reason.
 
-    guess: coordinates (n,), from which Newton's method starts at the full load. The result is the equilibrium next to them, stable or not,
-    if there is one. settle: if the branch ends, let the arm move, with damping and without inertia, until it rests, and load it further.
+    guess: coordinates (n,), from which Newton's method starts at the full load. The result is the
+    equilibrium next to them, stable or not, if there is one. settle: if the branch ends, let the
+    arm move, with damping and without inertia, until it rests, and load it further.
 
-    Tensions beyond `tension_limits` are used as given, with a TensionLimitWarning. Raises ValueError or TypeError for bad arrays.
+    Tensions beyond `tension_limits` are used as given, with a TensionLimitWarning. Raises
+    ValueError or TypeError for bad arrays.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
@@ -82,7 +100,8 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
             if near is not None:
                 return _found(balance, near.at, near.stability.stable, "")
         if rests_at_tensions(model):
-            # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
+            # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain
+            # exists, unless it lacks a potential
             at = balance.at(model.rest_coordinates(u), 1.0)
             if at is not None and at.residual <= RESIDUAL:
                 here = None if model.arm.strain.has_potential else balance.linearise(at.q, 1.0)
@@ -101,7 +120,18 @@ def _found(balance: Balance, at: At, stable: bool, reason: str) -> Equilibrium:
     residual = np.inf if loaded is None else loaded.residual
     _warn_of_redundancy(balance, at, tip)
     model, tension = balance.model, balance.tension
-    return Equilibrium(at.q, tip, not reason, residual, reason, balance.linearisations, stable, at.part, model, tension)
+    return Equilibrium(
+        at.q,
+        tip,
+        not reason,
+        residual,
+        reason,
+        balance.linearisations,
+        stable,
+        at.part,
+        model,
+        tension,
+    )
 
 
 def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
@@ -121,17 +151,26 @@ def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
-        text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
+        text = (
+            f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no"
+            " coordinate: at rest its tip is off"
+        )
         warnings.warn(f"{text} by {1e3 * error:.2g} mm", RedundancyWarning, stacklevel=4)
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
-    """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,) [N] that hold it.
+    """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,)
+    [N] that hold it.
 
-    Newton's method on the tensions, within what elastic tendons and actuators can hold. Raises as `static_equilibrium`.
+    Newton's method on the tensions, within what elastic tendons and actuators can hold. Raises as
+    `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
-    given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count
+    given, path, n_a = (
+        checked_array("command", command, (model.tendon_count,)),
+        model.arm.effects.transmission,
+        model.tendon_count,
+    )
     if not path.elastic:
         return static_equilibrium(model, given), given
     limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
@@ -142,21 +181,32 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
             found = static_equilibrium(model, u, guess)
         shortening = path.length - model.tendon_lengths(found.q)
         wanted = np.clip(path.stiffness * (given - shortening), 0.0, path.strength)
-        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness)
+        same = SAME_TENSION * (
+            np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness
+        )
         if not found.converged or (np.abs(wanted - u) <= same).all():
             return dataclasses.replace(found, iterations=found.iterations + iteration), u
         near, guess = ChordSolver(model, found.q, u), found.q
         compliance = np.diag(1.0 / path.stiffness) + near.terms.actuation.T @ near.answer
         missing = given - shortening - u / path.stiffness
         u = u.copy()
-        solve_bounded(compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch)
-    return dataclasses.replace(found, converged=False, reason="tensions and displacements do not come to agree"), u
+        solve_bounded(
+            compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch
+        )
+    return (
+        dataclasses.replace(
+            found, converged=False, reason="tensions and displacements do not come to agree"
+        ),
+        u,
+    )
 
 
 class ChordSolver:
-    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration).
+    """Static equilibria near one that is known, by Newton's method with its stiffness (chord
+    iteration).
 
-    answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises StrainLimitError where there is no strain.
+    answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises
+    StrainLimitError where there is no strain.
     """
 
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
@@ -174,8 +224,13 @@ class ChordSolver:
         self.answer: Array = self._compliance @ self.terms.actuation
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
-        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none."""
-        q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)
+        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None
+        where there is none."""
+        q = (
+            self.model.rest_coordinates(tension)
+            if self._known
+            else self.q + self.answer @ (tension - self.tension)
+        )
         with self.model.workspace() as work:
             balance, size = Balance(self.model, tension, work), np.inf
             while (at := balance.at(q, 1.0)) is not None:

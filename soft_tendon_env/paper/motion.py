@@ -1,6 +1,7 @@
 """Motions of an arm under a control law that is continuous in time, and the sampled form of (39).
 
-The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
+The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control
+period that can be kept.
 """
 
 from collections.abc import Callable
@@ -27,7 +28,11 @@ APART = 1e-6
 """Step of finite differences in coordinates and rates, which are of the order of 10."""
 SAMPLE_PERIOD, PERIOD = 0.005, 0.02  # [s], of motions under continuous laws, and of control
 LIMITS = (-60.0, 60.0)  # [N]
-GAINS = {"settling_time": 0.396, "damping": 5.0, "integral_time": 0.5}  # kp and kd of the paper at vanishing periods, and an integral
+GAINS = {
+    "settling_time": 0.396,
+    "damping": 5.0,
+    "integral_time": 0.5,
+}  # kp and kd of the paper at vanishing periods, and an integral
 
 Law = Callable[[float, np.ndarray, np.ndarray, ste.Terms], np.ndarray]
 """Tensions (n_a,) [N] from time [s], q, q_dot (n,) and the terms there."""
@@ -52,17 +57,30 @@ class ClosedLoop:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
         force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
-        return np.concatenate([q_dot, np.linalg.solve(terms.mass, force - terms.bias - terms.damping @ q_dot - terms.elastic_force)])
+        return np.concatenate(
+            [
+                q_dot,
+                np.linalg.solve(
+                    terms.mass, force - terms.bias - terms.damping @ q_dot - terms.elastic_force
+                ),
+            ]
+        )
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
-        """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
+        """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton
+        iterations hardly converge."""
         here = self.rate(t, x)
-        return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
+        return np.stack(
+            [(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1
+        )
 
 
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
-    n, times = loop.model.coordinate_count, SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
+    n, times = (
+        loop.model.coordinate_count,
+        SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1),
+    )
     say(f"{label}: {duration:g} s")
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
@@ -75,12 +93,18 @@ def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
     states = found.y.T
     tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
-    tension = np.array([loop.law(t, x[:n], x[n:], loop.model.terms(x[:n], x[n:])) for t, x in zip(found.t, states, strict=True)])
+    tension = np.array(
+        [
+            loop.law(t, x[:n], x[n:], loop.model.terms(x[:n], x[n:]))
+            for t, x in zip(found.t, states, strict=True)
+        ]
+    )
     return Motion(found.t, states[:, :n], tip, tension)
 
 
 def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> float:
-    """The first time [s] from which on the error stays below the threshold; infinity if it is not below at the end."""
+    """The first time [s] from which on the error stays below the threshold; infinity if it is not
+    below at the end."""
     first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
     return float(time[first]) if first < time.size else float("inf")
 
@@ -91,18 +115,42 @@ def when(time: float) -> str:
 
 
 def track(scene: str, circle: Circle, duration: float) -> Motion:
-    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
+    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those
+    of the period that ends."""
     count = round(duration / PERIOD)
-    options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
-    env = gym.make(IDS["TipPose"], action="tension", preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
+    options: dict[str, Any] = {
+        "scene": scene,
+        "target": circle.model_dump(),
+        "tension_limits": LIMITS,
+        "control_period": PERIOD,
+    }
+    env = gym.make(
+        IDS["TipPose"],
+        action="tension",
+        preview=(PERIOD, 2.0 * PERIOD),
+        max_episode_steps=count,
+        **options,
+    )
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
-    controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), TipTracking(model, limits, PERIOD, aim, **GAINS))
+    controller = ReferenceGovernor(
+        StaticFeedforward(model, limits, PERIOD, aim),
+        TipTracking(model, limits, PERIOD, aim, **GAINS),
+    )
     samples = []
     say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
     for step in play_steps(ControllerPolicy(controller, env), env, [0]):
         arms = episodes.arms
-        samples.append((arms.rows.q[0].copy(), arms.reading.tip_pose[0, :3, 3].copy(), episodes.tension[0].copy()))
+        samples.append(
+            (
+                arms.rows.q[0].copy(),
+                arms.reading.tip_pose[0, :3, 3].copy(),
+                episodes.tension[0].copy(),
+            )
+        )
         if step.ended.any():
             break
-    return Motion(PERIOD * np.arange(len(samples)), *(np.stack(values) for values in zip(*samples, strict=True)))
+    return Motion(
+        PERIOD * np.arange(len(samples)),
+        *(np.stack(values) for values in zip(*samples, strict=True)),
+    )

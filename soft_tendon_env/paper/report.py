@@ -1,4 +1,5 @@
-"""Claims of the paper about its figures, beside what is measured here, and shared parts of the pictures."""
+"""Claims of the paper about its figures, beside what is measured here, and shared parts of the
+pictures."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -44,14 +45,35 @@ def draw_arms(axes: Axes, model: ste.Model, motion: np.ndarray, colour: str) -> 
     """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
     shown = motion[np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)]
     for opacity, q in zip(np.linspace(0.25, 1.0, SNAPSHOTS), shown, strict=True):
-        axes.plot(*model.backbone(q)[:, :3, 3].T, color=colour, alpha=opacity, linewidth=3.0, solid_capstyle="round")
+        axes.plot(
+            *model.backbone(q)[:, :3, 3].T,
+            color=colour,
+            alpha=opacity,
+            linewidth=3.0,
+            solid_capstyle="round",
+        )
 
 
 def box(axes: Any, title: str, **paths: np.ndarray) -> None:
-    """Equal scales, names, and paths (m, 3) [m] of a tip by their names, on axes with projection="3d"."""
+    """Equal scales, names, and paths (m, 3) [m] of a tip by their names, on axes with
+    projection="3d"."""
     for (name, path), colour in zip(paths.items(), (ACTUAL, DESIRED), strict=False):
-        axes.plot(*path.T, color=colour, linewidth=1.6, linestyle="--" if name == "wanted" else "-", label=name)
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=title, xlim=(0.0, 1.0), ylim=REACH, zlim=REACH)
+        axes.plot(
+            *path.T,
+            color=colour,
+            linewidth=1.6,
+            linestyle="--" if name == "wanted" else "-",
+            label=name,
+        )
+    axes.set(
+        xlabel="x [m]",
+        ylabel="y [m]",
+        zlabel="z [m]",
+        title=title,
+        xlim=(0.0, 1.0),
+        ylim=REACH,
+        zlim=REACH,
+    )
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
     axes.view_init(elev=25, azim=-60)
@@ -66,7 +88,9 @@ def draw_tensions(axes: Axes, time: np.ndarray, tension: np.ndarray, title: str)
     axes.grid(alpha=0.3)
 
 
-def draw_errors(axes: Axes, errors: Mapping[str, tuple[np.ndarray, np.ndarray]], unit: str, title: str) -> None:
+def draw_errors(
+    axes: Axes, errors: Mapping[str, tuple[np.ndarray, np.ndarray]], unit: str, title: str
+) -> None:
     """Errors (m,) against time (m,) [s] by their labels, on a logarithmic axis."""
     for label, (time, error) in errors.items():
         axes.semilogy(time, error, label=label)

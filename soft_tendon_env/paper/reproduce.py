@@ -1,8 +1,10 @@
-"""Figures 2 to 6 of the paper, as pictures and numbers, and what it says of them beside what is measured.
+"""Figures 2 to 6 of the paper, as pictures and numbers, and what it says of them beside what is
+measured.
 
-Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted shapes, the circle's period) is ours:
-see validation.py, shape.py and tip.py. The control laws act continuously in time, as the paper's; beside (39) is what the package makes
-of it at a control period, see motion.py.
+Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted
+shapes, the circle's period) is ours: see validation.py, shape.py and tip.py. The control laws act
+continuously in time, as the paper's; beside (39) is what the package makes of it at a control
+period, see motion.py.
 """
 
 from collections.abc import Mapping
@@ -15,7 +17,8 @@ from soft_tendon_env.paper.report import Result
 
 
 def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
-    """Draw the figures into a folder, print their tables, and write numbers.json. Raises OSError."""
+    """Draw the figures into a folder, print their tables, and write numbers.json. Raises
+    OSError."""
     results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
     for result in results.values():
         print(f"\n{result.tables}")

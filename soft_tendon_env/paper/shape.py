@@ -1,8 +1,10 @@
-"""Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000 and kd = 100.
+"""Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000
+and kd = 100.
 
-The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N. They are approached within
-2.5 s by a polynomial that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in square roots of
-joules for the passive coordinates. In brackets: feedforward alone.
+The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4
+and 3 N. They are approached within 2.5 s by a polynomial that is twice differentiable. The shape
+error is ||q_bar - q||, in newton for the tensions and in square roots of joules for the passive
+coordinates. In brackets: feedforward alone.
 """
 
 from pathlib import Path
@@ -17,7 +19,16 @@ from soft_tendon_env.envs.targets.shipped import Rise
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.pictures import save_figure
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, when
-from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_errors, draw_tensions
+from soft_tendon_env.paper.report import (
+    ACTUAL,
+    DESIRED,
+    Claim,
+    Result,
+    box,
+    draw_arms,
+    draw_errors,
+    draw_tensions,
+)
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
 COURSE = Rise(np.zeros(10), TENSION, 2.5)
@@ -47,46 +58,95 @@ def reproduce(seconds: float, folder: Path) -> Result:
     motions, errors = {}, {}
     for name, model in models.items():
         for law, gains in LAWS.items():
-            motion = integrate(ClosedLoop(model, law_of(model, gains)), min(seconds, DURATION), f"Figure 3, {name}, {law}")
+            motion = integrate(
+                ClosedLoop(model, law_of(model, gains)),
+                min(seconds, DURATION),
+                f"Figure 3, {name}, {law}",
+            )
             motions[name, law] = motion
             errors[name, law] = np.linalg.norm(wanted_shapes(model, motion.time) - motion.q, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
-    numbers = {name: {law: summary(motions[name, law], errors[name, law], errors[name, "feedforward"]) for law in LAWS} for name in MODELS}
+    numbers = {
+        name: {
+            law: summary(motions[name, law], errors[name, law], errors[name, "feedforward"])
+            for law in LAWS
+        }
+        for name in MODELS
+    }
     return Result([claim(name, numbers[name]) for name in MODELS], {"shape_error": numbers})
 
 
 def summary(motion: Motion, error: np.ndarray, of_feedforward: np.ndarray) -> dict[str, float]:
-    numbers = {"largest": float(error.max()), "rms": root_mean_square(error), "end": float(error[-1])}
-    return numbers | {f"below_{part:g}_from_s": below_for_good(motion.time, error, part * of_feedforward.max()) for part in PARTS}
+    numbers = {
+        "largest": float(error.max()),
+        "rms": root_mean_square(error),
+        "end": float(error[-1]),
+    }
+    return numbers | {
+        f"below_{part:g}_from_s": below_for_good(motion.time, error, part * of_feedforward.max())
+        for part in PARTS
+    }
 
 
 def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     ahead, back = numbers["feedforward"], numbers["feedback"]
     keys = [f"below_{part:g}_from_s" for part in PARTS]
-    times = ", ".join(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})" for part, key in zip(PARTS, keys, strict=True))
+    times = ", ".join(
+        f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})"
+        for part, key in zip(PARTS, keys, strict=True)
+    )
     sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
     text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
-    return Claim("3(b)", f"feedback converges fast, {MODELS[name]}", text, all(back[key] < ahead[key] for key in ("rms", "end", *keys)))
+    return Claim(
+        "3(b)",
+        f"feedback converges fast, {MODELS[name]}",
+        text,
+        all(back[key] < ahead[key] for key in ("rms", "end", *keys)),
+    )
 
 
-def draw_laws(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path) -> None:
-    figure, ((wanted, error), (full, under)) = plt.subplots(2, 2, figsize=(13, 8), constrained_layout=True)
+def draw_laws(
+    motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path
+) -> None:
+    figure, ((wanted, error), (full, under)) = plt.subplots(
+        2, 2, figsize=(13, 8), constrained_layout=True
+    )
     time = motions["paper", "feedback"].time
-    draw_tensions(wanted, time, np.array([target(t).tension for t in time]), "(a) wanted shape, as the tensions that hold it")
-    each = {f"{MODELS[name]}, {law}": (motions[name, law].time[1:], values[1:]) for (name, law), values in errors.items()}
+    draw_tensions(
+        wanted,
+        time,
+        np.array([target(t).tension for t in time]),
+        "(a) wanted shape, as the tensions that hold it",
+    )
+    each = {
+        f"{MODELS[name]}, {law}": (motions[name, law].time[1:], values[1:])
+        for (name, law), values in errors.items()
+    }
     draw_errors(error, each, "shape error", "(b) shape error")
     for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
-        draw_tensions(axes, time, motions[name, "feedback"].tension, f"({letter}) tensions with feedback, {MODELS[name]}")
+        draw_tensions(
+            axes,
+            time,
+            motions[name, "feedback"].tension,
+            f"({letter}) tensions with feedback, {MODELS[name]}",
+        )
     save_figure(figure, path)
 
 
-def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path) -> None:
+def draw_shapes(
+    models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path
+) -> None:
     figure = plt.figure(figsize=(12, 11), constrained_layout=True)
     for place, ((name, law), motion) in enumerate(motions.items(), 1):
         model, wanted = models[name], wanted_shapes(models[name], motion.time)
         axes = figure.add_subplot(2, 2, place, projection="3d")
         draw_arms(axes, model, wanted, DESIRED)
         draw_arms(axes, model, motion.q, ACTUAL)
-        box(axes, f"{MODELS[name]}, {law}", actual=motion.tip, wanted=np.array([model.tip_pose(q)[:3, 3] for q in wanted]))
+        box(
+            axes,
+            f"{MODELS[name]}, {law}",
+            actual=motion.tip,
+            wanted=np.array([model.tip_pose(q)[:3, 3] for q in wanted]),
+        )
     save_figure(figure, path)

@@ -1,12 +1,15 @@
-"""Figures 5 and 6: the tip along the paper's circle with (39), kp = 10 000 and kd = 1000, from rest without tension.
+"""Figures 5 and 6: the tip along the paper's circle with (39), kp = 10 000 and kd = 1000, from rest
+without tension.
 
-The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. The underactuated arm depends on the left
-inverse of B and on the passive coordinates: "as printed" are the paper's, the pseudo-inverse and constant moments. This package's default
-is the pseudo-inverse in the elastic energy, with passive coordinates orthogonal to the tendons' fields. Each stable variant keeps a
-steady-state error, because (39) asks for forces that tensions cannot make.
+The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. The
+underactuated arm depends on the left inverse of B and on the passive coordinates: "as printed" are
+the paper's, the pseudo-inverse and constant moments. This package's default is the pseudo-inverse
+in the elastic energy, with passive coordinates orthogonal to the tendons' fields. Each stable
+variant keeps a steady-state error, because (39) asks for forces that tensions cannot make.
 
-"Sampled" is the package's tip tracker in TendonRod-TipPose-v0, with a control period of 20 ms, tensions of at most 60 N, an integral, and
-feedforward. Its gains become the paper's as the period goes to zero.
+"Sampled" is the package's tip tracker in TendonRod-TipPose-v0, with a control period of 20 ms,
+tensions of at most 60 N, an integral, and feedforward. Its gains become the paper's as the period
+goes to zero.
 
 "Later" is the second turn. The threshold of 1 mm is ours.
 """
@@ -19,13 +22,35 @@ import numpy as np
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import Gains
-from soft_tendon_env.control.paper_laws import LeftInverse, TipPoseTarget, energy_left_inverse, euclidean_left_inverse, tip_pose_tension
+from soft_tendon_env.control.paper_laws import (
+    LeftInverse,
+    TipPoseTarget,
+    energy_left_inverse,
+    euclidean_left_inverse,
+    tip_pose_tension,
+)
 from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.pictures import save_figure
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, track, when
-from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions
+from soft_tendon_env.paper.motion import (
+    ClosedLoop,
+    Law,
+    Motion,
+    below_for_good,
+    integrate,
+    track,
+    when,
+)
+from soft_tendon_env.paper.report import (
+    ACTUAL,
+    Claim,
+    Result,
+    box,
+    draw_arms,
+    draw_errors,
+    draw_tensions,
+)
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)
@@ -47,7 +72,10 @@ DESIGNS: Mapping[str, tuple[str, str, LeftInverse]] = {
 SAMPLED = {FULL: f"{FULL}, sampled", UNDER: f"{UNDER}, sampled"}
 SHOWN = {FULL: 5, UNDER: 6, PRINTED: 6, SAMPLED[FULL]: 5, SAMPLED[UNDER]: 6}
 """Figures whose claims they are judged by."""
-INVERSES: Mapping[LeftInverse, str] = {energy_left_inverse: "in the energy", euclidean_left_inverse: "Euclidean"}
+INVERSES: Mapping[LeftInverse, str] = {
+    energy_left_inverse: "in the energy",
+    euclidean_left_inverse: "Euclidean",
+}
 
 
 def target(t: float) -> TipPoseTarget:
@@ -66,12 +94,19 @@ def reproduce(seconds: float, folder: Path) -> Result:
     for name, (scene, passive, inverse) in DESIGNS.items():
         changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
         models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
-        motions[name] = integrate(ClosedLoop(models[name], law_of(inverse)), duration, f"Figures 5 and 6, {name}")
-    motions |= {name: track(DESIGNS[design][0], CIRCLE, duration) for design, name in SAMPLED.items()}
+        motions[name] = integrate(
+            ClosedLoop(models[name], law_of(inverse)), duration, f"Figures 5 and 6, {name}"
+        )
+    motions |= {
+        name: track(DESIGNS[design][0], CIRCLE, duration) for design, name in SAMPLED.items()
+    }
     for name in (FULL, UNDER):
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
-    designs = [(scene, passive, INVERSES[inverse], outcome(numbers[name])) for name, (scene, passive, inverse) in DESIGNS.items()]
+    designs = [
+        (scene, passive, INVERSES[inverse], outcome(numbers[name]))
+        for name, (scene, passive, inverse) in DESIGNS.items()
+    ]
     table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), designs)
     return Result(claims(numbers), {"tip_error": numbers}, (table,))
 
@@ -101,10 +136,17 @@ def summary(motion: Motion, duration: float) -> dict[str, float]:
 def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
     found = [staying_below(f"{figure}(c)", name, numbers[name]) for name, figure in SHOWN.items()]
     for name in (FULL, UNDER):
-        first, then, change = (numbers[name][f"largest_tension_{key}_N"] for key in ("first", "then", "change_then"))
-        text = f"up to {first:.0f} N before {SMOOTH:g} s, then up to {then:.1f} N, changing by at most {change:.2g} N in 5 ms"
+        first, then, change = (
+            numbers[name][f"largest_tension_{key}_N"] for key in ("first", "then", "change_then")
+        )
+        text = (
+            f"up to {first:.0f} N before {SMOOTH:g} s, then up to {then:.1f} N, changing by at most"
+            f" {change:.2g} N in 5 ms"
+        )
         calm = then < 0.1 * first and change < 0.1 * then
-        found.append(Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm))
+        found.append(
+            Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm)
+        )
     full, under = (numbers[name] for name in (FULL, UNDER))
     better = full["late_rms_mm"] <= under["late_rms_mm"]
     text = f"{outcome(full)} against {outcome(under).removeprefix('later ')}"
@@ -112,11 +154,17 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
 
 
 def staying_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
-    """Claim of very small errors: what misses the threshold keeps a steady-state error above it, or breaks down."""
+    """Claim of very small errors: what misses the threshold keeps a steady-state error above it, or
+    breaks down."""
     limit, since = f"{1e3 * VERY_SMALL:g} mm", numbers.get("below_1_mm_from_s", np.inf)
     holds = bool(np.isfinite(since))
     steady = "" if holds or "late_rms_mm" not in numbers else "steady-state error: "
-    return Claim(figure, f"tip error stays below {limit}, {name}", f"{when(since)}; {steady}{outcome(numbers)}", holds)
+    return Claim(
+        figure,
+        f"tip error stays below {limit}, {name}",
+        f"{when(since)}; {steady}{outcome(numbers)}",
+        holds,
+    )
 
 
 def outcome(numbers: dict[str, float]) -> str:
@@ -129,12 +177,25 @@ def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) ->
     """`name` in space and as tensions, its error beside those of others."""
     figure, motion = plt.figure(figsize=(16, 8), constrained_layout=True), motions[name]
     grid = figure.add_gridspec(2, 3)
-    arms, tensions = figure.add_subplot(grid[:, 0], projection="3d"), figure.add_subplot(grid[0, 1:])
+    arms, tensions = (
+        figure.add_subplot(grid[:, 0], projection="3d"),
+        figure.add_subplot(grid[0, 1:]),
+    )
     draw_arms(arms, model, motion.q, ACTUAL)
-    box(arms, f"(a) {name}", actual=motion.tip, wanted=COURSE.sample(motion.time).tip_pose[:, :3, 3])
+    box(
+        arms, f"(a) {name}", actual=motion.tip, wanted=COURSE.sample(motion.time).tip_pose[:, :3, 3]
+    )
     draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
     tensions.set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[motion.time >= SMOOTH]).max())
-    each = {f"(39), {label}": (motions[label].time, 1e3 * tip_error(motions[label])) for label in (FULL, UNDER, PRINTED, SAMPLED[name])}
-    draw_errors(figure.add_subplot(grid[1, 1:]), each, "tip error [mm]", "(c) distance of the tip from the target")
+    each = {
+        f"(39), {label}": (motions[label].time, 1e3 * tip_error(motions[label]))
+        for label in (FULL, UNDER, PRINTED, SAMPLED[name])
+    }
+    draw_errors(
+        figure.add_subplot(grid[1, 1:]),
+        each,
+        "tip error [mm]",
+        "(c) distance of the tip from the target",
+    )
     figure.axes[-1].axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
     save_figure(figure, path)

@@ -1,7 +1,8 @@
-"""Figure 2: the statics-based models against a model of 48 coordinates, under tensions that vary, step and stay.
+"""Figure 2: the statics-based models against a model of 48 coordinates, under tensions that vary,
+step and stay.
 
-The paper gives its inputs as plots only. Ours: tendon i pulls A_i sin^2(pi f_i t) until 7.5 s and then as much as it did at that time;
-tendons 2 and 3 pull 8 N and 5 N more from 5 s on.
+The paper gives its inputs as plots only. Ours: tendon i pulls A_i sin^2(pi f_i t) until 7.5 s and
+then as much as it did at that time; tendons 2 and 3 pull 8 N and 5 N more from 5 s on.
 """
 
 from pathlib import Path
@@ -12,7 +13,15 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.pictures import save_figure
-from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions
+from soft_tendon_env.paper.report import (
+    ACTUAL,
+    Claim,
+    Result,
+    box,
+    draw_arms,
+    draw_errors,
+    draw_tensions,
+)
 from soft_tendon_env.tools.messages import say
 
 AMPLITUDE = np.array([6.0, 2.0, 2.0, 5.0, 4.0, 5.0, 3.0, 4.0, 5.0, 4.0])  # [N]
@@ -22,7 +31,10 @@ STEP_TENSION = np.array([0.0, 8.0, 5.0, *np.zeros(7)])  # [N]
 SAMPLE_PERIOD = 0.01  # [s]
 FINE = {"integrator.step": 0.0025}  # which changes the tip by less than 0.02 mm
 SIMILAR = 0.05  # of the arm's length, up to which motions count as similar
-REDUCED = {"paper": "fully actuated, 10 coordinates", "paper_16dof": "underactuated, 16 coordinates"}
+REDUCED = {
+    "paper": "fully actuated, 10 coordinates",
+    "paper_16dof": "underactuated, 16 coordinates",
+}
 FULL = "paper_48dof"
 
 
@@ -34,10 +46,21 @@ def tension(t: float) -> np.ndarray:
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    models = {name: ste.build_model(ste.load_scene(name).replace(FINE), "scene") for name in (*REDUCED, FULL)}
+    models = {
+        name: ste.build_model(ste.load_scene(name).replace(FINE), "scene")
+        for name in (*REDUCED, FULL)
+    }
     say(f"Figure 2: {min(seconds, DURATION):g} s of {', '.join(models)}")
-    motions = {name: ste.simulate(model, tension, min(seconds, DURATION), SAMPLE_PERIOD) for name, model in models.items()}
-    mismatch = {name: np.linalg.norm(motions[name].tip_pose[:, :3, 3] - motions[FULL].tip_pose[:, :3, 3], axis=1) for name in REDUCED}
+    motions = {
+        name: ste.simulate(model, tension, min(seconds, DURATION), SAMPLE_PERIOD)
+        for name, model in models.items()
+    }
+    mismatch = {
+        name: np.linalg.norm(
+            motions[name].tip_pose[:, :3, 3] - motions[FULL].tip_pose[:, :3, 3], axis=1
+        )
+        for name in REDUCED
+    }
     draw(models["paper"], motions, mismatch, folder / "figure_2.png")
     time = motions[FULL].time
     numbers = {name: summary(time, 1e3 * error) for name, error in mismatch.items()}
@@ -45,47 +68,100 @@ def reproduce(seconds: float, folder: Path) -> Result:
 
 
 def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
-    """Largest, root mean square and last of errors [mm]; around the step only where the motion comes to it."""
-    numbers = {"largest": float(error.max()), "rms": root_mean_square(error), "end": float(error[-1])}
+    """Largest, root mean square and last of errors [mm]; around the step only where the motion
+    comes to it."""
+    numbers = {
+        "largest": float(error.max()),
+        "rms": root_mean_square(error),
+        "end": float(error[-1]),
+    }
     if time[-1] < STEP + AFTER_STEP:
         return numbers
     before, around = time < STEP, (time >= STEP) & (time <= STEP + AFTER_STEP)
-    return numbers | {"largest_before_step": float(error[before].max()), "largest_around_step": float(error[around].max())}
+    return numbers | {
+        "largest_before_step": float(error[before].max()),
+        "largest_around_step": float(error[around].max()),
+    }
 
 
 def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
     full, under = (numbers[name] for name in REDUCED)
     size = "mm of tip mismatch on an arm of 1 m"
     similar = f"largest {full['largest']:.1f}, rms {full['rms']:.1f} {size}"
-    better = f"largest {under['largest']:.2f}, rms {under['rms']:.2f} mm: {full['rms'] / under['rms']:.0f} times less"
+    better = (
+        f"largest {under['largest']:.2f}, rms {under['rms']:.2f} mm:"
+        f" {full['rms'] / under['rms']:.0f} times less"
+    )
     found = [
-        Claim("2(e)", "10 coordinates move like the high-order model", similar, full["largest"] < 1e3 * SIMILAR * length),
-        Claim("2(f)", "passive coordinates improve the accuracy further", better, under["rms"] < full["rms"]),
+        Claim(
+            "2(e)",
+            "10 coordinates move like the high-order model",
+            similar,
+            full["largest"] < 1e3 * SIMILAR * length,
+        ),
+        Claim(
+            "2(f)",
+            "passive coordinates improve the accuracy further",
+            better,
+            under["rms"] < full["rms"],
+        ),
     ]
     if "largest_around_step" in full:
         calm, around = full["largest_before_step"], full["largest_around_step"]
         calm_under, around_under = under["largest_before_step"], under["largest_around_step"]
-        text = f"largest from {STEP:g} s to {STEP + AFTER_STEP:g} s {around:.1f} mm without, {around_under:.2f} mm with them; "
+        text = (
+            f"largest from {STEP:g} s to {STEP + AFTER_STEP:g} s {around:.1f} mm without,"
+            f" {around_under:.2f} mm with them; "
+        )
         text += f"before it {calm:.1f} and {calm_under:.2f} mm"
-        found.append(Claim("2(f)", "especially during the step at 5 s", text, around - around_under > calm - calm_under > 0.0))
+        found.append(
+            Claim(
+                "2(f)",
+                "especially during the step at 5 s",
+                text,
+                around - around_under > calm - calm_under > 0.0,
+            )
+        )
     return found
 
 
-def draw(model: ste.Model, motions: dict[str, ste.Trajectory], mismatch: dict[str, np.ndarray], path: Path) -> None:
+def draw(
+    model: ste.Model,
+    motions: dict[str, ste.Trajectory],
+    mismatch: dict[str, np.ndarray],
+    path: Path,
+) -> None:
     figure = plt.figure(figsize=(15, 9), constrained_layout=True)
     grid = figure.add_gridspec(2, 3)
     reduced, time = motions["paper"], motions[FULL].time
-    draw_tensions(figure.add_subplot(grid[0, 0]), time, np.array([tension(t) for t in time]), "(b) inputs")
-    draw_tensions(figure.add_subplot(grid[0, 1]), time, reduced.q, "(c) coordinates of the fully actuated system")
+    draw_tensions(
+        figure.add_subplot(grid[0, 0]), time, np.array([tension(t) for t in time]), "(b) inputs"
+    )
+    draw_tensions(
+        figure.add_subplot(grid[0, 1]),
+        time,
+        reduced.q,
+        "(c) coordinates of the fully actuated system",
+    )
     arms = figure.add_subplot(grid[0, 2], projection="3d")
     draw_arms(arms, model, reduced.q, ACTUAL)
     box(arms, "(d) shapes of the fully actuated system", actual=reduced.tip_pose[:, :3, 3])
     tips = figure.add_subplot(grid[1, 0])
     for name, style in zip((FULL, *REDUCED), ("-", "--", ":"), strict=True):
-        tips.plot(time, motions[name].tip_pose[:, :3, 3], style, label=[f"{axis}, {name}" for axis in "xyz"])
+        tips.plot(
+            time,
+            motions[name].tip_pose[:, :3, 3],
+            style,
+            label=[f"{axis}, {name}" for axis in "xyz"],
+        )
         tips.set_prop_cycle(None)
     tips.set(xlabel="time [s]", ylabel="tip position [m]", title="(e) tip")
     tips.legend(frameon=False, fontsize="small", ncols=3)
     each = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
-    draw_errors(figure.add_subplot(grid[1, 1:]), each, "mismatch [mm]", f"(f) distance of the tip from that of {FULL}")
+    draw_errors(
+        figure.add_subplot(grid[1, 1:]),
+        each,
+        "mismatch [mm]",
+        f"(f) distance of the tip from that of {FULL}",
+    )
     save_figure(figure, path)

@@ -1,7 +1,9 @@
-"""Trained agents as policies: their files, network, normalisation of observations and integral action.
+"""Trained agents as policies: their files, network, normalisation of observations and integral
+action.
 
-An agent's folder has `weights.pt`, the tensors of its network; `statistics.npz`, mean and variance by which it sees observations, absent
-where it sees them as they are; and `config.json`, which says all else, see `AgentConfig`.
+An agent's folder has `weights.pt`, the tensors of its network; `statistics.npz`, mean and variance
+by which it sees observations, absent where it sees them as they are; and `config.json`, which says
+all else, see `AgentConfig`.
 """
 
 import warnings
@@ -18,8 +20,19 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import given_scene, resolved_scene
 from soft_tendon_env.policies.integral import IntegralPolicy
-from soft_tendon_env.policies.network import ALGORITHMS, OF_PACKAGE, WEIGHTS, new_network, read_weights
-from soft_tendon_env.policies.normalization import STATISTICS, Normalization, read_normalization, save_normalization
+from soft_tendon_env.policies.network import (
+    ALGORITHMS,
+    OF_PACKAGE,
+    WEIGHTS,
+    new_network,
+    read_weights,
+)
+from soft_tendon_env.policies.normalization import (
+    STATISTICS,
+    Normalization,
+    read_normalization,
+    save_normalization,
+)
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
@@ -27,40 +40,77 @@ from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
-AGENT = "agent"  # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
+# name of the best agent that ships for a task, as agents.toml in the folder of them all has it
+AGENT = "agent"
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 SAME = (*INTERFACE[1:], "control_period")  # options that should be those of the training
 OF_TRAINING = (
-    *("arms", "checkpoint_every", "checkpoint_seconds", "engine", "evaluated", "evaluation", "hindsight", "learning_rate", "record"),
+    *(
+        "arms",
+        "checkpoint_every",
+        "checkpoint_seconds",
+        "engine",
+        "evaluated",
+        "evaluation",
+        "hindsight",
+        "learning_rate",
+        "record",
+    ),
     *("runners", "seconds", "seconds_learned", "seed", "start_from", "steps", "threads"),
 )
-"""Keys of config.json that concern the training alone: an agent acts as it does whatever they say."""
+"""Keys of config.json that concern the training alone: an agent acts as it does whatever they
+say."""
 
-EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)]
+EnvironmentOptions = Annotated[
+    dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)
+]
 """Options of an environment as plain tables."""
-PHYSICS = ("segments", "tendons", "base", "effects")  # tables of a scene that define the physical arm, as opposed to how it is computed
+PHYSICS = (
+    "segments",
+    "tendons",
+    "base",
+    "effects",
+)  # tables of a scene that define the physical arm, as opposed to how it is computed
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are left out. None: not known."""
+    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are
+    left out. None: not known."""
 
     algorithm: str  # name of the algorithm that trained it
-    hyperparameters: dict[str, Any] = Field(default={})  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
+    hyperparameters: dict[str, Any] = Field(
+        default={}
+    )  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
     task: str | None = None  # name of the task that it was trained on
-    options: EnvironmentOptions = Field(default={}, validate_default=True)  # of the environment that it was trained in
-    layout: dict[str, int] | None = None  # groups of its observation in their order, with their sizes
-    strain: dict[str, Any] | None = None  # parametrisation that its arm had, which says what coordinates are; by default that of options
-    integral_time: Positive | None = None  # [s] of integral action around it, see integral.py; None: none
-    normalise: dict[str, Any] = Field(default={})  # {"observations": true} where it sees observations through its statistics
+    options: EnvironmentOptions = Field(
+        default={}, validate_default=True
+    )  # of the environment that it was trained in
+    layout: dict[str, int] | None = (
+        None  # groups of its observation in their order, with their sizes
+    )
+    strain: dict[str, Any] | None = (
+        # parametrisation that its arm had, which says what coordinates are; by default that of
+        # options
+        None
+    )
+    integral_time: Positive | None = (
+        None  # [s] of integral action around it, see integral.py; None: none
+    )
+    normalise: dict[str, Any] = Field(
+        default={}
+    )  # {"observations": true} where it sees observations through its statistics
     steps_done: int | None = Field(default=None, ge=0)  # of its training
     files: dict[str, str] = Field(default={})  # SHA-256 of the files that belong together, by name
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """The configuration of a plain table. Raises ConfigurationError, also for keys that it does not know."""
-        return super().parse({key: value for key, value in values.items() if key not in OF_TRAINING}, source)
+        """The configuration of a plain table. Raises ConfigurationError, also for keys that it does
+        not know."""
+        return super().parse(
+            {key: value for key, value in values.items() if key not in OF_TRAINING}, source
+        )
 
     @field_validator("options")
     @classmethod
@@ -87,7 +137,12 @@ def is_shipped(name: str) -> bool:
 
 def is_agent(name: str) -> bool:
     """True for the name of an agent: of one that ships, or the folder of one."""
-    return is_shipped(name) or (Path(name) / WEIGHTS).is_file() or (Path(name) / CONFIG).is_file() and not (Path(name) / "best").is_dir()
+    return (
+        is_shipped(name)
+        or (Path(name) / WEIGHTS).is_file()
+        or (Path(name) / CONFIG).is_file()
+        and not (Path(name) / "best").is_dir()
+    )
 
 
 def trained_folder() -> Path:
@@ -96,15 +151,23 @@ def trained_folder() -> Path:
 
 
 def shipped_as(name: str, task: str) -> str:
-    """Name of the folder of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
+    """Name of the folder of an agent that ships for a task: what "agent" stands for. Raises
+    ValueError, FileNotFoundError for none."""
     found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
-    if found in (there := [known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()]):
+    if found in (
+        there := [
+            known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()
+        ]
+    ):
         return str(found)
-    raise FileNotFoundError(f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}")
+    raise FileNotFoundError(
+        f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}"
+    )
 
 
 def find_agent(name: str, task: str) -> Path:
-    """Folder of an agent by its name: one of `shipped` for the task, or a folder. Raises ValueError, FileNotFoundError."""
+    """Folder of an agent by its name: one of `shipped` for the task, or a folder. Raises
+    ValueError, FileNotFoundError."""
     folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
     if not (folder / WEIGHTS).is_file():
         raise FileNotFoundError(f"{name}: there is no file {folder / WEIGHTS}")
@@ -121,55 +184,94 @@ class TrainingWarning(UserWarning):
 
 
 class NetworkPolicy:
-    """Model or policy network of Stable-Baselines3 that sees observations normalised by the statistics of its training."""
+    """Model or policy network of Stable-Baselines3 that sees observations normalised by the
+    statistics of its training."""
 
     def __init__(self, model: Any, normalise: Callable[[Any], Any] | None = None) -> None:
         self.network, self.normalise = model, normalise
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True) -> tuple[Any, Any]:
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
         seen = observation if self.normalise is None else self.normalise(observation)
         return self.network.predict(seen, state, episode_start, deterministic)
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
-    """Trained agent as a policy for an environment like its own, single or vector; nothing is unpickled.
+    """Trained agent as a policy for an environment like its own, single or vector; nothing is
+    unpickled.
 
-    name: of an agent that ships for the environment's task, or an agent's folder. other_effects: whether the arm may have effects that it
-    was not trained with. Warns (TrainingWarning) of another task or preset than in its training. Raises TypeError for environments
-    of other packages, ValueError, also for another arm or control period, OSError, ModuleNotFoundError.
+    name: of an agent that ships for the environment's task, or an agent's folder. other_effects:
+    whether the arm may have effects that it was not trained with. Warns (TrainingWarning) of
+    another task or preset than in its training. Raises TypeError for environments of other
+    packages, ValueError, also for another arm or control period, OSError, ModuleNotFoundError.
     """
     import torch
 
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
-    check_digests(folder, {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}, folder / CONFIG)
+    check_digests(
+        folder,
+        {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files},
+        folder / CONFIG,
+    )
     _check_agent(name, config, episodes, other_effects)
     rows = isinstance(env, gym.vector.VectorEnv)
-    spaces = (env.single_observation_space, env.single_action_space) if rows else (env.observation_space, env.action_space)
-    torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
+    spaces = (
+        (env.single_observation_space, env.single_action_space)
+        if rows
+        else (env.observation_space, env.action_space)
+    )
+    torch.set_num_threads(
+        1
+    )  # faster for one observation, and what other threads do does not matter
     weights, normalization = read_weights(folder / WEIGHTS), None
     try:
         sde = {"use_sde": True} if config.hyperparameters.get("use_sde") else {}
-        network = new_network(config.algorithm, {**(config.hyperparameters.get("policy_kwargs") or {}), **sde}, *spaces)
+        network = new_network(
+            config.algorithm,
+            {**(config.hyperparameters.get("policy_kwargs") or {}), **sde},
+            *spaces,
+        )
         network.load_state_dict(weights)
-    except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
-        text = f"the weights are not of a {config.algorithm} policy for this environment: {' '.join(str(error).split())[:200]}"
+    except (
+        AssertionError,
+        AttributeError,
+        MemoryError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        KeyError,
+    ) as error:
+        text = (
+            f"the weights are not of a {config.algorithm} policy for this environment:"
+            f" {' '.join(str(error).split())[:200]}"
+        )
         raise ValueError(f"{folder / WEIGHTS}: {text}") from error
     if (folder / STATISTICS).exists():
         normalization = read_normalization(folder / STATISTICS, spaces[0])
     elif config.normalise.get("observations"):
-        raise FileNotFoundError(f"{folder} should have {STATISTICS}: the agent sees observations through it, and would see others without")
+        raise FileNotFoundError(
+            f"{folder} should have {STATISTICS}: the agent sees observations through it, and would"
+            " see others without"
+        )
     return acting_policy(NetworkPolicy(network, normalization), env, config.integral_time)
 
 
 def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Policy:
-    """Policy of an agent in its environment, with integral action for an integral_time [s]. Raises ValueError as IntegralPolicy does."""
+    """Policy of an agent in its environment, with integral action for an integral_time [s]. Raises
+    ValueError as IntegralPolicy does."""
     return agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
-    """Write an agent's weights and statistics into a folder, for a config.json that says the rest. Raises OSError, RuntimeError."""
+    """Write an agent's weights and statistics into a folder, for a config.json that says the rest.
+    Raises OSError, RuntimeError."""
     import torch
 
     torch.save(dict(network.state_dict()), folder / WEIGHTS)
@@ -186,25 +288,43 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
 
 
 def disturbances(options: Options) -> set[str]:
-    """Names of effects that a training draws from nothing on, or from the least that there is: an arm has them or not."""
+    """Names of effects that a training draws from nothing on, or from the least that there is: an
+    arm has them or not."""
     found, scene = dict[str, bool](), given_scene(options.scene)
     for drawn in options.randomize.ranges(scene):
         for key, value in zip(drawn.keys, drawn.values, strict=True):
             table, name, number, *_ = key.split(".")
             if table == "effects":
-                effect = getattr(scene.effects, name)  # None: it is there where its number is drawn alone
-                others = effect and any(np.any(getattr(effect, strength)) for strength in effect.strengths if strength != number)
-                found[name] = found.get(name, True) and value in (0.0, drawn.least) and not others  # still water is there without a current
+                effect = getattr(
+                    scene.effects, name
+                )  # None: it is there where its number is drawn alone
+                others = effect and any(
+                    np.any(getattr(effect, strength))
+                    for strength in effect.strengths
+                    if strength != number
+                )
+                found[name] = (
+                    found.get(name, True) and value in (0.0, drawn.least) and not others
+                )  # still water is there without a current
     return {name for name, holds in found.items() if holds}
 
 
 def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a training with the arm alone: without what it draws, and changes of the scene by which there are disturbances."""
+    """Options of a training with the arm alone: without what it draws, and changes of the scene by
+    which there are disturbances."""
     scene, names = options.get("scene"), disturbances(Options.parse(options, "options"))
     if not isinstance(scene, Mapping) or "segments" in scene:
         return {**options, "randomize": {}}
-    left = {key: value for key, value in scene.items() if not (key.startswith("effects.") and key.split(".")[1] in names)}
-    return {**options, "randomize": {}, "scene": left["scene"] if left.keys() == {"scene"} else left}
+    left = {
+        key: value
+        for key, value in scene.items()
+        if not (key.startswith("effects.") and key.split(".")[1] in names)
+    }
+    return {
+        **options,
+        "randomize": {},
+        "scene": left["scene"] if left.keys() == {"scene"} else left,
+    }
 
 
 def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
@@ -214,37 +334,71 @@ def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
 
 
 def _as_written(options: Options) -> Scene:
-    """The scene of options with the strain, quadrature and integrator that it has, so that no trial of the arm is needed."""
+    """The scene of options with the strain, quadrature and integrator that it has, so that no trial
+    of the arm is needed."""
     return resolved_scene(options.model_copy(update={"fidelity": AS_SCENE}))
 
 
 def _is_of(options: Options, scene: Scene) -> bool:
-    """Whether a scene is that of options but for its name: the same physical arm, and then the same at their fidelity."""
+    """Whether a scene is that of options but for its name: the same physical arm, and then the same
+    at their fidelity."""
     if _physics(_as_written(options), set()) != _physics(scene, set()):
         return False
     return resolved_scene(options).replace({"name": scene.name}) == scene
 
 
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
-    """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
-    actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
-    now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
+    """Raises ValueError where an agent was trained on another arm, with another control period, or
+    with another meaning of observations or actions. other_effects: those of the arm may be others.
+    Warns (TrainingWarning) of another task, or arm as it is computed."""
+    now, scene, layout, trained = (
+        episodes.options,
+        episodes.model.scene,
+        layout_of(episodes),
+        Options(**config.options),
+    )
     before, names = _as_written(trained), disturbances(trained)
     there, known = _physics(scene, names), _physics(before, names)
     for key in PHYSICS:
         if known[key] != there[key] and not (other_effects and key == "effects"):
-            text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
+            text = (
+                f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this"
+                f" environment's ({scene.name!r})"
+            )
             raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
-    groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
-    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in SAME}}
+    groups = [
+        ", ".join(f"{group} ({size})" for group, size in of.items())
+        for of in (config.layout or layout, layout)
+    ]
+    values = {
+        "observation": (groups[0], groups[1]),
+        **{key: (getattr(trained, key), getattr(now, key)) for key in SAME},
+    }
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
         values["strain"] = (config.strain or strain_of(resolved_scene(trained)), strain_of(scene))
     for key, (one, other) in values.items():
         if one != other:
-            raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
-    same = any(_is_of(options, scene) for options in (trained, Options(**undisturbed(config.options))))
+            raise ValueError(
+                f"{name} was trained with {key} = {one!r}, this environment has {other!r}"
+            )
+    same = any(
+        _is_of(options, scene) for options in (trained, Options(**undisturbed(config.options)))
+    )
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
-    soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key != "control_period" and not same}
-    if not other_effects and (other := [f"{key} = {one!r}, judged with {two!r}" for key, (one, two) in soft.items() if one != two]):
-        text = f"{name}: trained with {'; '.join(other)}. policy_options() has the options of its training"
+    soft |= {
+        key: (getattr(trained, key), getattr(now, key))
+        for key in ARM
+        if key != "control_period" and not same
+    }
+    if not other_effects and (
+        other := [
+            f"{key} = {one!r}, judged with {two!r}"
+            for key, (one, two) in soft.items()
+            if one != two
+        ]
+    ):
+        text = (
+            f"{name}: trained with {'; '.join(other)}. policy_options() has the options of its"
+            " training"
+        )
         warnings.warn(text, TrainingWarning, stacklevel=5)

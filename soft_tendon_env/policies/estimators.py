@@ -1,6 +1,8 @@
-"""State estimators by name, and by what stands before a controller's name: filtered:tracking is `tracking` with the Kalman filter.
+"""State estimators by name, and by what stands before a controller's name: filtered:tracking is
+`tracking` with the Kalman filter.
 
-To add one, add an entry to ESTIMATORS: ESTIMATORS["lengths"] = EstimatorEntry("lengths:", LengthObserver).
+To add one, add an entry to ESTIMATORS: ESTIMATORS["lengths"] = EstimatorEntry("lengths:",
+LengthObserver).
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +21,8 @@ PARAMETERS: Mapping[str, str] = {
     "coordinates": "q",
     "rates": "q_dot",
 }
-"""Fields of Measurement, or of ControllerInput, by the observation groups that tell them, besides the tip's pose."""
+"""Fields of Measurement, or of ControllerInput, by the observation groups that tell them, besides
+the tip's pose."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,9 @@ class EstimatorEntry:
 
 def _adaptive_filter(model: Model, setting: Setting) -> Estimator:
     first = setting.latency or GREATEST_LATENCY / 4
-    return ExtendedKalmanFilter(model, setting._replace(latency=first), max(GREATEST_LATENCY, first))
+    return ExtendedKalmanFilter(
+        model, setting._replace(latency=first), max(GREATEST_LATENCY, first)
+    )
 
 
 ESTIMATORS: dict[str, EstimatorEntry] = {

@@ -4,18 +4,27 @@ import warnings
 from typing import Any, Protocol
 
 STATELESS_CALLS = 10
-"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
+"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first
+actions alone hardly makes as many."""
 
 
 class Policy(Protocol):
-    """Stable-Baselines3's interface: observation and state go in, action and the next state come out."""
+    """Stable-Baselines3's interface: observation and state go in, action and the next state come
+    out."""
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
         """Action for an observation, and the `state` to pass with the next one."""
 
 
 class LostState:
-    """Warns, once, where calls of `predict` neither give the state back nor say that an episode starts. owner: what forgets everything."""
+    """Warns, once, where calls of `predict` neither give the state back nor say that an episode
+    starts. owner: what forgets everything."""
 
     def __init__(self, owner: str) -> None:
         self._owner, self._calls = owner, 0  # in a row
@@ -23,5 +32,11 @@ class LostState:
     def notice(self, lost: bool) -> None:
         self._calls = self._calls + 1 if lost else 0
         if self._calls == STATELESS_CALLS:  # once: the count goes on
-            text = f"predict was called {STATELESS_CALLS} times in a row without the state of {self._owner}, which forgets everything"
-            warnings.warn(f"{text}: give it back, action, state = policy.predict(observation, state)", stacklevel=3)
+            text = (
+                f"predict was called {STATELESS_CALLS} times in a row without the state of"
+                f" {self._owner}, which forgets everything"
+            )
+            warnings.warn(
+                f"{text}: give it back, action, state = policy.predict(observation, state)",
+                stacklevel=3,
+            )

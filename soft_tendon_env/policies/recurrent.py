@@ -1,4 +1,5 @@
-"""Policy network of Stable-Baselines3 that can remember, by a gated unit whose state goes from one control period to the next."""
+"""Policy network of Stable-Baselines3 that can remember, by a gated unit whose state goes from one
+control period to the next."""
 
 from typing import Any
 
@@ -17,11 +18,13 @@ SLOW = -1.0  # bias of the gates at first: about a quarter of the memory is new 
 class RecurrentPolicy(ActorCriticPolicy):
     """Policy of PPO whose layers see what it observes and what it remembers of the episode.
 
-    The memory is that of a minimal gated unit (G.-B. Zhou et al., Int. J. Automation and Computing 13, 2016), zero where an episode begins.
-    memory: its size, 0: none. fine: factor of small entries, as those of errors of a millimetre, which layers see besides as tanh(fine x);
-    0: they do not. posture: number of the first entries, which say how the arm is bent and commanded; the others vanish where it rests at
-    its target, and are multiplied by gains, a part of the action that vanishes too; 0: there are no gains. Other arguments are those of
-    ActorCriticPolicy. Raises ValueError for sizes that cannot be.
+    The memory is that of a minimal gated unit (G.-B. Zhou et al., Int. J. Automation and Computing
+    13, 2016), zero where an episode begins. memory: its size, 0: none. fine: factor of small
+    entries, as those of errors of a millimetre, which layers see besides as tanh(fine x); 0: they
+    do not. posture: number of the first entries, which say how the arm is bent and commanded; the
+    others vanish where it rests at its target, and are multiplied by gains, a part of the action
+    that vanishes too; 0: there are no gains. Other arguments are those of ActorCriticPolicy. Raises
+    ValueError for sizes that cannot be.
     """
 
     def __init__(
@@ -35,27 +38,46 @@ class RecurrentPolicy(ActorCriticPolicy):
         fine: float = 0.0,
         posture: int = 0,
     ) -> None:
-        self.memory, self.fine, self.posture, self._lost = memory, fine, posture, LostState("what the policy remembers")
-        features = CombinedExtractor if isinstance(observation_space, gym.spaces.Dict) else FlattenExtractor
+        self.memory, self.fine, self.posture, self._lost = (
+            memory,
+            fine,
+            posture,
+            LostState("what the policy remembers"),
+        )
+        features = (
+            CombinedExtractor
+            if isinstance(observation_space, gym.spaces.Dict)
+            else FlattenExtractor
+        )
         spaces = observation_space, action_space
-        super().__init__(*spaces, lr_schedule, net_arch, activation_fn, features_extractor_class=features)
+        super().__init__(
+            *spaces, lr_schedule, net_arch, activation_fn, features_extractor_class=features
+        )
 
     def _build_mlp_extractor(self) -> None:
         if not (self.memory >= 0 and 0 <= self.posture < self.features_dim):
             text = f"memory is {self.memory} and posture {self.posture}: they should be at least 0"
-            raise ValueError(f"{text}, and posture less than the size of an observation, {self.features_dim}")
+            raise ValueError(
+                f"{text}, and posture less than the size of an observation, {self.features_dim}"
+            )
         both = self.features_dim * (2 if self.fine else 1) + self.memory
         if self.memory:
-            self.gate, self.candidate = torch.nn.Linear(both, self.memory), torch.nn.Linear(both, self.memory)
+            self.gate, self.candidate = (
+                torch.nn.Linear(both, self.memory),
+                torch.nn.Linear(both, self.memory),
+            )
             torch.nn.init.constant_(self.gate.bias, SLOW)
         self.mlp_extractor = MlpExtractor(both, self.net_arch, self.activation_fn, self.device)
         if self.posture:
             away = (self.features_dim - self.posture) * (2 if self.fine else 1)
             self.way = torch.nn.Linear(away, self.mlp_extractor.latent_dim_pi, bias=False)
-            self.gain = torch.nn.Linear(self.mlp_extractor.latent_dim_pi, get_action_dim(self.action_space), bias=False)
+            self.gain = torch.nn.Linear(
+                self.mlp_extractor.latent_dim_pi, get_action_dim(self.action_space), bias=False
+            )
 
     def act(self, observation: Any, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean actions (rows, n_a) and the next memory, of observations and the memory (rows, size)."""
+        """Mean actions (rows, n_a) and the next memory, of observations and the memory (rows,
+        size)."""
         plain: Any = self.extract_features(observation, self.pi_features_extractor)
         seen = self._finer(plain)
         if self.memory:
@@ -64,7 +86,11 @@ class RecurrentPolicy(ActorCriticPolicy):
             memory = memory + share * (new - memory)
         latent = self.mlp_extractor.forward_actor(torch.cat([seen, memory], dim=1))
         if self.posture:
-            return self.action_net(latent) + self.gain(latent * self.way(self._finer(plain[:, self.posture :]))), memory
+            return (
+                self.action_net(latent)
+                + self.gain(latent * self.way(self._finer(plain[:, self.posture :]))),
+                memory,
+            )
         return self.action_net(latent), memory
 
     def _finer(self, values: torch.Tensor) -> torch.Tensor:
@@ -74,15 +100,23 @@ class RecurrentPolicy(ActorCriticPolicy):
         return self.act(observation, torch.zeros(_rows(observation), self.memory))[0]
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
     ) -> tuple[np.ndarray[Any, Any], Any]:
-        """Mean actions for one observation or many, and the memory (rows, size) to give back. Raises ValueError for another memory."""
+        """Mean actions for one observation or many, and the memory (rows, size) to give back.
+        Raises ValueError for another memory."""
         self._lost.notice(bool(self.memory) and state is None and not np.any(episode_start))
         seen, many = self.obs_to_tensor(observation)
         shape = _rows(seen), self.memory
         memory = torch.zeros(shape) if state is None else torch.as_tensor(state)
         if memory.shape != shape:
-            raise ValueError(f"state should be what predict gave for these rows, of shape {shape}, not {tuple(memory.shape)}")
+            raise ValueError(
+                f"state should be what predict gave for these rows, of shape {shape}, not"
+                f" {tuple(memory.shape)}"
+            )
         if episode_start is not None:
             memory = memory * torch.as_tensor(~np.atleast_1d(episode_start).astype(bool))[:, None]
         with torch.no_grad():

@@ -1,6 +1,8 @@
-"""Episodes recorded to files that the Rerun viewer plays: `pip install "soft_tendon_env[recording]"`, then `rerun FILE`.
+"""Episodes recorded to files that the Rerun viewer plays:
+`pip install "soft_tendon_env[recording]"`, then `rerun FILE`.
 
-Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers once they are made, do.
+Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers once they are made,
+do.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -12,7 +14,15 @@ from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollou
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
 
-__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "side_by_side"]
+__all__ = [
+    "RecordRollout",
+    "RerunFile",
+    "Rollout",
+    "RolloutBuffer",
+    "VectorRecordRollout",
+    "collect",
+    "side_by_side",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,5 @@
-"""Live view: episodes streamed to the Rerun viewer while they run, no faster than their own clock; `render_mode="human"`."""
+"""Live view: episodes streamed to the Rerun viewer while they run, no faster than their own clock;
+`render_mode="human"`."""
 
 import os
 import socket
@@ -16,7 +17,9 @@ from soft_tendon_env.recording.rerun_stream import RerunStream
 from soft_tendon_env.recording.wrappers import RowRecorder
 
 PORT = 9876  # at which Rerun's viewers listen by default
-OPENS_WITHIN = 20.0  # [s] that the viewer may take to open: one, or a few without a graphics processor
+OPENS_WITHIN = (
+    20.0  # [s] that the viewer may take to open: one, or a few without a graphics processor
+)
 SETTLES = 0.5  # [s] in which a viewer that listens may still find that it can open no window
 PICTURE_PERIOD = 0.04  # [s] of wall-clock time between parts that are sent: 25 a second look smooth
 LAG = 0.2  # [s] from which on a simulation that is late does not try to catch up with the clock
@@ -26,7 +29,8 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
 class RerunViewer(RerunStream):
-    """A Rerun viewer on this machine that shows what is written at once: one that listens at `port`, else one that is opened.
+    """A Rerun viewer on this machine that shows what is written at once: one that listens at
+    `port`, else one that is opened.
 
     It stays open when this is closed. Raises gymnasium.error.Error where no window can be opened.
     """
@@ -41,11 +45,17 @@ class RerunViewer(RerunStream):
 
 
 class LiveRows:
-    """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the viewer's window does no harm."""
+    """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the
+    viewer's window does no harm."""
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._recorders, self._due = episodes, RerunViewer(PORT), dict[int, RowRecorder](), -np.inf
+        self._episodes, self._viewer, self._recorders, self._due = (
+            episodes,
+            RerunViewer(PORT),
+            dict[int, RowRecorder](),
+            -np.inf,
+        )
         for row in range(min(episodes.size, ROWS)):
             name = "arm" if episodes.size == 1 else f"row_{row}"
             self._viewer.add_arm(name, episodes.model)
@@ -57,7 +67,8 @@ class LiveRows:
             recorder.begin()
 
     def step(self, members: Iterable[int]) -> None:
-        """Send where the rows `members` are after a step, and wait until it is time for the next."""
+        """Send where the rows `members` are after a step, and wait until it is time for the
+        next."""
         for recorder in self._shown(members):
             recorder.step()
         now = time.perf_counter()
@@ -89,13 +100,24 @@ def is_open(port: int) -> bool:
 
 
 def open_viewer(port: int) -> None:
-    """Open the Rerun viewer in a process of its own, which no Ctrl-C reaches, and wait until it listens. Raises gymnasium.error.Error."""
+    """Open the Rerun viewer in a process of its own, which no Ctrl-C reaches, and wait until it
+    listens. Raises gymnasium.error.Error."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
-            f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: "
-            'use render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun --headless`)'
+            f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: use"
+            ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'
+            " --headless`)"
         )
-    command = [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"]
+    command = [
+        sys.executable,
+        "-m",
+        "rerun_cli",
+        "--port",
+        str(port),
+        "--bind",
+        "127.0.0.1",
+        "--expect-data-soon",
+    ]
     quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
     process = subprocess.Popen(command, env=environment, start_new_session=True, **quiet)

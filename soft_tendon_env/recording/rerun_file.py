@@ -10,8 +10,8 @@ from soft_tendon_env.recording.rollout import Rollout
 class RerunFile(RerunStream):
     """A Rerun file that opens as a 3-D view beside plots. Also a context manager.
 
-    Whatever `write` has returned from stays readable if the process is killed, unless in the very moment of another write; `close` adds the
-    index that `rerun rrd verify` asks for.
+    Whatever `write` has returned from stays readable if the process is killed, unless in the very
+    moment of another write; `close` adds the index that `rerun rrd verify` asks for.
     It and `write` raise OSError if the file cannot be written, because a disk is full for instance.
     """
 
@@ -23,9 +23,11 @@ class RerunFile(RerunStream):
         self._attempt(self._open_recording().save, self.path)
 
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
-        """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.
+        """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last
+        episode; on disk when this returns.
 
-        Raises ValueError if the arm has another scene, or the file is closed, and OSError if it cannot be written.
+        Raises ValueError if the arm has another scene, or the file is closed, and OSError if it
+        cannot be written.
         """
         super().write(rollout, arm, continues=continues)
         self._attempt(self._open_recording().flush)
@@ -35,4 +37,6 @@ class RerunFile(RerunStream):
         try:
             action(*arguments)
         except RuntimeError as error:  # what Rerun makes of it
-            raise OSError(f"{self.path} cannot be written, what was recorded ends before this: {error}") from error
+            raise OSError(
+                f"{self.path} cannot be written, what was recorded ends before this: {error}"
+            ) from error

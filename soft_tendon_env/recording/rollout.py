@@ -1,4 +1,5 @@
-"""One episode as arrays, the buffer that collects them while an environment runs, and whole episodes. Knows nothing of files."""
+"""One episode as arrays, the buffer that collects them while an environment runs, and whole
+episodes. Knows nothing of files."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,11 +17,13 @@ from soft_tendon_env.tools.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """An episode, or a stretch of one: sample 0 of an episode is what its reset left, sample k what its k-th step did.
+    """An episode, or a stretch of one: sample 0 of an episode is what its reset left, sample k what
+    its k-th step did.
 
-    period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
-    tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
-    that led to the sample; scalars (samples,) each, NaN where there is none; scene of the arm, None: the model's.
+    period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples,
+    n_a) [N] as applied; tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m],
+    m = 0 being as good as None; action (samples, k), the one that led to the sample; scalars
+    (samples,) each, NaN where there is none; scene of the arm, None: the model's.
     """
 
     model: Model
@@ -55,10 +58,17 @@ class RolloutBuffer:
         now, row, reading = self._episodes, self._row, self._episodes.arms.reading
         steps = now.step_count[row] > 0
         action = np.where(steps, now.observed.action[row], np.nan)
-        sample = now.arms.rows.xi, now.tension, reading.tip_pose, now.target_pose, now.target_backbone
+        sample = (
+            now.arms.rows.xi,
+            now.tension,
+            reading.tip_pose,
+            now.target_pose,
+            now.target_backbone,
+        )
         self._samples.append([*(values[row].copy() for values in sample), action])
         self._scalars.append(
-            {name: float(values[row]) for name, values in now.info().items()} | {"reward": float(now.reward[row]) if steps else np.nan}
+            {name: float(values[row]) for name, values in now.info().items()}
+            | {"reward": float(now.reward[row]) if steps else np.nan}
         )
         self._scene = now.arms.model_of(row).scene
 
@@ -72,12 +82,28 @@ class RolloutBuffer:
         model, records = self._episodes.model, self._scalars
         strain, *columns = (np.array(column) for column in zip(*self._samples, strict=True))
         scalars = {name: np.array([record[name] for record in records]) for name in records[0]}
-        sampled: dict[str, Any] = dict(zip(("tension", "tip_pose", "target_pose", "target_backbone", "action"), columns, strict=True))
+        sampled: dict[str, Any] = dict(
+            zip(
+                ("tension", "tip_pose", "target_pose", "target_backbone", "action"),
+                columns,
+                strict=True,
+            )
+        )
         strain = model.grid.unpacked(strain)
-        return Rollout(model, self._episodes.period, strain, scalars=scalars, title=title, scene=self._scene, **sampled)
+        return Rollout(
+            model,
+            self._episodes.period,
+            strain,
+            scalars=scalars,
+            title=title,
+            scene=self._scene,
+            **sampled,
+        )
 
 
-def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:
+def collect(
+    env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None
+) -> Rollout:
     """One episode of an environment with actions policy(observation), until it ends."""
     buffer, ended = RolloutBuffer(episodes_of(env)), False
     observation, _ = env.reset(seed=seed)

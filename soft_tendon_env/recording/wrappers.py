@@ -1,4 +1,5 @@
-"""Wrappers that record the episodes of an environment to a Rerun file, as `gymnasium.wrappers.RecordVideo` does to videos."""
+"""Wrappers that record the episodes of an environment to a Rerun file, as
+`gymnasium.wrappers.RecordVideo` does to videos."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,19 +19,45 @@ FLUSH_PERIOD = 2.0  # [s]
 
 
 class RowRecorder:
-    """Records the episodes of one row as an arm of a file, at their ends and, with `flush_period`, whenever as many seconds have passed."""
+    """Records the episodes of one row as an arm of a file, at their ends and, with `flush_period`,
+    whenever as many seconds have passed."""
 
-    def __init__(self, file: "RerunStream", arm: str, episodes: Episodes, row: int, flush_period: float | None) -> None:
-        self._file, self._arm, self._episodes, self._flush_period = file, arm, episodes, flush_period
-        self._buffer, self._episode, self._title, self._written, self._continues = RolloutBuffer(episodes, row), -1, "", 0.0, False
+    def __init__(
+        self,
+        file: "RerunStream",
+        arm: str,
+        episodes: Episodes,
+        row: int,
+        flush_period: float | None,
+    ) -> None:
+        self._file, self._arm, self._episodes, self._flush_period = (
+            file,
+            arm,
+            episodes,
+            flush_period,
+        )
+        self._buffer, self._episode, self._title, self._written, self._continues = (
+            RolloutBuffer(episodes, row),
+            -1,
+            "",
+            0.0,
+            False,
+        )
 
     def begin(self, seed: int | None = None) -> None:
-        """Take the state after a reset as the first sample of the next episode; one that has not ended ends here."""
+        """Take the state after a reset as the first sample of the next episode; one that has not
+        ended ends here."""
         self.finish()
         self._episode += 1
         options, task = self._episodes.options, self._episodes.task
         target = task.target if options.target is None else options.target.type
-        self._title = ", ".join([f"episode {self._episode}", f"target {target}", *([] if seed is None else [f"seed {seed}"])])
+        self._title = ", ".join(
+            [
+                f"episode {self._episode}",
+                f"target {target}",
+                *([] if seed is None else [f"seed {seed}"]),
+            ]
+        )
         self._written = perf_counter()
         self._buffer.take()
 
@@ -60,10 +87,12 @@ class RowRecorder:
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
     """Records all episodes as the arm `name` of a Rerun file.
 
-    `file`: a path, or an open `RerunFile`, in which several environments can have arms and which who opened it closes; `place` (3,) [m]:
-    where this one is drawn, "beside" the others by default, None for an arm that the file has already. What is at hand is written at the
-    end of every episode and, within one, every `flush_period` seconds of wall-clock time (None: not): what a killed process leaves.
-    Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError for a second arm of one name.
+    `file`: a path, or an open `RerunFile`, in which several environments can have arms and which
+    who opened it closes; `place` (3,) [m]: where this one is drawn, "beside" the others by default,
+    None for an arm that the file has already. What is at hand is written at the end of every
+    episode and, within one, every `flush_period` seconds of wall-clock time (None: not): what a
+    killed process leaves. Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError
+    for a second arm of one name.
     """
 
     def __init__(
@@ -75,12 +104,18 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         place: Sequence[float] | Literal["beside"] | None = "beside",
     ) -> None:
         super().__init__(env)
-        episodes, self._closes, self._file = episodes_of(env), isinstance(file, str | Path), _open(file)
+        episodes, self._closes, self._file = (
+            episodes_of(env),
+            isinstance(file, str | Path),
+            _open(file),
+        )
         if place is not None:
             self._file.add_arm(name, episodes.model, None if place == "beside" else place)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         result = self.env.reset(seed=seed, options=options)
         self._recorder.begin(seed)
         return result
@@ -100,32 +135,48 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class VectorRecordRollout(gym.vector.VectorWrapper):
-    """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm `row_0`, `row_1`, ... with its own episodes.
+    """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm
+    `row_0`, `row_1`, ... with its own episodes.
 
-    The step in which an environment resets a row belongs to no episode: of `AutoresetMode.SAME_STEP` episodes are recorded without their
-    last step. Raises as RecordRollout.
+    The step in which an environment resets a row belongs to no episode: of
+    `AutoresetMode.SAME_STEP` episodes are recorded without their last step. Raises as
+    RecordRollout.
     """
 
-    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], path: str | Path, rows: Sequence[int] = (0,)) -> None:
+    def __init__(
+        self, env: gym.vector.VectorEnv[Any, Any, Any], path: str | Path, rows: Sequence[int] = (0,)
+    ) -> None:
         super().__init__(env)
         if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
-        self._episodes, self._file, self._recorders = episodes_of(env), _open(path), dict[int, RowRecorder]()
+        self._episodes, self._file, self._recorders = (
+            episodes_of(env),
+            _open(path),
+            dict[int, RowRecorder](),
+        )
         for row in rows:
             self._file.add_arm(f"row_{row}", self._episodes.model)
-            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, FLUSH_PERIOD)
+            self._recorders[row] = RowRecorder(
+                self._file, f"row_{row}", self._episodes, row, FLUSH_PERIOD
+            )
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         result, mask = self.env.reset(seed=seed, options=options), (options or {}).get("reset_mask")
         for row, recorder in self._recorders.items():
             if mask is None or mask[row]:
-                recorder.begin(seed + row if isinstance(seed, int) else seed if seed is None else seed[row])
+                recorder.begin(
+                    seed + row if isinstance(seed, int) else seed if seed is None else seed[row]
+                )
         return result
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         result = self.env.step(actions)
         for row, recorder in self._recorders.items():
-            if self._episodes.step_count[row] == 0:  # the row has been reset, either instead of a step or after one
+            if (
+                self._episodes.step_count[row] == 0
+            ):  # the row has been reset, either instead of a step or after one
                 recorder.begin()
                 continue
             recorder.step()

@@ -1,4 +1,5 @@
-"""Robots: real arms, and a simulated one in their place, behind one interface, and the loop that runs policies on them."""
+"""Robots: real arms, and a simulated one in their place, behind one interface, and the loop that
+runs policies on them."""
 
 from soft_tendon_env.robots.dynamixel import DynamixelRobot
 from soft_tendon_env.robots.environment import Report, RobotEnv, rehearse, run_policy
@@ -6,5 +7,15 @@ from soft_tendon_env.robots.protocol import Measurement, Robot
 from soft_tendon_env.robots.safety import RobotStopped, Stop, Timing
 from soft_tendon_env.robots.simulated import SimulatedRobot
 
-__all__ = ["DynamixelRobot", "Measurement", "Report", "Robot", "RobotEnv", "RobotStopped", "SimulatedRobot", "Stop", "Timing"]
+__all__ = [
+    "DynamixelRobot",
+    "Measurement",
+    "Report",
+    "Robot",
+    "RobotEnv",
+    "RobotStopped",
+    "SimulatedRobot",
+    "Stop",
+    "Timing",
+]
 __all__ += ["rehearse", "run_policy"]

@@ -1,8 +1,9 @@
 """Log of a run: one row a control period, in CSV, as `soft-tendon identify` reads it.
 
-Columns: `hold`, the motion's name; `time` [s] at which the period begins; `measured_time` on the robot's clock; commands that were sent
-(`tension_0` or `displacement_0`, ...) and `commanded_0`, ..., which the policy asked for; and what is sensed, with the zeros of the arm at
-rest. A motion's first row, one period before time 0, has the command under which the arm rested until then.
+Columns: `hold`, the motion's name; `time` [s] at which the period begins; `measured_time` on the
+robot's clock; commands that were sent (`tension_0` or `displacement_0`, ...) and `commanded_0`,
+..., which the policy asked for; and what is sensed, with the zeros of the arm at rest. A motion's
+first row, one period before time 0, has the command under which the arm rested until then.
 """
 
 import contextlib
@@ -20,26 +21,50 @@ from soft_tendon_env.tools.types import COMMANDS, Array
 
 
 def check_log(path: Path) -> None:
-    """Raises ValueError for a file that is no .csv, and FileExistsError for one that is there: no log is overwritten."""
+    """Raises ValueError for a file that is no .csv, and FileExistsError for one that is there: no
+    log is overwritten."""
     if path.suffix != ".csv":
-        raise ValueError(f"the log is {path}: it should be a file *.csv, to which every row goes as soon as it is there")
+        raise ValueError(
+            f"the log is {path}: it should be a file *.csv, to which every row goes as soon as it"
+            " is there"
+        )
     if path.exists():
-        free = next(name for k in itertools.count(2) if not (name := path.with_stem(f"{path.stem}_{k}")).exists())
-        raise FileExistsError(f"the log {path} is there already, and no log is overwritten: give another name, such as {free}")
+        free = next(
+            name
+            for k in itertools.count(2)
+            if not (name := path.with_stem(f"{path.stem}_{k}")).exists()
+        )
+        raise FileExistsError(
+            f"the log {path} is there already, and no log is overwritten: give another name, such"
+            f" as {free}"
+        )
 
 
 class RobotLog:
-    """Writes a log, which has every row as soon as it is there. Without any there is no file in the end. Raises as `check_log`, OSError."""
+    """Writes a log, which has every row as soon as it is there. Without any there is no file in the
+    end. Raises as `check_log`, OSError."""
 
-    def __init__(self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
+    def __init__(
+        self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int
+    ) -> None:
         check_log(path)
         columns = {
             "tip_pose": [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")],
             "tip_twist": [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")],
-            **{name: [f"{name}_{s}_{strain}" for s in range(sensors) for strain in STRAINS] for name in ("strain", "strain_rate")},
+            **{
+                name: [f"{name}_{s}_{strain}" for s in range(sensors) for strain in STRAINS]
+                for name in ("strain", "strain_rate")
+            },
         }
-        numbered = {"tension": "measured_tension", "tendon_length": "tendon_length", "sent": COMMANDS[unit], "asked": "commanded"}
-        columns |= {name: [f"{column}_{i}" for i in range(tendons)] for name, column in numbered.items()}
+        numbered = {
+            "tension": "measured_tension",
+            "tendon_length": "tendon_length",
+            "sent": COMMANDS[unit],
+            "asked": "commanded",
+        }
+        columns |= {
+            name: [f"{column}_{i}" for i in range(tendons)] for name, column in numbered.items()
+        }
         self.path, self._motions, self._senses = path, 0, senses
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")
@@ -48,30 +73,45 @@ class RobotLog:
         self._writer.writerow(["hold", "time", "measured_time", *measured])
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
-        """Another motion begins, at time 0, from rest under a command (n_a,), with the reading there; period: of control [s]."""
+        """Another motion begins, at time 0, from rest under a command (n_a,), with the reading
+        there; period: of control [s]."""
         self._hold = f"{self.path.stem}.{self._motions}" if self._motions else self.path.stem
-        self._waiting = [self._row(-period, measured_time, reading, command, command)]  # for the first period: else it is no motion
+        self._waiting = [
+            self._row(-period, measured_time, reading, command, command)
+        ]  # for the first period: else it is no motion
 
-    def append(self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array) -> None:
-        """A period that begins at a time [s], with the reading then, and the commands (n_a,) that followed. Raises OSError."""
+    def append(
+        self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array
+    ) -> None:
+        """A period that begins at a time [s], with the reading then, and the commands (n_a,) that
+        followed. Raises OSError."""
         self._motions += len(self._waiting)
-        self._writer.writerows([*self._waiting, self._row(time, measured_time, reading, asked, sent)])
+        self._writer.writerows(
+            [*self._waiting, self._row(time, measured_time, reading, asked, sent)]
+        )
         self._waiting = []
         self._file.flush()
 
-    def _row(self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array) -> list[Any]:
+    def _row(
+        self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array
+    ) -> list[Any]:
         numbers = [sent, asked]
         for name in self._senses:
             value = getattr(reading, name)[0]
             if name == "tip_pose":
-                value = np.r_[value[:3, 3], Rotation.from_matrix(value[:3, :3]).as_quat(canonical=True, scalar_first=True)]
+                value = np.r_[
+                    value[:3, 3],
+                    Rotation.from_matrix(value[:3, :3]).as_quat(canonical=True, scalar_first=True),
+                ]
             numbers.append(value.ravel())
         return [self._hold, round(time, 9), measured_time, *np.concatenate(numbers).tolist()]
 
     def close(self) -> None:
         """Closes the file; once."""
         if not self._file.closed:
-            with contextlib.suppress(OSError):  # of a full disk: what is left was told of when it was written
+            with contextlib.suppress(
+                OSError
+            ):  # of a full disk: what is left was told of when it was written
                 self._file.close()
             if not self._motions:
                 self.path.unlink(missing_ok=True)

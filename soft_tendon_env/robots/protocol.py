@@ -1,4 +1,5 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are written; see docs/how_to/robots.md."""
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are
+written; see docs/how_to/robots.md."""
 
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -8,13 +9,18 @@ from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
-RIGID = 1e-3  # tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it
+# tolerance of the entries of a measured pose: rotations that are sent with four digits, or as
+# float32, keep it
+RIGID = 1e-3
 
 
 class Measurement(NamedTuple):
-    """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None: not measured."""
+    """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None:
+    not measured."""
 
-    time: float  # [s] when it was measured, of any clock: one that is not later than the reading before is no new reading
+    # [s] when it was measured, of any clock: one that is not later than the reading before is no
+    # new reading
+    time: float
     tip_pose: Array | None = None  # (4, 4) in the scene's world frame
     tip_twist: Array | None = None  # (6,) body twist, angular before linear
     tension: Array | None = None  # (n_a,) [N]
@@ -24,7 +30,8 @@ class Measurement(NamedTuple):
 
 
 class Robot(Protocol):
-    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception, which ends a run safely.
+    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception,
+    which ends a run safely.
 
     clock: an attribute of simulated arms alone, see safety.Clock; real ones live in real time.
     """
@@ -36,8 +43,9 @@ class Robot(Protocol):
         """The newest measurement; it returns soon."""
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. Calls
-        come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
+        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and
+        rounding of its own; None: as it is. Calls come one at a time; slack comes from the
+        watchdog's thread, also while another call hangs."""
 
     def close(self) -> None:
         """Releases the arm, which is slack by then."""
@@ -45,20 +53,46 @@ class Robot(Protocol):
 
 def check_robot(robot: Any) -> None:
     """Raises TypeError for an object without a part of `Robot`."""
-    if missing := [part for part in ("read", "write", "close", "command_unit", "senses") if not hasattr(robot, part)]:
-        raise TypeError(f"{type(robot).__name__} should have {missing[0]}, see soft_tendon_env.robots.Robot")
+    if missing := [
+        part
+        for part in ("read", "write", "close", "command_unit", "senses")
+        if not hasattr(robot, part)
+    ]:
+        raise TypeError(
+            f"{type(robot).__name__} should have {missing[0]}, see soft_tendon_env.robots.Robot"
+        )
 
 
-def check_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:
-    """A robot's measurement of what it senses, as arrays. Raises TypeError or ValueError for other shapes, NaN, and what is missing."""
+def check_measurement(
+    given: Any, senses: tuple[str, ...], tendons: int, sensors: int
+) -> Measurement:
+    """A robot's measurement of what it senses, as arrays. Raises TypeError or ValueError for other
+    shapes, NaN, and what is missing."""
     if not isinstance(given, Measurement):
         raise TypeError(f"read should return a Measurement, not {type(given).__name__}")
-    shapes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
+    shapes: dict[str, tuple[int, ...]] = {
+        "tip_pose": (4, 4),
+        "tip_twist": (6,),
+        "strain": (sensors, 6),
+        "strain_rate": (sensors, 6),
+    }
     time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
-    found = {name: checked_array(f"measurement.{name}", getattr(given, name), shapes.get(name, (tendons,))) for name in senses}
+    found = {
+        name: checked_array(
+            f"measurement.{name}", getattr(given, name), shapes.get(name, (tendons,))
+        )
+        for name in senses
+    }
     if "tip_pose" in found:
         R, row = found["tip_pose"][:3, :3], found["tip_pose"][3]
-        off = max(np.abs(row - [0.0, 0.0, 0.0, 1.0]).max(), np.abs(R @ R.T - np.eye(3)).max(), 1.0 - np.sign(np.linalg.det(R)))
+        off = max(
+            np.abs(row - [0.0, 0.0, 0.0, 1.0]).max(),
+            np.abs(R @ R.T - np.eye(3)).max(),
+            1.0 - np.sign(np.linalg.det(R)),
+        )
         if off > RIGID:
-            raise ValueError(f"measurement.tip_pose is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by {off:.3g}: is it transposed?")
+            raise ValueError(
+                "measurement.tip_pose is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by"
+                f" {off:.3g}: is it transposed?"
+            )
     return Measurement(time, **found)

@@ -1,4 +1,5 @@
-"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time."""
+"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors,
+in real or in simulated time."""
 
 from collections import deque
 from typing import Any
@@ -18,29 +19,49 @@ from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")  # options that say what an arm is like
+OF_ARM = (
+    "scene",
+    "fidelity",
+    "tension_limits",
+    "sensors",
+    "randomize",
+    "control_period",
+)  # options that say what an arm is like
 ROW = np.zeros(1, dtype=np.int64)
 EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are sums
 
 
 class SimulatedRobot:
-    """Simulated arm as a robot. It rests under the tensions nearest to zero until the first call, and each call simulates it up to the
-    present. It measures every field of Measurement except tensions.
+    """Simulated arm as a robot. It rests under the tensions nearest to zero until the first call,
+    and each call simulates it up to the present. It measures every field of Measurement except
+    tensions.
 
-    seed: of the arm, drawn once, and of noise. real_time: whether time passes by itself; else it passes only while a loop waits. options:
-    those of environments in OF_ARM, `randomize` for model errors among them. Rate limits and lag are those of the scene's
-    [effects.actuators]. Raises ConfigurationError, ValueError, TypeError.
+    seed: of the arm, drawn once, and of noise. real_time: whether time passes by itself; else it
+    passes only while a loop waits. options: those of environments in OF_ARM, `randomize` for model
+    errors among them. Rate limits and lag are those of the scene's [effects.actuators]. Raises
+    ConfigurationError, ValueError, TypeError.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
     def __init__(self, seed: int = 0, real_time: bool = True, **options: Any) -> None:
-        if problems := [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in options if name not in OF_ARM]:
+        if problems := [
+            Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")
+            for name in options
+            if name not in OF_ARM
+        ]:
             raise ConfigurationError(problems, "SimulatedRobot")
-        target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
+        target = {
+            "type": "hold",
+            "pose": np.eye(4).tolist(),
+        }  # which costs nothing, and nobody sees
         given = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
-        delay = getattr(given_scene(given.scene).effects.actuators, "delay", 0.0)  # taken here, where commands come as often as they like
-        undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
+        delay = getattr(
+            given_scene(given.scene).effects.actuators, "delay", 0.0
+        )  # taken here, where commands come as often as they like
+        undelayed = (
+            {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
+        )
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
@@ -48,11 +69,19 @@ class SimulatedRobot:
         drawn = episodes.options.randomize
         self._sensors = Sensors(drawn.noise, 1, first.size, episodes.sensors.size, drawn.omit)
         self._readings = np.zeros(1, dtype=np.int64)
-        self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
+        self._arms.step(
+            first[None, None], ROW
+        )  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency, self._acting = delay + self._actuation.delay(0), self._actuation.acting(first, 0)
-        self._coming, self._time = deque[tuple[float, Array]](), np.inf  # commands by their arrival, and the time of the arm, once it moves
+        self._latency, self._acting = (
+            delay + self._actuation.delay(0),
+            self._actuation.acting(first, 0),
+        )
+        self._coming, self._time = (
+            deque[tuple[float, Array]](),
+            np.inf,
+        )  # commands by their arrival, and the time of the arm, once it moves
         self._sensors.begin(0, seed)
 
     def read(self) -> Measurement:
@@ -64,7 +93,8 @@ class SimulatedRobot:
         return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
 
     def write(self, command: Array) -> Array:
-        """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`, ValueError or TypeError for other shapes."""
+        """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`,
+        ValueError or TypeError for other shapes."""
         sent = checked_array("command", command, self._acting.shape)
         self._coming.append((self._go_on() + self._latency, self._actuation.acting(sent, 0)))
         return sent
@@ -79,12 +109,19 @@ class SimulatedRobot:
         while True:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 self._acting = self._coming.popleft()[1]
-            until = min(now, time + self._episodes.period, self._coming[0][0] if self._coming else now)
+            until = min(
+                now, time + self._episodes.period, self._coming[0][0] if self._coming else now
+            )
             if until - time <= EARLY:
                 break
             self._arms.step(self._acting[None, None], ROW, np.array([[until - time]]))
             if self._arms.outcome.status[0] != OK:
-                raise SimulationDiverged(self._episodes.state(0), self._episodes.cause(0), self._acting, self.command_unit)
+                raise SimulationDiverged(
+                    self._episodes.state(0),
+                    self._episodes.cause(0),
+                    self._acting,
+                    self.command_unit,
+                )
             time = until
         self._time = now
         return now

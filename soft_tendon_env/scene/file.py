@@ -19,25 +19,35 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Loads a shipped scene by its name, or a file by its path in ".toml". Raises TypeError, ConfigurationError with a line per mistake."""
+    """Loads a shipped scene by its name, or a file by its path in ".toml". Raises TypeError,
+    ConfigurationError with a line per mistake."""
     if not isinstance(name_or_path, str | os.PathLike):
-        raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")
+        raise TypeError(
+            "name_or_path should be the name of a shipped scene or the path of a TOML file, not"
+            f" {type(name_or_path).__name__}"
+        )
     name, path = os.fspath(name_or_path), Path(name_or_path)
     if path.suffix != ".toml":
         if name not in scene_names():
-            text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
+            text = (
+                "is neither the path of a .toml file nor a scene that ships:"
+                f" {not_among(name, scene_names())}"
+            )
             raise ConfigurationError([Problem((), text)], repr(name))
         path = SHIPPED / f"{name}.toml"
     values = read_toml(path)
     strain = values.get("strain")
     table = strain.get("passive") if isinstance(strain, dict) else None
-    if isinstance(table, dict) and isinstance(table.get("file"), str):  # relative to the scene's own
+    if isinstance(table, dict) and isinstance(
+        table.get("file"), str
+    ):  # relative to the scene's own
         table["file"] = str((path.parent / table["file"]).absolute())
     return Scene.parse(values, str(path))
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Saves a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
+    """Saves a scene as TOML that loads back equal. The file appears whole or not at all. Raises
+    `TypeError`, `OSError`."""
     checked_type("scene", scene, Scene, "see load_scene")
     with replacing(Path(path)) as temporary:
         temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")

@@ -1,4 +1,5 @@
-"""Geometry along the rod: tapers of a segment's sizes, and routings of a tendon, its offset d = (0, y, z) from the axis and d' = dd/dX.
+"""Geometry along the rod: tapers of a segment's sizes, and routings of a tendon, its offset d = (0,
+y, z) from the axis and d' = dd/dX.
 
 To add one, write its class here and name it in `Size`, with its type as the tag, or in `Routing`.
 """
@@ -22,11 +23,13 @@ class AlongRod(Configuration):
     """Base of what varies along the rod: tapers of a segment's sizes and routings of a tendon."""
 
     def misfit(self, place: Any) -> str | None:
-        """Error message for what does not fit a segment's length, or a tendon's (first, last) arc lengths [m]; None if it fits."""
+        """Error message for what does not fit a segment's length, or a tendon's (first, last) arc
+        lengths [m]; None if it fits."""
         return None
 
     def wavelength(self) -> float:
-        """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the least distance of a table."""
+        """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the
+        least distance of a table."""
         table = getattr(self, "arc_length", ())
         return 2 * float(np.diff(table).min()) if table else float("inf")
 
@@ -41,7 +44,9 @@ class AlongRod(Configuration):
     @classmethod
     def _one_per_arc_length(cls, values: Any, info: ValidationInfo) -> Any:
         if "arc_length" in info.data and len(values) != len(info.data["arc_length"]):
-            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
+            raise ValueError(
+                f"should have one entry per arc_length, {len(info.data['arc_length'])}"
+            )
         return values
 
 
@@ -50,7 +55,8 @@ class Taper(AlongRod):
 
     @abstractmethod
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Size [m] and its derivative along the rod [-] at `arc_length` [m] from the segment's start, both of its shape."""
+        """Size [m] and its derivative along the rod [-] at `arc_length` [m] from the segment's
+        start, both of its shape."""
 
 
 class LinearTaper(Taper):
@@ -66,10 +72,11 @@ class LinearTaper(Taper):
 
 
 class TaperTable(Taper):
-    """Tabulated sizes [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
+    """Tabulated sizes [m] at arc lengths [m] from the segment's start to its end, interpolated by
+    PCHIP.
 
-    PCHIP (Fritsch and Carlson 1980) never overshoots, so the size stays positive between positive values. Scenes may say `radius` for
-    `size`.
+    PCHIP (Fritsch and Carlson 1980) never overshoots, so the size stays positive between positive
+    values. Scenes may say `radius` for `size`.
     """
 
     type: Literal["table"] = "table"
@@ -77,7 +84,9 @@ class TaperTable(Taper):
     size: tuple[Length, ...] = Field(validation_alias=AliasChoices("size", "radius"))
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        from scipy.interpolate import PchipInterpolator  # here: it takes longer to import than all else that most scenes need
+        from scipy.interpolate import (
+            PchipInterpolator,
+        )  # here: it takes longer to import than all else that most scenes need
 
         curve = PchipInterpolator(self.arc_length, self.size)
         return curve(arc_length), curve.derivative()(arc_length)
@@ -86,23 +95,37 @@ class TaperTable(Taper):
         first, last = self.arc_length[0], self.arc_length[-1]
         if first == 0.0 and abs(last - segment_length) <= 1e-9 * segment_length:
             return None
-        return f"should cover the segment, 0 to {segment_length:g}, but its arc_length runs from {first:g} to {last:g}"
+        return (
+            f"should cover the segment, 0 to {segment_length:g}, but its arc_length runs from"
+            f" {first:g} to {last:g}"
+        )
 
 
 Size = Annotated[
-    Annotated[Length, Tag("number")] | Annotated[LinearTaper, Tag("linear")] | Annotated[TaperTable, Tag("table")],
-    Discriminator(lambda value: value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")),
+    Annotated[Length, Tag("number")]
+    | Annotated[LinearTaper, Tag("linear")]
+    | Annotated[TaperTable, Tag("table")],
+    Discriminator(
+        lambda value: (
+            value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")
+        )
+    ),
 ]
 
 
 class TendonRouting(AlongRod):
-    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the section."""
+    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the
+    section."""
 
     @abstractmethod
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
-        """Offset (m, 2) of the tendon from the axis, y and z [m], and its derivative (m, 2) d/dX [-], at arc lengths (m,) [m].
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
+        """Offset (m, 2) of the tendon from the axis, y and z [m], and its derivative (m, 2) d/dX
+        [-], at arc lengths (m,) [m].
 
-        radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there; ends: the tendon's first and last arc length [m].
+        radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there; ends: the
+        tendon's first and last arc length [m].
         """
 
 
@@ -112,25 +135,33 @@ class StraightRouting(TendonRouting):
     type: Literal["straight"] = "straight"
     offset: Offset
 
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
         offset = np.tile(np.array(self.offset), (len(arc_length), 1))
         return offset, np.zeros_like(offset)
 
 
 class ConvergingRouting(TendonRouting):
-    """Converging tendon, along a line from `start_offset` (y, z) [m] at its start to `end_offset` at its end."""
+    """Converging tendon, along a line from `start_offset` (y, z) [m] at its start to `end_offset`
+    at its end."""
 
     type: Literal["converging"] = "converging"
     start_offset: Offset
     end_offset: Offset
 
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
         slope = (np.array(self.end_offset) - self.start_offset) / (ends[1] - ends[0])
-        return self.start_offset + np.outer(arc_length - ends[0], slope), np.tile(slope, (len(arc_length), 1))
+        return self.start_offset + np.outer(arc_length - ends[0], slope), np.tile(
+            slope, (len(arc_length), 1)
+        )
 
 
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius, that of the circle around its section, so that it follows a taper.
+    """Tendon at a fixed fraction of the rod's local radius, that of the circle around its section,
+    so that it follows a taper.
 
     y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
     """
@@ -139,7 +170,9 @@ class SurfaceRouting(TendonRouting):
     fraction: NotNegative = 1.0
     angle: Number
 
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
         angle = np.deg2rad(self.angle)
         direction = self.fraction * np.array([np.cos(angle), np.sin(angle)])
         return np.outer(radius, direction), np.outer(radius_slope, direction)
@@ -148,8 +181,8 @@ class SurfaceRouting(TendonRouting):
 class HelixRouting(TendonRouting):
     """Helical tendon around the axis at a fixed `radius` [m].
 
-    y = radius cos(phase + angular_rate X), z = radius sin(phase + angular_rate X); `phase` in degrees, `angular_rate` in
-    rad/m, positive from y towards z.
+    y = radius cos(phase + angular_rate X), z = radius sin(phase + angular_rate X); `phase` in
+    degrees, `angular_rate` in rad/m, positive from y towards z.
     """
 
     type: Literal["helix"] = "helix"
@@ -157,7 +190,9 @@ class HelixRouting(TendonRouting):
     angular_rate: Number
     phase: Number = 0.0
 
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
         angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
         y, z = self.radius * np.cos(angle), self.radius * np.sin(angle)
         return np.stack([y, z], axis=-1), self.angular_rate * np.stack([-z, y], axis=-1)
@@ -167,7 +202,8 @@ class HelixRouting(TendonRouting):
 
 
 class TableRouting(TendonRouting):
-    """Tabulated tendon, through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by not-a-knot cubic splines.
+    """Tabulated tendon, through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by
+    not-a-knot cubic splines.
 
     The table has to cover the tendon from end to end.
     """
@@ -177,8 +213,12 @@ class TableRouting(TendonRouting):
     y: tuple[Number, ...]
     z: tuple[Number, ...]
 
-    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
-        from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
+    def offset_and_slope(
+        self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
+    ) -> tuple[Array, Array]:
+        from scipy.interpolate import (
+            CubicSpline,
+        )  # here: it takes longer to import than all else that most scenes need
 
         curve = CubicSpline(self.arc_length, np.column_stack([self.y, self.z]))
         return curve(arc_length), curve(arc_length, 1)
@@ -188,7 +228,13 @@ class TableRouting(TendonRouting):
         slack = 1e-9 * (last - first)
         if first - slack <= ends[0] and ends[1] <= last + slack:
             return None
-        return f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from {first:g} to {last:g}"
+        return (
+            f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from"
+            f" {first:g} to {last:g}"
+        )
 
 
-Routing = Annotated[StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting, Field(discriminator="type")]
+Routing = Annotated[
+    StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting,
+    Field(discriminator="type"),
+]

@@ -1,14 +1,16 @@
-"""Cross-sections of a segment: stiffness, damping and inertia per length, and the outer shape, at arc lengths; spacer discs.
+"""Cross-sections of a segment: stiffness, damping and inertia per length, and the outer shape, at
+arc lengths; spacer discs.
 
-y and z are principal axes, and the rod's axis runs through the centroid. With the area A, the second moments Iy = int z^2 dA and
-Iz = int y^2 dA, and Saint-Venant's torsion constant J (S. P. Timoshenko and J. N. Goodier, Theory of Elasticity, 1970, chapter 10):
+y and z are principal axes, and the rod's axis runs through the centroid. With the area A, the
+second moments Iy = int z^2 dA and Iz = int y^2 dA, and Saint-Venant's torsion constant J (S. P.
+Timoshenko and J. N. Goodier, Theory of Elasticity, 1970, chapter 10):
 
 - elasticity Sigma = diag(G J, E Iy, E Iz, E A, k G A, k G A),
 - viscosity Upsilon = eta diag(J, 3 Iy, 3 Iz, 3 A, k A, k A), and
 - inertia per length rho diag(Iy + Iz, Iy, Iz, A, A, A).
 
-The shear correction factor k is 1 unless a section says otherwise: a solid circle has none, and a tube without a hole is one.
-To add a section, write its class here and name it in `AnySection`.
+The shear correction factor k is 1 unless a section says otherwise: a solid circle has none, and a
+tube without a hole is one. To add a section, write its class here and name it in `AnySection`.
 """
 
 from abc import abstractmethod
@@ -23,15 +25,22 @@ from soft_tendon_env.scene.routing import Size, Taper
 from soft_tendon_env.tools.configuration import Configuration, Problem
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
-VISCOUS = np.array([1.0, 3.0, 3.0, 3.0, 1.0, 1.0])[:, None]  # viscosity of the six strains in eta: 3 along the rod (Trouton's ratio)
-ODD = np.array([[1.0], [3.0], [5.0], [7.0]])  # of the series below: what the others add is less than round-off
-SUM_OF_ODD = 31.0 / 32.0 * 1.0369277551433699  # of 1 / n^5 over all odd n, 31/32 of Riemann's zeta(5)
+VISCOUS = np.array([1.0, 3.0, 3.0, 3.0, 1.0, 1.0])[
+    :, None
+]  # viscosity of the six strains in eta: 3 along the rod (Trouton's ratio)
+ODD = np.array(
+    [[1.0], [3.0], [5.0], [7.0]]
+)  # of the series below: what the others add is less than round-off
+SUM_OF_ODD = (
+    31.0 / 32.0 * 1.0369277551433699
+)  # of 1 / n^5 over all odd n, 31/32 of Riemann's zeta(5)
 THINNEST = 1e-6  # wall of a tube in radii, with six digits of the difference of fourth powers left
 PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what varies is compared
 
 
 class Section(Configuration):
-    """Base of the cross-sections. Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
+    """Base of the cross-sections. Its `sizes` are numbers or tapers; round on the outside, with the
+    first of them as radius.
 
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
     """
@@ -40,9 +49,11 @@ class Section(Configuration):
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
-        """Diagonals (3, 6, m) of Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m, kg/m].
+        """Diagonals (3, 6, m) of Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m,
+        kg/m].
 
-        material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3] and viscosity [Pa s], where it is of one.
+        material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3] and viscosity [Pa s],
+        where it is of one.
         """
 
     def tapers(self) -> dict[str, Taper]:
@@ -54,11 +65,14 @@ class Section(Configuration):
         values, slopes = np.zeros((2, len(self.sizes), arc_length.size))
         for i, name in enumerate(self.sizes):
             size = getattr(self, name)
-            values[i], slopes[i] = size.size_and_slope(arc_length, length) if isinstance(size, Taper) else (size, 0.0)
+            values[i], slopes[i] = (
+                size.size_and_slope(arc_length, length) if isinstance(size, Taper) else (size, 0.0)
+            )
         return values, slopes
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
-        """Radius [m] of the circle around the section, and its derivative along the rod [-], each (m,)."""
+        """Radius [m] of the circle around the section, and its derivative along the rod [-], each
+        (m,)."""
         values, slopes = self.at(arc_length, length)
         return values[0], slopes[0]
 
@@ -68,7 +82,8 @@ class Section(Configuration):
         return np.stack([2.0 * radius, 2.0 * radius, 2.0 * np.pi * radius, np.pi * radius**2])
 
     def outline(self, circle: Array) -> Array:
-        """Points (2, k) of the outline in parts of half its widths, around points of the unit circle (2, k)."""
+        """Points (2, k) of the outline in parts of half its widths, around points of the unit
+        circle (2, k)."""
         return circle
 
     def misfits(self, length: float) -> Iterator[Problem]:
@@ -81,7 +96,9 @@ class Section(Configuration):
 class Solid(Section):
     """Base of the sections of one material."""
 
-    shear_correction: Annotated[float, Field(gt=0, le=1)] = 1.0  # k, shear stiffness over G A (G. R. Cowper 1966: thin tube 0.53)
+    shear_correction: Annotated[float, Field(gt=0, le=1)] = (
+        1.0  # k, shear stiffness over G A (G. R. Cowper 1966: thin tube 0.53)
+    )
 
     @abstractmethod
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
@@ -93,11 +110,18 @@ class Solid(Section):
         sheared, G = self.shear_correction * area, E / (2 * (1 + nu))
         strained = np.stack([torsion, bending_y, bending_z, area, sheared, sheared])
         moved = np.stack([bending_y + bending_z, bending_y, bending_z, area, area, area])
-        return np.stack([np.array([G, E, E, E, G, G])[:, None] * strained, eta * (VISCOUS * strained), rho * moved])
+        return np.stack(
+            [
+                np.array([G, E, E, E, G, G])[:, None] * strained,
+                eta * (VISCOUS * strained),
+                rho * moved,
+            ]
+        )
 
 
 class Tube(Solid):
-    """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole displaces fluid, and holds none."""
+    """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole
+    displaces fluid, and holds none."""
 
     sizes: ClassVar[tuple[str, ...]] = ("radius", "inner_radius")
 
@@ -113,17 +137,25 @@ class Tube(Solid):
         yield from super().misfits(length)
         if not self.inner_radius:
             return
-        places = np.concatenate([length * PLACES, *(getattr(taper, "arc_length", ()) for taper in self.tapers().values())])
+        places = np.concatenate(
+            [
+                length * PLACES,
+                *(getattr(taper, "arc_length", ()) for taper in self.tapers().values()),
+            ]
+        )
         outer, inner = self.at(places, length)[0]
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
             yield Problem(
-                ("inner_radius",), f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by {THINNEST:g} of it"
+                ("inner_radius",),
+                f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by"
+                f" {THINNEST:g} of it",
             )
 
 
 class Flat(Solid):
-    """Base of the sections that are as wide along y as their `width`, and along z as their `height`."""
+    """Base of the sections that are as wide along y as their `width`, and along z as their
+    `height`."""
 
     sizes: ClassVar[tuple[str, ...]] = ("width", "height")
 
@@ -168,7 +200,9 @@ class Ellipse(Flat):
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         values, slopes = self.at(arc_length, length)
-        return 0.5 * values.max(axis=0), 0.5 * np.where(values[0] >= values[1], slopes[0], slopes[1])
+        return 0.5 * values.max(axis=0), 0.5 * np.where(
+            values[0] >= values[1], slopes[0], slopes[1]
+        )
 
     def hull(self, arc_length: Array, length: float) -> Array:
         a, b = 0.5 * self.at(arc_length, length)[0]
@@ -181,21 +215,27 @@ def _both(value: Any) -> Any:
 
 
 class Stiffness(Section):
-    """Stiffnesses themselves, as measured or from a finite element model, the same along the segment.
+    """Stiffnesses themselves, as measured or from a finite element model, the same along the
+    segment.
 
-    The segment then has no `young_modulus`, `poisson_ratio`, `density` and `damping`. Damping is Kelvin-Voigt with one time constant,
-    Upsilon = `retardation_time` Sigma.
+    The segment then has no `young_modulus`, `poisson_ratio`, `density` and `damping`. Damping is
+    Kelvin-Voigt with one time constant, Upsilon = `retardation_time` Sigma.
     """
 
     type: Literal["stiffness"] = "stiffness"
     bending: tuple[Positive, Positive]  # (E Iy, E Iz) [N m^2]
     torsion: Positive  # G J [N m^2]
     stretch: Positive  # E A [N]
-    shear: Annotated[tuple[Positive, Positive], BeforeValidator(_both)]  # along y and z [N], or one number for both
+    shear: Annotated[
+        tuple[Positive, Positive], BeforeValidator(_both)
+    ]  # along y and z [N], or one number for both
     mass_per_length: Positive  # [kg/m]
-    retardation_time: NotNegative  # [s], in bending 2 zeta / omega of a mode of damping ratio zeta and frequency omega [rad/s]
+    # [s], in bending 2 zeta / omega of a mode of damping ratio zeta and frequency omega [rad/s]
+    retardation_time: NotNegative
     radius: Size  # of the outer circle [m], for contact, fluids, drawing and tendons on the surface
-    rotary_inertia: tuple[Positive, Positive, Positive] | None = None  # about x, y, z per length [kg m]; None: a solid circle's
+    rotary_inertia: tuple[Positive, Positive, Positive] | None = (
+        None  # about x, y, z per length [kg m]; None: a solid circle's
+    )
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
         mass, ones = self.mass_per_length, np.ones_like(arc_length)
@@ -203,32 +243,52 @@ class Stiffness(Section):
         about: Array = np.outer(self.rotary_inertia or (0.5 * mass, 0.25 * mass, 0.25 * mass), ones)
         if self.rotary_inertia is None:
             about *= self.outer_radius(arc_length, length)[0] ** 2
-        return np.stack([sigma, self.retardation_time * sigma, np.concatenate([about, np.outer([mass] * 3, ones)])])
+        return np.stack(
+            [
+                sigma,
+                self.retardation_time * sigma,
+                np.concatenate([about, np.outer([mass] * 3, ones)]),
+            ]
+        )
 
 
 AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
 
 
 class Discs(Configuration):
-    """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid. They add no stiffness.
+    """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid.
+    They add no stiffness.
 
-    Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly, the last one at its end.
+    Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly,
+    the last one at its end.
     """
 
     mass: Positive  # of each [kg]
     radius: Length  # [m]; their inertia is that of full cylinders
     thickness: Length | None = None  # [m]; None: thin
     number: int | None = Field(default=None, ge=1, le=1000)
-    places: tuple[NotNegative, ...] | None = Field(default=None, min_length=1, validate_default=True)
+    places: tuple[NotNegative, ...] | None = Field(
+        default=None, min_length=1, validate_default=True
+    )
 
     @field_validator("places")
     @classmethod
     def _or_number(cls, places: Any, info: ValidationInfo) -> Any:
         if "number" in info.data and (places is None) == (info.data["number"] is None):
-            raise ValueError("should be arc lengths from the start of the segment, or a number of discs be given in their place")
+            raise ValueError(
+                "should be arc lengths from the start of the segment, or a number of discs be given"
+                " in their place"
+            )
         return places
 
     def rows(self, length: float) -> Array:
-        """Arc length from the start of a segment of this length [m], mass [kg], radius and thickness [m] of each: (d, 4)."""
-        places = length * np.arange(1, self.number + 1) / self.number if self.number is not None else np.array(self.places)
-        return np.column_stack([places, np.tile([self.mass, self.radius, self.thickness or 0.0], (places.size, 1))])
+        """Arc length from the start of a segment of this length [m], mass [kg], radius and
+        thickness [m] of each: (d, 4)."""
+        places = (
+            length * np.arange(1, self.number + 1) / self.number
+            if self.number is not None
+            else np.array(self.places)
+        )
+        return np.column_stack(
+            [places, np.tile([self.mass, self.radius, self.thickness or 0.0], (places.size, 1))]
+        )

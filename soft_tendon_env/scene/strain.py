@@ -1,4 +1,5 @@
-"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
+"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and
+which of the six strains exist."""
 
 from typing import Annotated, Literal
 
@@ -11,8 +12,17 @@ from soft_tendon_env.tools.types import Positive
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
 MOST_SNAPSHOT_FIELDS = 24  # beyond, fields hardly add anything
-SNAPSHOT_ORDER = 10  # Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as
-STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")  # in the order of xi = (k, p)
+# Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept
+# as
+SNAPSHOT_ORDER = 10
+STRAINS: tuple[Strain, ...] = (
+    "torsion",
+    "bend_y",
+    "bend_z",
+    "stretch",
+    "shear_y",
+    "shear_z",
+)  # in the order of xi = (k, p)
 
 
 def _check_each_once(strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
@@ -25,9 +35,11 @@ Strains = Annotated[tuple[Strain, ...], Field(min_length=1), AfterValidator(_che
 
 
 class Modes(Configuration):
-    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each of its pieces.
+    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each
+    of its pieces.
 
-    A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the strain's `borders`.
+    A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the
+    strain's `borders`.
     """
 
     strains: Strains
@@ -36,12 +48,19 @@ class Modes(Configuration):
 
 
 class Snapshots(Configuration):
-    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions: `soft-tendon fields SCENE` makes them."""
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions:
+    `soft-tendon fields SCENE` makes them."""
 
     type: Literal["snapshots"] = "snapshots"
     fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
-    file: str | None = None  # a path; None: among those that ship and those in the user's cache, by what they were made for
-    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")  # to have these fields and no others; None: any that fit
+    file: str | None = (
+        # a path; None: among those that ship and those in the user's cache, by what they were made
+        # for
+        None
+    )
+    digest: str | None = Field(
+        default=None, pattern="^[0-9a-f]{16}$"
+    )  # to have these fields and no others; None: any that fit
 
 
 PassiveStrain = Annotated[
@@ -51,17 +70,26 @@ PassiveStrain = Annotated[
 
 
 class StaticsBased(Configuration):
-    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to `passive` moments and forces.
+    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to
+    `passive` moments and forces.
 
-    The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the strain answers to dead loads too (35):
-    gravity, the payload's weight, force and moment at the tip in the world frame. Other loads stay outside, as forces on the coordinates.
+    The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the
+    strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the
+    tip in the world frame. Other loads stay outside, as forces on the coordinates.
     """
 
     type: Literal["statics_based"] = "statics_based"
-    strains: Strains = STRAINS  # those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod)
-    passive: PassiveStrain = ()  # fields of moments [N m] and forces [N] beside the tendons': Legendre `Modes`, or type "snapshots"
-    passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"  # to what the tendons span already; "raw" leaves fields as they are
-    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4  # combinations of fields below this relative size get no coordinate
+    # those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod)
+    strains: Strains = STRAINS
+    # fields of moments [N m] and forces [N] beside the tendons': Legendre `Modes`, or type
+    # "snapshots"
+    passive: PassiveStrain = ()
+    passive_coordinates: Literal["orthogonal", "raw"] = (
+        "orthogonal"  # to what the tendons span already; "raw" leaves fields as they are
+    )
+    rank_tolerance: Annotated[Positive, Field(lt=1)] = (
+        1e-4  # combinations of fields below this relative size get no coordinate
+    )
     borders: tuple[Positive, ...] = ()  # arc lengths [m] that cut the rod into further pieces
     include_loads: bool = False
 
@@ -72,22 +100,39 @@ class StaticsBased(Configuration):
 
     @property
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields that have coordinates of their own, 0 without any."""
-        return SNAPSHOT_ORDER if isinstance(self.passive, Snapshots) else max((modes.order for modes in self.passive), default=0)
+        """Highest Legendre order of the fields that have coordinates of their own, 0 without
+        any."""
+        return (
+            SNAPSHOT_ORDER
+            if isinstance(self.passive, Snapshots)
+            else max((modes.order for modes in self.passive), default=0)
+        )
 
     @field_validator("passive")
     @classmethod
-    def _of_the_rod(cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo) -> tuple[Modes, ...] | Snapshots:
-        existing, groups = info.data.get("strains", STRAINS), () if isinstance(passive, Snapshots) else passive
-        if rigid := [strain for modes in groups for strain in modes.strains if strain not in existing]:
-            raise ValueError(f"should name strains that the rod has, {', '.join(existing)}; not {', '.join(rigid)}")
+    def _of_the_rod(
+        cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo
+    ) -> tuple[Modes, ...] | Snapshots:
+        existing, groups = (
+            info.data.get("strains", STRAINS),
+            () if isinstance(passive, Snapshots) else passive,
+        )
+        if rigid := [
+            strain for modes in groups for strain in modes.strains if strain not in existing
+        ]:
+            raise ValueError(
+                f"should name strains that the rod has, {', '.join(existing)}; not"
+                f" {', '.join(rigid)}"
+            )
         return passive
 
 
 class ExplicitStrain(Configuration):
-    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode names are rigid.
+    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode
+    names are rigid.
 
-    Order 0 per piece is piecewise constant strain (PCS). `borders` are arc lengths [m] that cut the rod into further pieces.
+    Order 0 per piece is piecewise constant strain (PCS). `borders` are arc lengths [m] that cut the
+    rod into further pieces.
     """
 
     type: Literal["explicit"] = "explicit"
@@ -107,6 +152,7 @@ class ExplicitStrain(Configuration):
     @field_validator("modes")
     @classmethod
     def _independent(cls, modes: tuple[Modes, ...]) -> tuple[Modes, ...]:
-        # a strain's constant over the rod is the sum of its constants over the pieces: two groups always overlap
+        # a strain's constant over the rod is the sum of its constants over the pieces: two groups
+        # always overlap
         _check_each_once(tuple(strain for group in modes for strain in group.strains))
         return modes

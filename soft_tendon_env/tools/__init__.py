@@ -1,1 +1,2 @@
-"""Tools of the whole package that know nothing of arms: argument validation, configuration, files."""
+"""Tools of the whole package that know nothing of arms: argument validation, configuration,
+files."""

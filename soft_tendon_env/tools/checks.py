@@ -1,4 +1,5 @@
-"""Argument validation of the public API: shape, type, finiteness and range, with errors that say what was given and what is allowed."""
+"""Argument validation of the public API: shape, type, finiteness and range, with errors that say
+what was given and what is allowed."""
 
 from typing import TypeVar
 
@@ -8,15 +9,22 @@ from numpy.typing import ArrayLike, NDArray
 Kind = TypeVar("Kind")
 
 
-def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """A new contiguous float64 array of this shape (None: any length). Raises TypeError or ValueError naming `name`."""
+def checked_array(
+    name: str, value: ArrayLike, shape: tuple[int | None, ...]
+) -> NDArray[np.float64]:
+    """A new contiguous float64 array of this shape (None: any length). Raises TypeError or
+    ValueError naming `name`."""
     try:
         given = np.asarray(value)
     except ValueError as error:  # NumPy's own does not say which argument
-        raise ValueError(f"{name} should have shape {_shown_shape(shape)}, but its rows are not alike") from error
+        raise ValueError(
+            f"{name} should have shape {_shown_shape(shape)}, but its rows are not alike"
+        ) from error
     if given.dtype.kind not in "fiu":
         kind = f"{type(value).__name__} of {given.dtype}"
-        raise TypeError(f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}")
+        raise TypeError(
+            f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}"
+        )
     if given.shape != shape:
         sizes = zip(shape, given.shape, strict=False)
         if given.ndim != len(shape) or any(wanted not in (None, size) for wanted, size in sizes):
@@ -32,7 +40,8 @@ def _shown_shape(shape: tuple[int | None, ...]) -> str:
 
 
 def checked_number(name: str, value: float, least: float, allowed: str) -> float:
-    """A finite number of at least `least`; `allowed` says so in the error. Raises TypeError or ValueError."""
+    """A finite number of at least `least`; `allowed` says so in the error. Raises TypeError or
+    ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
     if not (np.isfinite(value) and value >= least):
@@ -43,14 +52,17 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
 def checked_count(name: str, value: int, least: int) -> int:
     """A whole number of at least `least`. Raises TypeError or ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} should be a whole number of at least {least}, not {type(value).__name__}")
+        raise TypeError(
+            f"{name} should be a whole number of at least {least}, not {type(value).__name__}"
+        )
     if value < least:
         raise ValueError(f"{name} should be a whole number of at least {least}, not {value}")
     return int(value)
 
 
 def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
-    """The value, if it is an instance of `kind`; `hint` says in the error where one comes from. Raises TypeError."""
+    """The value, if it is an instance of `kind`; `hint` says in the error where one comes from.
+    Raises TypeError."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
     return value

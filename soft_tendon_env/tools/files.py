@@ -1,5 +1,6 @@
-"""Reading of files, one function per kind; a file that is missing, cut or of something else is an error that names it. Files are replaced
-whole, and checked by their digests. What is made once is kept in folders of the user's cache."""
+"""Reading of files, one function per kind; a file that is missing, cut or of something else is an
+error that names it. Files are replaced whole, and checked by their digests. What is made once is
+kept in folders of the user's cache."""
 
 import codecs
 import contextlib
@@ -24,17 +25,21 @@ PACKAGE = Path(__file__).parents[1]
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """All of a regular file: what is read from a device, a pipe or a socket may never end. Raises OSError."""
+    """All of a regular file: what is read from a device, a pipe or a socket may never end. Raises
+    OSError."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
-    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises ValueError, FileNotFoundError."""
+    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises
+    ValueError, FileNotFoundError."""
     try:
         content = read_bytes(path)
-        errors = "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
+        errors = (
+            "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
+        )
         return content.decode("utf-8-sig", errors).replace("\r\n", "\n")
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
@@ -54,18 +59,33 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the error. Raises OSError or ValueError."""
+    """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the
+    error. Raises OSError or ValueError."""
     content = read_bytes(path)
     try:
-        with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
+        with (
+            zipfile.ZipFile(io.BytesIO(content)),
+            np.load(io.BytesIO(content), allow_pickle=False) as file,
+        ):
             return {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        RuntimeError,
+        MemoryError,
+        OSError,
+        TypeError,
+        ValueError,
+        LookupError,
+    ) as error:
         raise ValueError(f"{path} holds no {what}, or was damaged: {first_line(error)}") from error
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, whose file takes the place of `path` at the end: that appears whole or not at all. Raises OSError."""
+    """A path to write to, whose file takes the place of `path` at the end: that appears whole or
+    not at all. Raises OSError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -80,27 +100,42 @@ def digest(path: Path) -> str:
 
 
 def sources_digest(*patterns: str) -> str:
-    """16 hex digits that change with the files of the package that match one of the patterns. Raises OSError."""
+    """16 hex digits that change with the files of the package that match one of the patterns.
+    Raises OSError."""
     files = sorted(file for pattern in patterns for file in PACKAGE.glob(pattern))
-    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {digest(file)}\n" for file in files).encode()).hexdigest()[:16]
+    return hashlib.sha256(
+        "".join(f"{file.relative_to(PACKAGE)} {digest(file)}\n" for file in files).encode()
+    ).hexdigest()[:16]
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a folder and those in it, by its name from there on. Raises OSError."""
-    return {path.relative_to(folder).as_posix(): digest(path) for path in sorted(folder.rglob("*")) if path.is_file()}
+    """SHA-256 of every file of a folder and those in it, by its name from there on. Raises
+    OSError."""
+    return {
+        path.relative_to(folder).as_posix(): digest(path)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
-    """Whether the files that `source` names are those that it was written with. Raises ValueError, FileNotFoundError."""
+    """Whether the files that `source` names are those that it was written with. Raises ValueError,
+    FileNotFoundError."""
     for path, expected in ((folder / name, expected) for name, expected in files.items()):
         if not path.is_file():
-            raise FileNotFoundError(f"{folder} should have {path.name}, which {source} was written with")
+            raise FileNotFoundError(
+                f"{folder} should have {path.name}, which {source} was written with"
+            )
         if digest(path) != expected:
-            raise ValueError(f"{path} is not the file that {source} was written with: it was cut or changed, or is of another training")
+            raise ValueError(
+                f"{path} is not the file that {source} was written with: it was cut or changed, or"
+                " is of another training"
+            )
 
 
 def shipped_folder(inside: str, beside: str) -> Path:
-    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
+    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml),
+    `beside` it in a clone."""
     return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
 
 
@@ -108,21 +143,34 @@ CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations th
 
 
 def cache_parents() -> list[Path]:
-    """Candidate parents of the cache folder, best first: what the user has chosen, then the usual places."""
+    """Candidate parents of the cache folder, best first: what the user has chosen, then the usual
+    places."""
     user = getattr(os, "getuid", int)()
     temporary = Path(tempfile.gettempdir(), f"soft_tendon_env-{user}")
-    named = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME"), os.path.expanduser("~/.cache")
-    is_own = not temporary.exists() or temporary.stat().st_uid == user  # else somebody has put it there, with code that numba would run
+    named = (
+        os.environ.get("NUMBA_CACHE_DIR"),
+        os.environ.get("XDG_CACHE_HOME"),
+        os.path.expanduser("~/.cache"),
+    )
+    is_own = (
+        not temporary.exists() or temporary.stat().st_uid == user
+    )  # else somebody has put it there, with code that numba would run
     return [Path(folder).absolute() for folder in named if folder] + [temporary] * is_own
 
 
 def data_folders(name: str) -> list[Path]:
-    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see `cache_parents`."""
-    return [folder for parent in cache_parents() if os.path.isdir(folder := parent / "soft_tendon_env" / name)]
+    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see
+    `cache_parents`."""
+    return [
+        folder
+        for parent in cache_parents()
+        if os.path.isdir(folder := parent / "soft_tendon_env" / name)
+    ]
 
 
 def new_data_folder(name: str) -> Path:
-    """The first of these folders that can be written, created when missing. Raises OSError where there is none."""
+    """The first of these folders that can be written, created when missing. Raises OSError where
+    there is none."""
     refused = ""
     for parent in cache_parents():
         try:

@@ -1,24 +1,34 @@
-"""Messages to a user: errors of all kinds in words, and lines on stderr about what is compiled, kept or left out."""
+"""Messages to a user: errors of all kinds in words, and lines on stderr about what is compiled,
+kept or left out."""
 
 import contextlib
 import functools
 import os
 import sys
 
-QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in ("", "0")  # whether lines of progress are not wanted
+QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in (
+    "",
+    "0",
+)  # whether lines of progress are not wanted
 
 
 class UserError(Exception):
-    """Ends a program that has begun, for a reason that its user can do something about: exit status 1 after one line, no traceback."""
+    """Ends a program that has begun, for a reason that its user can do something about: exit status
+    1 after one line, no traceback."""
 
 
 def describe(error: BaseException) -> str:
-    """An error in words: of an OSError the file comes first, without the number; its notes come last."""
+    """An error in words: of an OSError the file comes first, without the number; its notes come
+    last."""
     if isinstance(error, OSError) and error.strerror:
-        names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
+        names = ", ".join(
+            str(name) for name in (error.filename, error.filename2) if name is not None
+        )
         return f"{names}: {error.strerror}" if names else error.strerror
     if isinstance(error, MemoryError):
-        return f"there is too little memory: {error}" if str(error) else "there is too little memory"
+        return (
+            f"there is too little memory: {error}" if str(error) else "there is too little memory"
+        )
     return ". ".join([str(error) or type(error).__name__, *getattr(error, "__notes__", [])])
 
 
@@ -37,6 +47,7 @@ def say(line: str) -> None:
 
 @functools.cache
 def say_once(line: str) -> None:
-    """Prints a line of progress to stderr the first time that it is given, unless SOFT_TENDON_ENV_QUIET=1."""
+    """Prints a line of progress to stderr the first time that it is given, unless
+    SOFT_TENDON_ENV_QUIET=1."""
     if not QUIET:
         say(line)

@@ -1,7 +1,9 @@
-"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray cluster.
+"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray
+cluster.
 
-Cells of an experiment, trainings of a sweep, trials of a search and motions of a reference all go through `run_all`. In each process come
-first the user's own modules that register effects, tasks, controllers, metrics.
+Cells of an experiment, trainings of a sweep, trials of a search and motions of a reference all go
+through `run_all`. In each process come first the user's own modules that register effects, tasks,
+controllers, metrics.
 """
 
 import contextlib
@@ -20,7 +22,8 @@ from soft_tendon_env.tools.messages import QUIET, describe, first_line
 Run = TypeVar("Run")
 Result = TypeVar("Result")
 CONNECTING = 10.0  # time [s] in which a cluster should answer
-VARIABLE = "SOFT_TENDON_ENV_IMPORT"  # names of the user's modules, with commas between: processes that are started inherit it
+# names of the user's modules, with commas between: processes that are started inherit it
+VARIABLE = "SOFT_TENDON_ENV_IMPORT"
 
 
 def run_all(
@@ -37,24 +40,44 @@ def run_all(
     """Results of `call` for every run, in their order.
 
     Args:
-        call: a function of a module, as other processes have to find it, of values that can be pickled.
-        workers: processes of one thread each, which first import what --import names, and run the script that was started, for what it
-            registers (but not below its `if __name__ == "__main__"`); 1: this process alone, with one thread too.
+        call: a function of a module, as other processes have to find it, of values that can be
+            pickled.
+        workers: processes of one thread each, which first import what --import names, and run the
+            script that was started, for what it registers (but not below its
+            `if __name__ == "__main__"`); 1: this process alone, with one thread too.
         label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
-        cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
-        threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
+        cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None:
+            this machine alone.
+        threads: threads of this process in place of processes of this machine, for calls that spend
+            their time in kernels or wait.
         done: is told in this process of every result as soon as it is there, with its run's place.
 
-    Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
+    Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a
+    cluster cannot be reached.
     """
     from tqdm import tqdm  # not for everyone who imports an environment
 
-    results, workers, main = dict[int, Result](), max(min(workers, len(runs)), 1), sys.modules["__main__"]
-    script = Path(str(main.__file__)).absolute() if getattr(main, "__spec__", None) is None and hasattr(main, "__file__") else None
+    results, workers, main = (
+        dict[int, Result](),
+        max(min(workers, len(runs)), 1),
+        sys.modules["__main__"],
+    )
+    script = (
+        Path(str(main.__file__)).absolute()
+        if getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
+        else None
+    )
     origin = os.getpid(), os.environ.get(VARIABLE, ""), script
     jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
-    found = _on_this_machine(jobs, workers, threads) if cluster is None else _on_cluster(jobs, workers, cluster)
-    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, contextlib.closing(found):
+    found = (
+        _on_this_machine(jobs, workers, threads)
+        if cluster is None
+        else _on_cluster(jobs, workers, cluster)
+    )
+    with (
+        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar,
+        contextlib.closing(found),
+    ):
         for place, result in found:
             results[place] = result
             if done is not None:
@@ -63,8 +86,11 @@ def run_all(
     return [results[place] for place in range(len(runs))]
 
 
-def _run(call: Callable[[Run], Result], origin: tuple[int, str, Path | None], place: int, run: Run) -> tuple[int, Result]:
-    """The run's place and its result, in a process that has what a user's own modules and script register."""
+def _run(
+    call: Callable[[Run], Result], origin: tuple[int, str, Path | None], place: int, run: Run
+) -> tuple[int, Result]:
+    """The run's place and its result, in a process that has what a user's own modules and script
+    register."""
     process, names, script = origin
     if os.getpid() != process:
         import_extensions(names.split(","))
@@ -77,18 +103,28 @@ def _run(call: Callable[[Run], Result], origin: tuple[int, str, Path | None], pl
 _SCRIPTS = set[Path]()  # that were run in this process
 
 
-def _on_this_machine(jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. Linear algebra has one thread, here too: sums of several have other digits."""
+def _on_this_machine(
+    jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool
+) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come. Linear algebra has one thread, here
+    too: sums of several have other digits."""
     import joblib
     from threadpoolctl import threadpool_limits
 
-    kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
+    kind, options = (
+        ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
+    )
     with threadpool_limits(1), joblib.parallel_config(kind, n_jobs=workers, **options):
-        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(joblib.delayed(_run)(*job) for job in jobs)
+        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(
+            joblib.delayed(_run)(*job) for job in jobs
+        )
 
 
-def _on_cluster(jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops those that still run."""
+def _on_cluster(
+    jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str
+) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops
+    those that still run."""
     with ray_cluster(cluster, workers, "runs side by side"):
         import ray
 
@@ -106,25 +142,35 @@ def _on_cluster(jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str) -> 
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
-    """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this process's own, which ends with it.
+    """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this
+    process's own, which ends with it.
 
-    processors: that are needed by `what`, which errors name. Raises ValueError where there is no Ray, or too little room.
+    processors: that are needed by `what`, which errors name. Raises ValueError where there is no
+    Ray, or too little room.
     """
     try:
         import ray
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
+    own: dict[str, Any] = (
+        {}
+        if address
+        else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
+    )
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), timeout=CONNECTING).close()
         ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
+        raise ValueError(
+            f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}"
+        ) from error
     try:
-        if (there := int(ray.cluster_resources().get("CPU", 0))) < processors:  # runs would wait for ever
+        if (
+            there := int(ray.cluster_resources().get("CPU", 0))
+        ) < processors:  # runs would wait for ever
             raise ValueError(f"{what} need {processors} processors, the cluster has {there}")
         yield
     finally:
@@ -144,8 +190,11 @@ def processors() -> int:
 
 
 def import_extensions(names: Iterable[str] = ()) -> None:
-    """Import modules of these names, and those that VARIABLE names; the current folder is looked in too. Raises ValueError."""
-    every = [name for name in dict.fromkeys([*os.environ.get(VARIABLE, "").split(","), *names]) if name]
+    """Import modules of these names, and those that VARIABLE names; the current folder is looked in
+    too. Raises ValueError."""
+    every = [
+        name for name in dict.fromkeys([*os.environ.get(VARIABLE, "").split(","), *names]) if name
+    ]
     for name in every:
         look_in_this_folder()
         try:
@@ -158,6 +207,7 @@ def import_extensions(names: Iterable[str] = ()) -> None:
 
 
 def look_in_this_folder() -> None:
-    """Lets modules of the current folder be imported, after all others: scripts that pip installs do not see it."""
+    """Lets modules of the current folder be imported, after all others: scripts that pip installs
+    do not see it."""
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

@@ -1,1 +1,2 @@
-"""Tuning: hyperparameter optimisation of trainings and controllers with Optuna (TPE sampler, pruning, studies that machines share)."""
+"""Tuning: hyperparameter optimisation of trainings and controllers with Optuna (TPE sampler,
+pruning, studies that machines share)."""

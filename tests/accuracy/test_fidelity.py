@@ -1,10 +1,17 @@
-"""Presets: the shipped arms keep their quadrature, other arms get what they need, and the finer preset the more."""
+"""Presets: the shipped arms keep their quadrature, other arms get what they need, and the finer
+preset the more."""
 
 import warnings
 
 import pytest
 
-from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, accuracy_of, at_fidelity, build_model
+from soft_tendon_env.accuracy.fidelity import (
+    PRESETS,
+    FidelityWarning,
+    accuracy_of,
+    at_fidelity,
+    build_model,
+)
 from soft_tendon_env.accuracy.input_motions import motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
 from soft_tendon_env.scene.file import load_scene, scene_names
@@ -13,13 +20,15 @@ from soft_tendon_env.scene.scene import rod_length
 
 @pytest.mark.cases("name", scene_names())
 def test_presets_of_shipped_scenes(name):
-    """Four intervals, four to six, under water one more, and at least eight; the finest preset with more of the arm's own fields than the
-    coarsest; no warning."""
+    """Four intervals, four to six, under water one more, and at least eight; the finest preset with
+    more of the arm's own fields than the coarsest; no warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         models = [build_model(load_scene(name), fidelity) for fidelity in PRESETS]
     counts = [model.grid.per_piece for model in models]
-    assert counts[0] == 4 and 4 <= counts[1] <= (7 if name == "underwater" else 6) and counts[2] >= 8
+    assert (
+        counts[0] == 4 and 4 <= counts[1] <= (7 if name == "underwater" else 6) and counts[2] >= 8
+    )
     fast, standard, fine = (model.scene.strain.passive.fields for model in models)
     assert 3 <= fast <= standard <= fine and fast < fine
 
@@ -34,7 +43,10 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
         kept, standard = at_fidelity(changed, None), at_fidelity(scene, "standard")
         for name in ("strain", "quadrature", "integrator"):
             assert getattr(kept, name) == getattr(changed if name == part else standard, name)
-        assert at_fidelity(changed, "scene") == changed and at_fidelity(changed, "standard") == standard
+        assert (
+            at_fidelity(changed, "scene") == changed
+            and at_fidelity(changed, "standard") == standard
+        )
 
 
 @pytest.mark.cases("name", ("paper", "four_tendon", "helical"))
@@ -51,7 +63,9 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
 
 def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
     """Of a scene that leaves its strain open a model has other coordinates than `gym.make`."""
-    with pytest.warns(FidelityWarning, match="'paper' leaves its strain open.*fidelity='standard'") as caught:
+    with pytest.warns(
+        FidelityWarning, match="'paper' leaves its strain open.*fidelity='standard'"
+    ) as caught:
         left_out = build_model(load_scene("paper"))
     assert caught[0].filename == __file__
     with warnings.catch_warnings():
@@ -62,7 +76,11 @@ def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
 
 def test_a_length_is_an_accuracy_and_others_are_refused():
     scene = load_scene("three_tendon")
-    for length, share, near in (("6mm", 0.02, "fast"), ("0.6mm", 2e-3, "standard"), ("0.06mm", 2e-4, "fine")):
+    for length, share, near in (
+        ("6mm", 0.02, "fast"),
+        ("0.6mm", 2e-3, "standard"),
+        ("0.06mm", 2e-4, "fine"),
+    ):
         asked, preset = accuracy_of(scene, length), PRESETS[near]
         assert asked.share == pytest.approx(share) and asked.least == preset.least
         assert asked.tolerance == pytest.approx(preset.tolerance * min(share / preset.share, 1.0))

@@ -1,4 +1,5 @@
-"""Passive fields from snapshots: what they are made of, how accurate the arm is with them, the same again, none of phantom tensions."""
+"""Passive fields from snapshots: what they are made of, how accurate the arm is with them, the same
+again, none of phantom tensions."""
 
 import itertools
 import warnings
@@ -32,7 +33,10 @@ def quick():
 
 def test_fields_made_twice_are_the_same_to_round_off(quick):
     first, second = quick
-    assert np.abs(first.coefficients - second.coefficients).max() <= 1e-9 * np.abs(first.coefficients).max()
+    assert (
+        np.abs(first.coefficients - second.coefficients).max()
+        <= 1e-9 * np.abs(first.coefficients).max()
+    )
     np.testing.assert_allclose(first.singular_values, second.singular_values, rtol=1e-9, atol=1e-12)
     assert first.digest == second.digest and first.errors == second.errors
 
@@ -48,8 +52,11 @@ def test_errors_fall_with_the_number_of_fields(quick):
 
 @pytest.mark.cases("name", WITH_FIELDS)
 def test_abrupt_loads_make_no_phantom_tensions(name):
-    """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10 and 20 ms."""
-    scene = load_scene(name).replace({"strain": {"type": "statics_based", "passive": {"type": "snapshots", "fields": 9}}})
+    """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10
+    and 20 ms."""
+    scene = load_scene(name).replace(
+        {"strain": {"type": "statics_based", "passive": {"type": "snapshots", "fields": 9}}}
+    )
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     for step, factor, pulled in itertools.product((0.01, 0.02), (1.0, 2.5), (1, 2, greatest.size)):
         model = model_on(scene.replace({"integrator": {"step": step}}), 6)

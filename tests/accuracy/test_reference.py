@@ -1,4 +1,5 @@
-"""Converged references and what is measured against them; test inputs: bands and the same seed again."""
+"""Converged references and what is measured against them; test inputs: bands and the same seed
+again."""
 
 import numpy as np
 import pytest
@@ -14,17 +15,27 @@ GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "
 
 
 def test_errors_are_distances_from_the_reference():
-    """A motion that the model has not counts as infinitely far, one that full physics has not does not count."""
+    """A motion that the model has not counts as infinitely far, one that full physics has not does
+    not count."""
     tensions = motion_tensions(ARM, "redrawn", 1, 0.2)
     path = tip_path(full_physics(ARM, LEVELS[0], 1e-6), tensions)
-    assert path.shape == (0.2 / HOLD + 1, 3) and tip_path(full_physics(ARM, LEVELS[0]), tensions[0]).shape == (1, 3)
+    assert path.shape == (0.2 / HOLD + 1, 3) and tip_path(
+        full_physics(ARM, LEVELS[0]), tensions[0]
+    ).shape == (1, 3)
     assert distance(path, path + [0.0, 0.0018, 0.0024]) == pytest.approx(0.003)
-    stuck = tip_path(model_on(ARM.replace({"integrator.max_halvings": 0}), 8), np.full_like(tensions, 1e5))
+    stuck = tip_path(
+        model_on(ARM.replace({"integrator.max_halvings": 0}), 8), np.full_like(tensions, 1e5)
+    )
     assert stuck is None and distance(stuck, path) == np.inf and np.isnan(distance(path, None))
 
 
 def test_the_error_bar_bounds_the_error():
-    curled = ARM.replace({"segments.0.curvature": [0.0, 9.0, 15.0], "effects.gravity.acceleration": [0.0, 0.0, -9.81]})
+    curled = ARM.replace(
+        {
+            "segments.0.curvature": [0.0, 9.0, 15.0],
+            "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        }
+    )
     inputs = [motion_tensions(curled, "smooth", 0, 0.3), np.array([3.0, 0.0, 5.0])]
     rough, fine = (reference_motions(curled, inputs, tolerance) for tolerance in (1e-3, 1e-6))
     assert LEVELS.index(rough.level) < LEVELS.index(fine.level)
@@ -43,5 +54,7 @@ def test_tensions_fill_their_band_and_are_those_of_their_seed(motion):
     tables = np.concatenate([motion_tensions(PAPER, motion, seed) for seed in range(20)])
     assert tables.shape == (20 * 2.0 / HOLD, 10)
     assert tables.min() >= 0.0 and 0.9 * GREATEST[motion] < tables.max() <= GREATEST[motion]
-    np.testing.assert_array_equal(motion_tensions(PAPER, motion, 3), motion_tensions(PAPER, motion, 3))
+    np.testing.assert_array_equal(
+        motion_tensions(PAPER, motion, 3), motion_tensions(PAPER, motion, 3)
+    )
     assert np.abs(motion_tensions(PAPER, motion, 3) - motion_tensions(PAPER, motion, 4)).max() > 1.0

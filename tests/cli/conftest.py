@@ -17,14 +17,19 @@ def command():
 
 @pytest.fixture
 def refused(command, monkeypatch, capsys, tmp_path):
-    """refused("evaluate", *arguments): the message with which a command refuses them, with exit status 2 and before it writes anything."""
+    """refused("evaluate", *arguments): the message with which a command refuses them, with exit
+    status 2 and before it writes anything."""
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments):
         before = {*tmp_path.rglob("*")}
         with pytest.raises(SystemExit) as exit:
             command(*arguments)
-        said = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("soft_tendon_env: compil")]
+        said = [
+            line
+            for line in capsys.readouterr().err.splitlines()
+            if not line.startswith("soft_tendon_env: compil")
+        ]
         assert exit.value.code == 2 and {*tmp_path.rglob("*")} == before and len(said) < 16, said
         return " ".join(re.sub(r"[│─╭╮╰╯|]|\+?-{3,}\+?", "", "\n".join(said)).split())
 

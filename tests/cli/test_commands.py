@@ -15,19 +15,50 @@ from soft_tendon_env.tools import files
 
 ARM = ("--scene", "three_tendon", "--fidelity", "fast")
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
-HEAVY = ("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "pyarrow", "scipy.optimize", "joblib", "optuna")
+HEAVY = (
+    "torch",
+    "stable_baselines3",
+    "sb3_contrib",
+    "rerun",
+    "matplotlib",
+    "pyarrow",
+    "scipy.optimize",
+    "joblib",
+    "optuna",
+)
 QUICK = [
     (("scenes",), ["| paper_16dof ", "| 10 "], []),
     (("scenes", "paper"), [(SHIPPED / "paper.toml").read_text()], []),
     (("effects",), [f"[effects.{name}]" for name in EFFECTS], []),
     (("effects", "gravity"), ["[effects.gravity]\n", "\n  acceleration: required; "], []),
-    (("evaluate", "feedforward", *ARM, *SHORT, "--errors", "nominal", "--episodes", "1"), ["\n| nominal "], ["evaluate/TipPose.png"]),
     (
-        ("compare", "--task", "Shape", "--policies", "feedforward", "tracking", *ARM, *SHORT, "--errors", "nominal", "--episodes", "1"),
+        ("evaluate", "feedforward", *ARM, *SHORT, "--errors", "nominal", "--episodes", "1"),
+        ["\n| nominal "],
+        ["evaluate/TipPose.png"],
+    ),
+    (
+        (
+            "compare",
+            "--task",
+            "Shape",
+            "--policies",
+            "feedforward",
+            "tracking",
+            *ARM,
+            *SHORT,
+            "--errors",
+            "nominal",
+            "--episodes",
+            "1",
+        ),
         ["\n| feedforward ", "\n| tracking ", "1 episodes of 0.2 s"],
         ["compare/Shape.csv", "compare/Shape.json"],
     ),
-    (("record", "feedforward", *ARM, *SHORT), ["`rerun out/side_by_side.rrd`"], ["side_by_side.rrd"]),
+    (
+        ("record", "feedforward", *ARM, *SHORT),
+        ["`rerun out/side_by_side.rrd`"],
+        ["side_by_side.rrd"],
+    ),
     (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
     pytest.param(
         ("export", "{best}"),
@@ -35,8 +66,17 @@ QUICK = [
         ["agent.onnx"],
         marks=pytest.mark.slow,
     ),
-    pytest.param(("export", "three_tendon", "--mjcf", "--links", "2"), ["(2 links)"], ["three_tendon.xml"], marks=pytest.mark.slow),
-    (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
+    pytest.param(
+        ("export", "three_tendon", "--mjcf", "--links", "2"),
+        ["(2 links)"],
+        ["three_tendon.xml"],
+        marks=pytest.mark.slow,
+    ),
+    (
+        ("train", "{config}", "--seed", "3"),
+        ["PPO on TipPose, 128 steps, seed 3"],
+        ["runs/small/seed_3/best/weights.pt"],
+    ),
     pytest.param(
         ("demo", "--episodes", "1", "--seconds", "0.2"),
         ["\n| agent (APG) ", "\n| PPO ", "cannot push"],
@@ -49,8 +89,16 @@ QUICK = [
         ["accuracy/three_tendon_5mm.toml"],
         marks=pytest.mark.slow,  # trials of nine accuracies
     ),
-    (("fields", "three_tendon", "--within", "9cm"), ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '], []),
-    (("doctor", "--scene", "three_tendon"), ["TendonRod-Reach-v0 one step in ", " ms\n", "all is well\n"], []),
+    (
+        ("fields", "three_tendon", "--within", "9cm"),
+        ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '],
+        [],
+    ),
+    (
+        ("doctor", "--scene", "three_tendon"),
+        ["TendonRod-Reach-v0 one step in ", " ms\n", "all is well\n"],
+        [],
+    ),
 ]
 
 
@@ -65,8 +113,14 @@ def small(monkeypatch, tmp_path):
         monkeypatch.setattr(proper_orthogonal_fields, name, value)
 
 
-@pytest.mark.parametrize("arguments, printed, left", QUICK, ids=lambda value: value[0] if value and value[0] in COMMANDS else "")
-def test_commands_print_and_leave_what_they_should(command, capsys, tmp_path, request, arguments, printed, left):
+@pytest.mark.parametrize(
+    "arguments, printed, left",
+    QUICK,
+    ids=lambda value: value[0] if value and value[0] in COMMANDS else "",
+)
+def test_commands_print_and_leave_what_they_should(
+    command, capsys, tmp_path, request, arguments, printed, left
+):
     known = {"config": request.getfixturevalue("config")} if "{config}" in arguments else {}
     known |= {"best": request.getfixturevalue("finished") / "best"} if "{best}" in arguments else {}
     ended = 0
@@ -81,11 +135,16 @@ def test_commands_print_and_leave_what_they_should(command, capsys, tmp_path, re
 
 def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, capsys, monkeypatch):
     make = gym.make
-    monkeypatch.setattr(gym, "make", lambda id, **options: 1 / 0 if "Shape" in id else make(id, **options))
+    monkeypatch.setattr(
+        gym, "make", lambda id, **options: 1 / 0 if "Shape" in id else make(id, **options)
+    )
     with pytest.raises(SystemExit, match="1"):
         command("doctor", "--scene", "three_tendon")
     printed = capsys.readouterr().out
-    assert "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed and "TendonRod-TipPose-v0 one step in " in printed
+    assert (
+        "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed
+        and "TendonRod-TipPose-v0 one step in " in printed
+    )
 
 
 @pytest.mark.cases("name", COMMANDS)
@@ -99,7 +158,10 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)
     assert printed.startswith(f"usage: soft-tendon {name} ")
     for field in (key for key, field in kind.model_fields.items() if not options.is_table(field)):
-        assert texts[field].split()[0] in printed and options.flag(kind, field).removeprefix("--").lower() in printed.lower(), field
+        assert (
+            texts[field].split()[0] in printed
+            and options.flag(kind, field).removeprefix("--").lower() in printed.lower()
+        ), field
 
 
 def test_names_of_commands_are_kept():
@@ -110,7 +172,10 @@ def test_names_of_commands_are_kept():
 @pytest.mark.slow  # a process
 def test_help_and_the_package_load_nothing_that_extras_bring():
     code = "import sys, soft_tendon_env\nfrom soft_tendon_env.cli.main import main\n"
-    code += "for name in sys.argv[1:]:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n        pass\n"
+    code += (
+        "for name in sys.argv[1:]:\n    try:\n        main([name, '--help'])\n    except"
+        " SystemExit:\n        pass\n"
+    )
     code += f"print(sorted(set(sys.modules) & set({HEAVY!r})), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code, *COMMANDS], capture_output=True, text=True)
     assert done.stderr.splitlines() == ["[]"]

@@ -1,4 +1,5 @@
-"""`soft-tendon sweep`: runs side by side, and what is made of the learning curves that they leave."""
+"""`soft-tendon sweep`: runs side by side, and what is made of the learning curves that they
+leave."""
 
 import csv
 import json
@@ -20,17 +21,31 @@ def write_run(folder, seed, errors, task="TipPose", **columns):
     run = folder / f"seed_{seed}"
     (run / "best").mkdir(parents=True)
     (run / "config.json").write_text(json.dumps({"task": task}))
-    header = ["steps", "seconds", "return", "diverged", *columns, "position_error_rms", "position_error_p95"]
-    rows = [[100 * (i + 1), 60 * (i + 1), 0, 0, *(values[i] for values in columns.values()), error, 1] for i, error in enumerate(errors)]
+    header = [
+        "steps",
+        "seconds",
+        "return",
+        "diverged",
+        *columns,
+        "position_error_rms",
+        "position_error_p95",
+    ]
+    rows = [
+        [100 * (i + 1), 60 * (i + 1), 0, 0, *(values[i] for values in columns.values()), error, 1]
+        for i, error in enumerate(errors)
+    ]
     with open(run / "evaluations.csv", "w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
-    evaluated = {key: None if value == "nan" else value for key, value in zip(header, rows[-1], strict=True)}
+    evaluated = {
+        key: None if value == "nan" else value for key, value in zip(header, rows[-1], strict=True)
+    }
     (run / "best" / "config.json").write_text(json.dumps({"evaluated": evaluated}))
 
 
 @pytest.fixture
 def sweep(command, tmp_path, monkeypatch):
-    """sweep(*arguments): `soft-tendon sweep` in this process and an empty folder, with trainings that take no time; seed 4 fails."""
+    """sweep(*arguments): `soft-tendon sweep` in this process and an empty folder, with trainings
+    that take no time; seed 4 fails."""
 
     def run_job(job):
         if job.training.seed == 4:
@@ -46,7 +61,11 @@ def sweep(command, tmp_path, monkeypatch):
 def write_config(folder, name, **changes):
     path = folder / f"{name}.toml"
     options = {"scene": "three_tendon", "fidelity": "fast"}
-    path.write_text(tomli_w.dumps({"task": "TipPose", "algorithm": "PPO", "steps": 1000, "options": options, **changes}))
+    path.write_text(
+        tomli_w.dumps(
+            {"task": "TipPose", "algorithm": "PPO", "steps": 1000, "options": options, **changes}
+        )
+    )
     return path
 
 
@@ -60,11 +79,19 @@ def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys)
     configs = [write_config(tmp_path, name) for name in ("one", "two")]
     sweep(*configs, "--seeds", 2, "--set", "steps=7")
     runs = [tmp_path / "runs" / name / f"seed_{seed}" for name in ("one", "two") for seed in (0, 1)]
-    assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs and {(run / "steps").read_text() for run in runs} == {"7"}
+    assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs and {
+        (run / "steps").read_text() for run in runs
+    } == {"7"}
     assert (tmp_path / "runs" / "learning_curves_TipPose.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     for name in ("one", "two"):
-        assert row_of(printed, name)[:5] == [name, "2", "200", "2.00", "20.0 [20.0, 20.0] / 20.0 / 20.0"]
+        assert row_of(printed, name)[:5] == [
+            name,
+            "2",
+            "200",
+            "2.00",
+            "20.0 [20.0, 20.0] / 20.0 / 20.0",
+        ]
 
 
 def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):
@@ -78,10 +105,24 @@ def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", [signal.SIGTERM, signal.SIGINT])
 def test_ctrl_c_and_kill_stop_the_runs(tmp_path, asked):
-    path = write_config(tmp_path, "one", steps=10_000_000, evaluation={"every": 2048, "episodes": 2})
-    command = [sys.executable, "-m", "soft_tendon_env", "sweep", str(path), "--workers", "2", "--out", "runs"]
+    path = write_config(
+        tmp_path, "one", steps=10_000_000, evaluation={"every": 2048, "episodes": 2}
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "soft_tendon_env",
+        "sweep",
+        str(path),
+        "--workers",
+        "2",
+        "--out",
+        "runs",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
-    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
+    )
     curves = [tmp_path / "runs" / "one" / f"seed_{seed}" / "evaluations.csv" for seed in (0, 1)]
     while not all(curve.exists() for curve in curves):
         assert child.poll() is None
@@ -90,7 +131,10 @@ def test_ctrl_c_and_kill_stop_the_runs(tmp_path, asked):
     assert "the same command goes on" in child.communicate(timeout=60)[1] and child.returncode != 0
     before = [curve.read_text() for curve in curves]
     time.sleep(3.0)
-    assert before == [curve.read_text() for curve in curves] and not (tmp_path / "runs" / "one" / "seed_2").exists()
+    assert (
+        before == [curve.read_text() for curve in curves]
+        and not (tmp_path / "runs" / "one" / "seed_2").exists()
+    )
 
 
 def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys):
@@ -104,9 +148,17 @@ def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys
     sweep("one.toml", "mixed.toml", "missing.toml", "goal.toml", "--only-plot")
     printed = capsys.readouterr().out
     assert row_of(printed, "one")[2] == "200" and "left out:" in printed and "seed_5" in printed
-    assert row_of(printed, "one")[4].startswith("20.0 ["), "the interquartile mean, without 0.001 and 0.9"
-    assert "mixed has runs of several tasks: TipPose, Shape" in printed and "missing has no folders seed_0" in printed
-    assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {"learning_curves_TipPose.png", "learning_curves_Reach.png"}
+    assert row_of(printed, "one")[4].startswith("20.0 ["), (
+        "the interquartile mean, without 0.001 and 0.9"
+    )
+    assert (
+        "mixed has runs of several tasks: TipPose, Shape" in printed
+        and "missing has no folders seed_0" in printed
+    )
+    assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {
+        "learning_curves_TipPose.png",
+        "learning_curves_Reach.png",
+    }
 
 
 def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, tmp_path, capsys):

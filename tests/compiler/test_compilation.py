@@ -1,4 +1,5 @@
-"""Kernels: how they call one another, and what becomes of their machine code in later processes and in children."""
+"""Kernels: how they call one another, and what becomes of their machine code in later processes and
+in children."""
 
 import inspect
 import os
@@ -21,9 +22,18 @@ from soft_tendon_env.tools import files
 from soft_tendon_env.tools.files import PACKAGE
 
 jitted = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
-PUBLIC = {"numba", "numba.extending", "numba.core.cgutils", "numba.core.event", "numba.core.typing.templates.AttributeTemplate"}
+PUBLIC = {
+    "numba",
+    "numba.extending",
+    "numba.core.cgutils",
+    "numba.core.event",
+    "numba.core.typing.templates.AttributeTemplate",
+}
 """What the package may import of numba: what its manual describes."""
-INNER = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n    return {} * x\n"
+INNER = (
+    "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n   "
+    " return {} * x\n"
+)
 OUTER = """
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.inner import inner
@@ -63,8 +73,13 @@ scale, add, fail = fresh_kernel(scale), fresh_kernel(add), Kernel(fail, OPTIONS,
 @pytest.mark.no_jit
 def test_only_public_names_of_numba_are_imported():
     for source in PACKAGE.rglob("*.py"):
-        for module, names in re.findall(r"^\s*from (numba[\w.]*) import ([\w, ]+)", source.read_text(), re.MULTILINE):
-            assert module in PUBLIC or {f"{module}.{name}" for name in names.strip().split(", ")} <= PUBLIC, f"{source}: {module} {names}"
+        for module, names in re.findall(
+            r"^\s*from (numba[\w.]*) import ([\w, ]+)", source.read_text(), re.MULTILINE
+        ):
+            assert (
+                module in PUBLIC
+                or {f"{module}.{name}" for name in names.strip().split(", ")} <= PUBLIC
+            ), f"{source}: {module} {names}"
 
 
 @jitted
@@ -75,7 +90,10 @@ def test_a_phase_is_compiled_when_it_is_first_called():
         out[0] += 1.0
 
     out = np.zeros(1)
-    causes = (fresh_kernel(caller), numba.TypingError, "str"), (kernel(caller), NotCompiledError, "fail cannot be compiled")
+    causes = (
+        (fresh_kernel(caller), numba.TypingError, "str"),
+        (kernel(caller), NotCompiledError, "fail cannot be compiled"),
+    )
     for called, error, reason in causes:
         called(False, out)
         with pytest.raises(error, match=reason):
@@ -91,14 +109,30 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
     for folder in (mechanics.parent, mechanics):
         (folder / "__init__.py").touch()
     (mechanics / "outer.py").write_text(OUTER)
-    inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_"))}
-    environment, results = {**inherited, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}, []
+    inherited = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_"))
+    }
+    environment, results = (
+        {**inherited, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")},
+        [],
+    )
     for options in (("", 2.0), ("", 2.0), ("", 3.0), ("(inline=True)", 5.0)):
         inner, text = mechanics / "inner.py", INNER.format(*options)
         if not inner.exists() or inner.read_text() != text:  # numba looks at the time of writing
             inner.write_text(text)
-        process = subprocess.run([sys.executable, "-c", MAIN], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-        results.append((float(process.stdout), process.stderr.count("compiling for first use (cached in")))
+        process = subprocess.run(
+            [sys.executable, "-c", MAIN],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        results.append(
+            (float(process.stdout), process.stderr.count("compiling for first use (cached in"))
+        )
     assert results == [(6.0, 1), (6.0, 0), (9.0, 1), (15.0, 1)]
 
 
@@ -115,7 +149,8 @@ def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
 
 @jitted
 def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
-    """In the next process the class may not be there, and numba could read nothing of what it keeps of that kernel."""
+    """In the next process the class may not be there, and numba could read nothing of what it keeps
+    of that kernel."""
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     caller = kernel(lambda pair: add(pair))
     assert add(Pair(1.0, 2.0)) == caller(Pair(1.0, 2.0)) == 3.0
@@ -123,7 +158,9 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
     assert fresh_kernel(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
 
 
-def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(tmp_path, monkeypatch, capsys):
+def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(
+    tmp_path, monkeypatch, capsys
+):
     blocked, writable = tmp_path / "file", tmp_path / "writable"
     blocked.touch()
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked, writable])
@@ -131,13 +168,18 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     assert found.parent == writable / "soft_tendon_env"
     (found / "code.nbc").touch()
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "new", writable])
-    assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), "that folder can be written: it is for others"
+    assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), (
+        "that folder can be written: it is for others"
+    )
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "newer", writable])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert (compilation.cache_folder.__wrapped__() / "code.nbc").exists()
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked])
     assert compilation.cache_folder.__wrapped__() is None
-    assert f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR" in capsys.readouterr().err
+    assert (
+        f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR"
+        in capsys.readouterr().err
+    )
 
 
 def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):

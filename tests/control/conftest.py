@@ -27,13 +27,16 @@ def limits_of():
 
 @pytest.fixture(scope="session")
 def drive():
-    """drive(controller, arm, target, periods, ...): the motion of an arm whose controller is told `target`, or target(k) in period k.
+    """drive(controller, arm, target, periods, ...): the motion of an arm whose controller is told
+    `target`, or target(k) in period k.
 
-    arm: a model, at rest without tension, or a simulation to go on with. memory: to begin with. period [s]. act: what the tensions
-    decided become in the arm.
+    arm: a model, at rest without tension, or a simulation to go on with. memory: to begin with.
+    period [s]. act: what the tensions decided become in the arm.
     """
 
-    def driven(controller, arm, target, periods, memory=None, period=0.02, act=lambda tension: tension):
+    def driven(
+        controller, arm, target, periods, memory=None, period=0.02, act=lambda tension: tension
+    ):
         simulation = arm if isinstance(arm, Simulation) else Simulation(arm)
         model, tension = simulation.model, np.zeros(simulation.model.tendon_count)
         tensions, reports = [], []
@@ -41,7 +44,10 @@ def drive():
         for k in range(periods):
             state = simulation.state
             wanted = target(k) if callable(target) else target
-            decision = controller.act(ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), tension, wanted), memory)
+            decision = controller.act(
+                ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), tension, wanted),
+                memory,
+            )
             tension, memory = decision.tension, decision.memory
             simulation.step(act(tension), period)
             tensions.append(tension)
@@ -55,7 +61,8 @@ def drive():
 
 @pytest.fixture(scope="session")
 def holding():
-    """holding(model, tension): the target that is held by tensions, as a pose, a position and a shape."""
+    """holding(model, tension): the target that is held by tensions, as a pose, a position and a
+    shape."""
 
     def target(model, tension):
         q = model.rest_coordinates(np.asarray(tension, dtype=np.float64))

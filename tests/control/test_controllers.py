@@ -1,4 +1,5 @@
-"""What every controller of the catalogue keeps to, on arms with few and many tendons; controllers from outside by name."""
+"""What every controller of the catalogue keeps to, on arms with few and many tendons; controllers
+from outside by name."""
 
 import numpy as np
 import pytest
@@ -10,7 +11,11 @@ from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
 PERIOD = 0.02
-ENTRIES = [pytest.param(entry, id=f"{task}-{name}") for task, entries in CONTROLLERS.items() for name, entry in entries.items()]
+ENTRIES = [
+    pytest.param(entry, id=f"{task}-{name}")
+    for task, entries in CONTROLLERS.items()
+    for name, entry in entries.items()
+]
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
 
@@ -19,8 +24,17 @@ def controller_input(model, random_state, seed):
     rng = np.random.default_rng(seed)
     q, q_dot = random_state(model, seed)
     goals = np.stack([random_state(model, 1000 + 2 * seed + i)[0] for i in range(2)])
-    poses = np.stack([moved_pose(model.tip_pose(goal), rng.normal(size=6) * np.repeat([0.2, 0.05 * model.length], 3)) for goal in goals])
-    measured = moved_pose(model.tip_pose(q), rng.normal(size=6) * np.repeat([0.02, 0.01 * model.length], 3))
+    poses = np.stack(
+        [
+            moved_pose(
+                model.tip_pose(goal), rng.normal(size=6) * np.repeat([0.2, 0.05 * model.length], 3)
+            )
+            for goal in goals
+        ]
+    )
+    measured = moved_pose(
+        model.tip_pose(q), rng.normal(size=6) * np.repeat([0.02, 0.01 * model.length], 3)
+    )
     target = Reference(np.array([0.0, 0.15]), poses, poses[:, :3, 3], goals)
     return ControllerInput(q, q_dot, measured, rng.random(model.tendon_count), target)
 
@@ -39,7 +53,8 @@ def same(a, b):
 @pytest.mark.cases("scene", SCENES)
 @pytest.mark.parametrize("entry", ENTRIES)
 def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
-    """Inputs that jump from one to another, with the memory of the last; every controller does something in them."""
+    """Inputs that jump from one to another, with the memory of the last; every controller does
+    something in them."""
     model = build(scene)
     limits, memory, asked = limits_of(model), None, []
     controller = entry.make(model, limits, PERIOD)
@@ -58,12 +73,18 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
     """One controller for two arms decides for each what it would alone, bit for bit."""
     model = build("three_tendon")
     limits = limits_of(model)
-    shared, alone = entry.make(model, limits, PERIOD), [entry.make(model, limits, PERIOD) for _ in range(2)]
+    shared, alone = (
+        entry.make(model, limits, PERIOD),
+        [entry.make(model, limits, PERIOD) for _ in range(2)],
+    )
     memories, last = [(None, None)] * 2, [None] * 2
     for step in range(4):
         for arm in range(2):
             now = controller_input(model, random_state, 10 * arm + step)
-            last[arm], decision = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
+            last[arm], decision = (
+                shared.act(now, memories[arm][0]),
+                alone[arm].act(now, memories[arm][1]),
+            )
             assert same(last[arm], decision)
             memories[arm] = last[arm].memory, decision.memory
     assert not same(*last)
@@ -71,7 +92,8 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
 
 @pytest.mark.parametrize("entry", ENTRIES)
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):
-    """Coordinates for which there is no strain. Feedforward does not look at them, (37) takes them as they are."""
+    """Coordinates for which there is no strain. Feedforward does not look at them, (37) takes them
+    as they are."""
     model = build("three_tendon")
     controller = entry.make(model, limits_of(model), PERIOD)
     now = controller_input(model, random_state, 0)

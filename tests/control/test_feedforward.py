@@ -1,6 +1,8 @@
-"""Feedforward from statics: it comes to rest where inverse statics say, also along targets in motion.
+"""Feedforward from statics: it comes to rest where inverse statics say, also along targets in
+motion.
 
-Targets out of reach are held as near as possible, without trembling; once they are within reach again nothing is left of that.
+Targets out of reach are held as near as possible, without trembling; once they are within reach
+again nothing is left of that.
 """
 
 import numpy as np
@@ -28,15 +30,20 @@ CASES = [
     for name, entry in CONTROLLERS[task].items()
     if entry.make is not PaperTipPose  # unstable at this period
 ]
-LONG = [pytest.param(scene, marks=pytest.mark.slow) for scene in ("four_tendon", "catheter", "paper")]
+LONG = [
+    pytest.param(scene, marks=pytest.mark.slow) for scene in ("four_tendon", "catheter", "paper")
+]
 
 
 def followed_equilibria(controller, model, targets):
-    """Equilibria (periods, n) that are followed, with arms that are elsewhere: nothing measured enters."""
+    """Equilibria (periods, n) that are followed, with arms that are elsewhere: nothing measured
+    enters."""
     rng, memory, path = np.random.default_rng(0), None, []
     for target in targets:
         q = rng.normal(size=model.coordinate_count)
-        memory = controller.act(ControllerInput(q, q, np.eye(4), np.zeros(model.tendon_count), target), memory).memory
+        memory = controller.act(
+            ControllerInput(q, q, np.eye(4), np.zeros(model.tendon_count), target), memory
+        ).memory
         path.append(memory.q)
     return np.array(path)
 
@@ -52,7 +59,11 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
     found = tension_for_tip_pose(model, pose)
     target = Reference(np.zeros(1), pose[None], pose[None, :3, 3])
     for objective in (TipPose(0.1 * model.length), TipPosition()):
-        tip = model.tip_pose(followed_equilibria(StaticFeedforward(model, limits, PERIOD, objective), model, [target] * 20)[-1])
+        tip = model.tip_pose(
+            followed_equilibria(
+                StaticFeedforward(model, limits, PERIOD, objective), model, [target] * 20
+            )[-1]
+        )
         assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
         if isinstance(objective, TipPose):
             assert found.reachable
@@ -68,7 +79,8 @@ def far():
 
 
 def objective_of(controller, task, model):
-    """What a controller says that it drives to zero, alone or behind a reference governor; that of its task where it says nothing."""
+    """What a controller says that it drives to zero, alone or behind a reference governor; that of
+    its task where it says nothing."""
     usual = TipPose(0.1 * model.length) if task == "TipPose" else TipPosition()
     return getattr(getattr(controller, "statics", controller), "objective", usual)
 
@@ -90,8 +102,11 @@ def least_miss(objective, model, target, limits):
 
 @pytest.mark.parametrize("scene", ["three_tendon", *LONG])
 @pytest.mark.parametrize("task, entry", CASES)
-def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, drive, far, task, entry, scene):
-    """After five and a half seconds; with feedforward alone the arm still swings then. docs/how_to/extend.md says what is asked."""
+def test_what_cannot_be_reached_is_approached_and_held_still(
+    build, limits_of, drive, far, task, entry, scene
+):
+    """After five and a half seconds; with feedforward alone the arm still swings then.
+    docs/how_to/extend.md says what is asked."""
     model, limits = build(scene), limits_of(build(scene))
     controller = entry.make(model, limits, PERIOD)
     motion = drive(controller, model, far, 275)
@@ -102,4 +117,6 @@ def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, d
     still = 1e-2 if isinstance(controller, StaticFeedforward) else 1e-3
     assert change.max() < 0.01, "shares of the limits that tensions change by in a period"
     assert move.max() < still * model.length, "[m] in a period: the tip does not come to rest"
-    assert abs(away) < 0.02 * model.length, f"[m] beyond the nearest tip at rest, as {type(objective).__name__} counts"
+    assert abs(away) < 0.02 * model.length, (
+        f"[m] beyond the nearest tip at rest, as {type(objective).__name__} counts"
+    )

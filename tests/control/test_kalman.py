@@ -1,4 +1,5 @@
-"""Extended Kalman filter: it finds the state, errors of the inputs and the latency of arms that move, from what there is."""
+"""Extended Kalman filter: it finds the state, errors of the inputs and the latency of arms that
+move, from what there is."""
 
 import numpy as np
 import pytest
@@ -21,11 +22,14 @@ def measurement(model, state, sent, time, uses):
         "strain": strain,
         "strain_rate": slope @ state.q_dot,
     }
-    return Measurement(terms.tip_pose, np.array(sent), time, **{name: values[name] for name in uses})
+    return Measurement(
+        terms.tip_pose, np.array(sent), time, **{name: values[name] for name in uses}
+    )
 
 
 def live(found, arm, periods, late=0, start=None):
-    """Estimates that a filter makes in every period of an arm under smooth tensions, from rest or a start, and q and q_dot as they were."""
+    """Estimates that a filter makes in every period of an arm under smooth tensions, from rest or a
+    start, and q and q_dot as they were."""
     simulation, n = Simulation(arm), arm.tendon_count
     sent, last = [np.zeros(n)] * 12, None
     if start is not None:
@@ -42,7 +46,11 @@ def live(found, arm, periods, late=0, start=None):
         newest = len(sent) - 1 - int(whole)
         for tension, seconds in ((sent[newest - 1], rest), (sent[newest], PERIOD - rest)):
             simulation.step(tension, seconds)
-    return estimates, np.stack([state.q for state in states]), np.stack([state.q_dot for state in states])
+    return (
+        estimates,
+        np.stack([state.q for state in states]),
+        np.stack([state.q_dot for state in states]),
+    )
 
 
 @pytest.fixture
@@ -51,7 +59,11 @@ def arm(build):
 
 
 def filter_of(model, uses=("tendon_length",), greatest_latency=None, **more):
-    return ExtendedKalmanFilter(model, Setting(PERIOD, np.zeros(model.tendon_count), uses, SENSORS, **more), greatest_latency)
+    return ExtendedKalmanFilter(
+        model,
+        Setting(PERIOD, np.zeros(model.tendon_count), uses, SENSORS, **more),
+        greatest_latency,
+    )
 
 
 @pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING])
@@ -60,7 +72,12 @@ def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm):
     scale = arm.coordinate_scale()
     assert np.abs(start / scale).max() > 0.1
     estimates, q, q_dot = live(filter_of(arm, uses), arm, 100, start=start)
-    wrong = np.array([[(one.q - at) / scale, (one.q_dot - v) / scale] for one, at, v in zip(estimates, q, q_dot, strict=True)])
+    wrong = np.array(
+        [
+            [(one.q - at) / scale, (one.q_dot - v) / scale]
+            for one, at, v in zip(estimates, q, q_dot, strict=True)
+        ]
+    )
     assert np.abs(wrong[-50:, 0]).max() < 0.01 < np.abs(q / scale).max()
     assert np.abs(wrong[-50:, 1]).max() < 0.1 < np.abs(q_dot / scale).max()
 

@@ -1,11 +1,18 @@
-"""Tracking of tips and shapes: the paper's laws at short periods, errors that fall as the gains say at long ones."""
+"""Tracking of tips and shapes: the paper's laws at short periods, errors that fall as the gains say
+at long ones."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
 from soft_tendon_env.control.objectives import TipPose, TipPosition
-from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, accelerating_tension, energy_left_inverse, tip_pose_tension
+from soft_tendon_env.control.paper_laws import (
+    Gains,
+    TipPoseTarget,
+    accelerating_tension,
+    energy_left_inverse,
+    tip_pose_tension,
+)
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -16,7 +23,9 @@ SETTLING = 0.2
 HELD = 12.0 + 4.0 * np.sin(np.arange(10.0))
 TWIST = np.array([8.0, -6.0, 4.0, 1.0, -2.0, 1.5])
 PAPER_GAINS = Gains(400.0, 40.0)  # of a double pole at -4 / SETTLING
-PASSIVE = {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+PASSIVE = {
+    "strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]
+}
 INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
 ARMS = {
     "full": ("paper", None),
@@ -45,28 +54,56 @@ def position_law(terms, q_dot, pose, twist):
     """(39) for the position alone, whose error in space obeys e_ddot + kd e_dot + kp e = 0."""
     angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
     R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
-    r_ddot = PAPER_GAINS.kd * (pose[:3, :3] @ twist[3:] - R @ linear) + PAPER_GAINS.kp * (pose[:3, 3] - r)
-    return accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), energy_left_inverse)
+    r_ddot = PAPER_GAINS.kd * (pose[:3, :3] @ twist[3:] - R @ linear) + PAPER_GAINS.kp * (
+        pose[:3, 3] - r
+    )
+    return accelerating_tension(
+        terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), energy_left_inverse
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("moves", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"])
-@pytest.mark.parametrize("objective, law", [(TipPose(0.1), pose_law), (TipPosition(), position_law)], ids=["pose", "position"])
-def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, objective, law, moves, seed):
-    """(39) in the limit, when nothing but the task counts, for targets that stand still, move as the tip does or with a twist of their
-    own, whose derivative is taken in the frame of the tip, which moves: what is left falls with the period."""
+@pytest.mark.parametrize(
+    "moves", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"]
+)
+@pytest.mark.parametrize(
+    "objective, law",
+    [(TipPose(0.1), pose_law), (TipPosition(), position_law)],
+    ids=["pose", "position"],
+)
+def test_short_periods_give_the_paper_s_law(
+    model, random_state, monkeypatch, objective, law, moves, seed
+):
+    """(39) in the limit, when nothing but the task counts, for targets that stand still, move as
+    the tip does or with a twist of their own, whose derivative is taken in the frame of the tip,
+    which moves: what is left falls with the period."""
     monkeypatch.setattr(tip_tracking, "FREE", 1e-5)
     q, q_dot = random_state(model, seed)
     terms = model.terms(q, q_dot)
     pose = moved_pose(terms.tip_pose, np.array([0.1, -0.2, 0.1, 0.02, 0.03, -0.02]))
-    twist = moves[0] * (adjoint(inverse_pose(pose) @ terms.tip_pose) @ terms.tip_jacobian @ q_dot) + moves[1] * TWIST
+    twist = (
+        moves[0] * (adjoint(inverse_pose(pose) @ terms.tip_pose) @ terms.tip_jacobian @ q_dot)
+        + moves[1] * TWIST
+    )
     if isinstance(objective, TipPosition):
         twist[:3] = 0.0  # a straight way
     expected, off = law(terms, q_dot, pose, twist), []
     for period in (1e-5, 1e-6, 1e-7):
         poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
-        now = ControllerInput(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses, poses[:, :3, 3]))
-        found = TipTracking(model, np.tile([-1e6, 1e6], (10, 1)), period, objective, settling_time=SETTLING).act(now).tension
+        now = ControllerInput(
+            q,
+            q_dot,
+            terms.tip_pose,
+            np.zeros(10),
+            Reference(period * np.arange(3.0), poses, poses[:, :3, 3]),
+        )
+        found = (
+            TipTracking(
+                model, np.tile([-1e6, 1e6], (10, 1)), period, objective, settling_time=SETTLING
+            )
+            .act(now)
+            .tension
+        )
         off.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
     assert off[0] < 0.1 and off[1] < 0.15 * off[0] + 1e-4 and off[2] < 2e-3
 
@@ -74,8 +111,11 @@ def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, ob
 @pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])
 @pytest.mark.parametrize("settling_time", [0.2, 0.4])
 def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_time):
-    """To 2 % within about the settling time: a double pole takes 1.46 of it, and limits some periods."""
-    motion = drive(TipTracking(model, WIDE, PERIOD, objective, settling_time=settling_time), model, near, 100)
+    """To 2 % within about the settling time: a double pole takes 1.46 of it, and limits some
+    periods."""
+    motion = drive(
+        TipTracking(model, WIDE, PERIOD, objective, settling_time=settling_time), model, near, 100
+    )
     away = np.linalg.norm(motion.tip[:, :3, 3] - near.tip_position[0], axis=1)
     took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
     assert away[0] > 0.05 * model.length and away[-1] < 1e-4 * model.length
@@ -87,31 +127,49 @@ def controller_input(model, random_state, period):
     q, q_dot = random_state(model, 0)
     goal, rates = random_state(model, 1)
     path = np.stack([goal, goal + period * rates])
-    return ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
+    return ControllerInput(
+        q,
+        q_dot,
+        model.tip_pose(q),
+        np.zeros(model.tendon_count),
+        Reference(np.array([0.0, period]), q=path),
+    ), rates
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_short_periods_give_the_paper_s_law_of_shapes(build, arm, random_state):
-    """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes: in its tenth a tenth."""
+    """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes:
+    in its tenth a tenth."""
     shaped, off = build(*ARMS[arm]), []
     wide = np.tile([-1e6, 1e6], (shaped.tendon_count, 1))
     for period in (1e-8, 1e-9):
         now, rates = controller_input(shaped, random_state, period)
         controller = ShapeTracking(shaped, wide, period, settling_time=0.2, damping=1.0)
-        held = np.stack([shaped.rest_coordinates(unit) for unit in np.eye(shaped.tendon_count)], axis=1)
+        held = np.stack(
+            [shaped.rest_coordinates(unit) for unit in np.eye(shaped.tendon_count)], axis=1
+        )
         push = controller.kd * (rates - now.q_dot) + controller.kp * (now.reference.q[0] - now.q)
         terms = shaped.terms(now.q, now.q_dot)
-        law = np.linalg.pinv(held) @ now.reference.q[0] + energy_left_inverse(terms) @ terms.stiffness @ push
-        forces = terms.actuation @ np.stack([controller.act(now).tension, law], axis=1)  # of redundant tendons only these are determined
+        law = (
+            np.linalg.pinv(held) @ now.reference.q[0]
+            + energy_left_inverse(terms) @ terms.stiffness @ push
+        )
+        forces = terms.actuation @ np.stack(
+            [controller.act(now).tension, law], axis=1
+        )  # of redundant tendons only these are determined
         off.append(np.abs(forces[:, 0] - forces[:, 1]).max() / np.abs(forces[:, 1]).max())
     assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
 
 
 @pytest.mark.parametrize("settling_time, damping", [(0.4, 10.0), (0.2, 1.0)])
-def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(build, drive, holding, settling_time, damping):
+def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(
+    build, drive, holding, settling_time, damping
+):
     """The paper's gains (0.4 s, 10) too, within limits."""
     model = build("paper")
-    controller = ShapeTracking(model, np.tile([0.0, 60.0], (10, 1)), 0.02, settling_time=settling_time, damping=damping)
+    controller = ShapeTracking(
+        model, np.tile([0.0, 60.0], (10, 1)), 0.02, settling_time=settling_time, damping=damping
+    )
     target = holding(model, [20.0, 5.0, 2.0, 2.0, 2.0, 10.0, 2.0, 2.0, 2.0, 2.0])
     motion = drive(controller, model, target, 150)
     off = np.linalg.norm(motion.tip[:, :3, 3] - target.tip_position[0], axis=1)

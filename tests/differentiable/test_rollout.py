@@ -1,4 +1,5 @@
-"""Rollouts in PyTorch: the environment's own episode and observation, and gradients, of logarithms and clips too, against differences."""
+"""Rollouts in PyTorch: the environment's own episode and observation, and gradients, of logarithms
+and clips too, against differences."""
 
 from contextlib import nullcontext
 
@@ -10,7 +11,13 @@ from gymnasium.error import ResetNeeded
 
 from soft_tendon_env import build_model, load_scene
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.differentiable import GradientWarning, gradient_accuracy, inward_clip, pose_logarithm, rollout
+from soft_tendon_env.differentiable import (
+    GradientWarning,
+    gradient_accuracy,
+    inward_clip,
+    pose_logarithm,
+    rollout,
+)
 from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs import IDS, TASKS
@@ -22,13 +29,16 @@ SHIPPED = ["TipPose", "Shape", "Reach"]
 
 
 def rows_of(task, rows=3, **options):
-    return gym.make_vec(IDS[task], num_envs=rows, max_episode_steps=None, threads=1, **{**SMALL, **options})
+    return gym.make_vec(
+        IDS[task], num_envs=rows, max_episode_steps=None, threads=1, **{**SMALL, **options}
+    )
 
 
 @pytest.mark.parametrize("task", SHIPPED)
 @pytest.mark.parametrize("action", ["tension", "increment"])
 def test_a_rollout_is_the_environments_own_episode(task, action, everything, same):
-    """Every group, under all that is drawn: states bit for bit, observations to the rounding of float32."""
+    """Every group, under all that is drawn: states bit for bit, observations to the rounding of
+    float32."""
     options = {
         "observation": [*TASKS[task].observable],
         "randomize": everything,
@@ -51,11 +61,21 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
     for observation, wanted in zip([*seen, found.observation], expected, strict=True):
         assert_observations_equal(observation, wanted, episodes_of(envs).layout.slices)
     mine, its = episodes_of(envs), episodes_of(other)
-    assert all(same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name)) for name in ("q", "q_dot", "xi"))
-    assert same(found.q[-1].numpy(), its.arms.rows.q) and same(mine.observation(), its.observation())
-    errors = [pose_error(pose, wanted) for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)]
+    assert all(
+        same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name))
+        for name in ("q", "q_dot", "xi")
+    )
+    assert same(found.q[-1].numpy(), its.arms.rows.q) and same(
+        mine.observation(), its.observation()
+    )
+    errors = [
+        pose_error(pose, wanted)
+        for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)
+    ]
     np.testing.assert_array_equal(found.error[-1], errors)
-    np.testing.assert_array_equal(found.backbone_error[-1], its.target_backbone - its.arms.reading.backbone[..., :3, 3])
+    np.testing.assert_array_equal(
+        found.backbone_error[-1], its.target_backbone - its.arms.reading.backbone[..., :3, 3]
+    )
     if task == "Shape":
         rewarded = found.backbone_error[-1].square().sum(-1).mean(-1).sqrt()
         np.testing.assert_allclose(rewarded, its.errors["backbone_error"], rtol=1e-12)
@@ -69,35 +89,71 @@ def assert_observations_equal(observation, wanted, slices):
     assert observation.dtype == torch.float32 and observation.shape == wanted.shape
     for name, where in slices.items():  # a history has differences of such numbers over a tenth
         tolerance = 2e-5 if name == HISTORY else 1e-6
-        np.testing.assert_allclose(observation[:, where], wanted[:, where], rtol=1e-6, atol=tolerance, err_msg=name)
+        np.testing.assert_allclose(
+            observation[:, where], wanted[:, where], rtol=1e-6, atol=tolerance, err_msg=name
+        )
 
 
 OBSERVED = ["tip_position", "strain_rate", "tendon_lengths", "target_error", "command"]
 TENSE = {"action": "tension", "observation": OBSERVED, "sensors": 1, "history": 1}
-LOADED = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
-EXPLICIT = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+LOADED = {
+    "scene": "three_tendon",
+    "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+    "effects.tip_load.mass": 0.005,
+}
+EXPLICIT = {
+    "type": "explicit",
+    "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}],
+}
 CASES = {
     "nominal": {},
-    "late": {"randomize": {"latency": [0.005, 0.03], "tension_gain": [0.9, 1.1], "noise": {"position": 1e-3, "rotation": 0.01}}},
-    "drawn": {"randomize": {"stiffness": [0.8, 1.2], "damping": [0.5, 1.5], "payload": [0.0, 0.005]}},
+    "late": {
+        "randomize": {
+            "latency": [0.005, 0.03],
+            "tension_gain": [0.9, 1.1],
+            "noise": {"position": 1e-3, "rotation": 0.01},
+        }
+    },
+    "drawn": {
+        "randomize": {"stiffness": [0.8, 1.2], "damping": [0.5, 1.5], "payload": [0.0, 0.005]}
+    },
     "loaded": {"scene": LOADED},
-    "lag": {"scene": {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.03, "delay": 0.01}}},
-    "stiffer": {"scene": "catheter", "randomize": {"stiffness": 4.0}, "observation": ["tip_position", "target_error", "command"]},
+    "lag": {
+        "scene": {
+            "scene": "three_tendon",
+            "effects.actuators": {"time_constant": 0.03, "delay": 0.01},
+        }
+    },
+    "stiffer": {
+        "scene": "catheter",
+        "randomize": {"stiffness": 4.0},
+        "observation": ["tip_position", "target_error", "command"],
+    },
     "shape": {"task": "Shape"},
     "shape of a loaded arm": {"task": "Shape", "scene": LOADED},
-    "shape of an explicit strain": {"task": "Shape", "scene": {"scene": "three_tendon", "strain": EXPLICIT}, "fidelity": None},
+    "shape of an explicit strain": {
+        "task": "Shape",
+        "scene": {"scene": "three_tendon", "strain": EXPLICIT},
+        "fidelity": None,
+    },
 }
-COSINES = {"stiffer": 0.99, "loaded": 0.999, "shape of a loaded arm": 0.999}  # under gravity the map backward is further off
+COSINES = {
+    "stiffer": 0.99,
+    "loaded": 0.999,
+    "shape of a loaded arm": 0.999,
+}  # under gravity the map backward is further off
 
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("periods", [4, 16])
 def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
-    """A cost of errors, actions and, of tips, their speed along eight random directions of the policy's parameters: commands stay within
-    limits."""
+    """A cost of errors, actions and, of tips, their speed along eight random directions of the
+    policy's parameters: commands stay within limits."""
     env = rows_of(**{"task": "TipPose", "rows": 4, **TENSE, **CASES[case]})
     torch.manual_seed(0)
-    policy = torch.nn.Linear(env.reset(seed=0)[0].shape[1], env.single_action_space.shape[0], dtype=torch.float64)
+    policy = torch.nn.Linear(
+        env.reset(seed=0)[0].shape[1], env.single_action_space.shape[0], dtype=torch.float64
+    )
     at = torch.nn.utils.parameters_to_vector(policy.parameters()).detach().mul_(0.1)
 
     def cost(parameters):
@@ -106,22 +162,36 @@ def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
         found = rollout(env, policy, periods, torch.float64)
         assert found.action.abs().max() < 0.9
         of_shape = found.backbone_error.shape[2] > 0
-        tracked = 100.0 * (found.backbone_error if of_shape else found.error).square().sum() + found.action_change.square().sum()
+        tracked = (
+            100.0 * (found.backbone_error if of_shape else found.error).square().sum()
+            + found.action_change.square().sum()
+        )
         return tracked if of_shape else tracked + 0.1 * found.tip_twist.square().sum()
 
     cost(at).backward()
     gradient = torch.cat([parameter.grad.flatten() for parameter in policy.parameters()])
     directions, h = torch.randn(8, at.numel(), dtype=torch.float64), 1e-3
     with torch.no_grad():
-        slopes = torch.stack([(cost(at + h * way) - cost(at - h * way)) / (2.0 * h) for way in directions])
+        slopes = torch.stack(
+            [(cost(at + h * way) - cost(at - h * way)) / (2.0 * h) for way in directions]
+        )
     assert torch.cosine_similarity(directions @ gradient, slopes, dim=0) > COSINES.get(case, 0.9999)
 
 
 def test_a_step_that_fails_passes_no_gradient():
-    wild = {"scene": {"scene": "three_tendon", "integrator.max_halvings": 0}, "fidelity": None, "tension_limits": [-600.0, 600.0]}
+    wild = {
+        "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
+        "fidelity": None,
+        "tension_limits": [-600.0, 600.0],
+    }
     env = rows_of("TipPose", rows=4, control_period=0.05, action="tension", **wild)
     env.reset(seed=0)
-    actions = torch.tensor([[1.0], [0.01], [-0.01], [-1.0]], dtype=torch.float64).expand(4, 3).clone().requires_grad_()
+    actions = (
+        torch.tensor([[1.0], [0.01], [-0.01], [-1.0]], dtype=torch.float64)
+        .expand(4, 3)
+        .clone()
+        .requires_grad_()
+    )
     found = rollout(env, lambda observation: actions, 1)
     found.error.square().sum().backward()
     failed = found.diverged[0]
@@ -147,10 +217,27 @@ def test_mistakes_are_said():
     env = rows_of("TipPose")
     assert_refused(env, "before reset", ResetNeeded)
     env.reset(seed=0)
-    assert_refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
-    assert_refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
-    assert_refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
-    assert_refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
+    assert_refused(
+        env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0
+    )
+    assert_refused(
+        env,
+        r"the policy's action should have shape \(3, 3\), not \(3, 2\)",
+        ValueError,
+        lambda observation: torch.zeros(3, 2),
+    )
+    assert_refused(
+        env,
+        r"the policy's action should be finite",
+        ValueError,
+        lambda observation: torch.full((3, 3), torch.nan),
+    )
+    assert_refused(
+        env,
+        "policy should return a tensor of actions, not ndarray",
+        TypeError,
+        lambda observation: np.zeros((3, 3)),
+    )
     assert_refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
 
 
@@ -164,15 +251,23 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
     ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_friction": {"coefficient": 0.2}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
-    ("underwater", {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}}, 0.05, 0.92),
+    (
+        "underwater",
+        {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}},
+        0.05,
+        0.92,
+    ),
 ]
 
 
 @pytest.mark.cases("name, changes, share, least", ACCURACY)
 def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, share, least):
-    """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and elastic tendons go slack and taut."""
+    """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and
+    elastic tendons go slack and taut."""
     model = build_model(load_scene(name).replace(changes), "fast")
-    low, high = model.scene.effects.command_limits(np.array([tendon.tension_limits for tendon in model.scene.tendons])).T
+    low, high = model.scene.effects.command_limits(
+        np.array([tendon.tension_limits for tendon in model.scene.tendons])
+    ).T
     found = gradient_accuracy(model, 0.02, low, high, share * (high - low), seed=1)
     assert found.cosine > least and 0.85 < found.ratio < 1.15, found
 
@@ -185,7 +280,14 @@ HANGING = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     [
         ("catheter", {}, None),
         (HANGING, {"payload": [0.0, 0.05]}, r"cosine of 0\.9[4-7]"),
-        ({"scene": "three_tendon", "effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [-0.005, 0.01]}}, {}, r"cosine of 0\.9"),
+        (
+            {
+                "scene": "three_tendon",
+                "effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [-0.005, 0.01]},
+            },
+            {},
+            r"cosine of 0\.9",
+        ),
     ],
 )
 def test_a_training_is_told_of_gradients_that_are_far_off(scene, randomize, told):
@@ -198,7 +300,12 @@ def test_a_training_is_told_of_gradients_that_are_far_off(scene, randomize, told
 
 def slopes(value, pose, h=1e-6):
     """Central differences (6,) of value(pose) along body twists."""
-    return np.array([(value(moved_pose(pose, h * axis)) - value(moved_pose(pose, -h * axis))) / (2.0 * h) for axis in np.eye(6)])
+    return np.array(
+        [
+            (value(moved_pose(pose, h * axis)) - value(moved_pose(pose, -h * axis))) / (2.0 * h)
+            for axis in np.eye(6)
+        ]
+    )
 
 
 @pytest.mark.cases("angle", [(0.0,), (1e-9,), (1e-4,), (0.3,), (2.0,), (3.1,), (np.pi - 1e-4,)])
@@ -206,7 +313,9 @@ def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
     rng = np.random.default_rng(0)
     axis, weight = rng.normal(size=3), rng.normal(size=6)
     pose = moved_pose(np.eye(4), rng.normal(size=6))
-    wanted = moved_pose(pose, np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(size=3)]))
+    wanted = moved_pose(
+        pose, np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(size=3)])
+    )
     g, g_bar = (torch.tensor(of, requires_grad=True) for of in (pose[None], wanted[None, None]))
     error = pose_logarithm(g, g_bar)
     np.testing.assert_array_equal(error.detach()[0, 0], pose_error(pose, wanted))
@@ -214,7 +323,9 @@ def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
     by_pose = slopes(lambda moved: weight @ pose_error(moved, wanted), pose)
     by_wanted = slopes(lambda moved: weight @ pose_error(pose, moved), wanted)
     np.testing.assert_allclose(body_cotangent(g.detach(), g.grad)[0], by_pose, atol=1e-7)
-    np.testing.assert_allclose(body_cotangent(g_bar.detach(), g_bar.grad)[0, 0], by_wanted, atol=1e-7)
+    np.testing.assert_allclose(
+        body_cotangent(g_bar.detach(), g_bar.grad)[0, 0], by_wanted, atol=1e-7
+    )
 
 
 def test_a_clip_has_gradients_that_lead_back_inside():

@@ -1,4 +1,5 @@
-"""Generated tables and pictures: every one is listed, with a command and a configuration that exist."""
+"""Generated tables and pictures: every one is listed, with a command and a configuration that
+exist."""
 
 import re
 import sys
@@ -22,7 +23,11 @@ def listed(tmp_path, monkeypatch):
         (tmp_path / "docs" / "own.md").write_text(page)
         path = tmp_path / "docs" / "generated.toml"
         path.write_text(text)
-        for name, value in (("ROOT", tmp_path), ("LIST", path), ("STAMPS", tmp_path / "docs" / "pictures" / "stamps.json")):
+        for name, value in (
+            ("ROOT", tmp_path),
+            ("LIST", path),
+            ("STAMPS", tmp_path / "docs" / "pictures" / "stamps.json"),
+        ):
             monkeypatch.setattr(generated, name, value)
         return tmp_path
 
@@ -30,7 +35,9 @@ def listed(tmp_path, monkeypatch):
 
 
 def test_every_generated_block_is_listed_once_and_is_there():
-    made = [(entry.page, block) for entry in generated.listed() if entry.page for block in entry.blocks]
+    made = [
+        (entry.page, block) for entry in generated.listed() if entry.page for block in entry.blocks
+    ]
     blocks = [
         (page.relative_to(ROOT).as_posix(), block)
         for page in PAGES
@@ -38,7 +45,11 @@ def test_every_generated_block_is_listed_once_and_is_there():
     ]
     assert sorted(made) == sorted(blocks)
     whole = {entry.page for entry in generated.listed() if entry.page and not entry.blocks}
-    stamped = {page.relative_to(ROOT).as_posix() for page in PAGES if generated.MADE.search(page.read_text(encoding="utf-8"))}
+    stamped = {
+        page.relative_to(ROOT).as_posix()
+        for page in PAGES
+        if generated.MADE.search(page.read_text(encoding="utf-8"))
+    }
     assert stamped <= whole | {page for page, _ in made}
     for entry in generated.listed():
         entry.stale()  # reads pages and stamps, and raises for what is not there
@@ -46,7 +57,10 @@ def test_every_generated_block_is_listed_once_and_is_there():
 
 def test_stamps_are_read_and_unknown_commits_have_changed():
     stamp = Stamp.of(("soft-tendon", "own"))
-    assert generated.read_stamp(f"text {stamp.text()} text") == stamp and generated.read_stamp("no stamp") is None
+    assert (
+        generated.read_stamp(f"text {stamp.text()} text") == stamp
+        and generated.read_stamp("no stamp") is None
+    )
     assert generated.has_changed(None) and generated.has_changed("0" * 40)
 
 
@@ -60,7 +74,9 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
     entry = '[[made]]\npage = "docs/own.md"\nblocks = ["own"]\ncommand = "{command}"\nminutes = 2\n'
     root = listed(entry.format(command="soft-tendon own"), "<!-- own -->\nold\n<!-- /own -->\n")
     page, played = root / "docs" / "own.md", []
-    monkeypatch.setattr(generated, "succeeds", lambda command: played.append(command[-1]) or write(True))
+    monkeypatch.setattr(
+        generated, "succeeds", lambda command: played.append(command[-1]) or write(True)
+    )
 
     def write(good):
         stamp = Stamp.of(("soft-tendon", "own"))._replace(commit="HEAD").text()
@@ -74,7 +90,11 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
     assert generated.listed()[0].minutes == 0.1 and generated.LIST.read_text().count("minutes") == 1
     monkeypatch.setattr(generated, "has_changed", lambda commit: True)
     monkeypatch.setattr(sys, "argv", ["generated.py", "--list"])
-    assert generated.main() == 0 and "has changed since" in capsys.readouterr().out and played == ["own"]
+    assert (
+        generated.main() == 0
+        and "has changed since" in capsys.readouterr().out
+        and played == ["own"]
+    )
     monkeypatch.setattr(generated, "succeeds", lambda command: write(False))
     monkeypatch.setattr(sys, "argv", ["generated.py"])
     assert generated.main() == 1 and "failed: soft-tendon own" in capsys.readouterr().err

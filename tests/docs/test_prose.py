@@ -1,7 +1,8 @@
-"""The language of the documentation: plain sentences, the field's words, measured numbers that link to where they come from, and
-refusals that are tried.
+"""The language of the documentation: plain sentences, the field's words, measured numbers that link
+to where they come from, and refusals that are tried.
 
-A refusal that a page documents has a comment behind its sentence, which is run and has to be refused in one line, or names the test:
+A refusal that a page documents has a comment behind its sentence, which is run and has to be
+refused in one line, or names the test:
 
     An unknown task is refused. <!-- refused: soft-tendon evaluate tracking --task None -->
     <!-- refused: gym.make("TendonRod-TipPose-v0", fidelity="exact") -->
@@ -21,9 +22,14 @@ import soft_tendon_env as ste
 
 ROOT = Path(__file__).parents[2]
 GUIDES = ("tutorials", "how_to", "explanation")
-"""Folders of pages in which a length in mm is a result, and links to the table that has it; given lengths stand as code."""
+"""Folders of pages in which a length in mm is a result, and links to the table that has it; given
+lengths stand as code."""
 WRITTEN = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-WRITTEN += [page for folder in (*GUIDES, "reference") for page in sorted((ROOT / "docs" / folder).glob("*.md"))]
+WRITTEN += [
+    page
+    for folder in (*GUIDES, "reference")
+    for page in sorted((ROOT / "docs" / folder).glob("*.md"))
+]
 GLOSSARY = "docs/reference/symbols.md"
 LONGEST = 25  # words of a sentence
 AVOIDED = {
@@ -54,8 +60,13 @@ SENTENCE = re.compile(r"(?<=[.!?:;])\s+")
 
 
 def paragraphs(text: str) -> list[str]:
-    """Paragraphs, items and table rows that people wrote, with their comments: no generated blocks and no code blocks."""
-    return [part for part in PARAGRAPH.split(FENCE.sub("", MARKED.sub("", text))) if COMMENT.sub("", part).strip()]
+    """Paragraphs, items and table rows that people wrote, with their comments: no generated blocks
+    and no code blocks."""
+    return [
+        part
+        for part in PARAGRAPH.split(FENCE.sub("", MARKED.sub("", text)))
+        if COMMENT.sub("", part).strip()
+    ]
 
 
 def prose(paragraph: str) -> str:
@@ -71,10 +82,16 @@ def lengths(page: Path, text: str) -> list[str]:
 
     def linked(paragraph: str) -> bool:
         targets = re.findall(r"\]\(([^)#\s]+)", paragraph)
-        return any(str((page.parent / target).resolve().relative_to(ROOT)) in made for target in targets if "://" not in target)
+        return any(
+            str((page.parent / target).resolve().relative_to(ROOT)) in made
+            for target in targets
+            if "://" not in target
+        )
 
     return [
-        paragraph for paragraph in paragraphs(text) if re.search(r"\d\s*(?:mm|millimet\w+)\b", prose(paragraph)) and not linked(paragraph)
+        paragraph
+        for paragraph in paragraphs(text)
+        if re.search(r"\d\s*(?:mm|millimet\w+)\b", prose(paragraph)) and not linked(paragraph)
     ]
 
 
@@ -83,19 +100,32 @@ def words(page: Path, text: str) -> list[str]:
     if name(page) == GLOSSARY:
         return []
     said = " ".join(map(prose, paragraphs(text)))
-    return [f"{found[0]}: {instead}" for avoided, instead in AVOIDED.items() for found in re.finditer(rf"\b(?:{avoided})\b", said)]
+    return [
+        f"{found[0]}: {instead}"
+        for avoided, instead in AVOIDED.items()
+        for found in re.finditer(rf"\b(?:{avoided})\b", said)
+    ]
 
 
 def sentences(page: Path, text: str) -> list[str]:
     """Sentences that are too long, outside of tables."""
-    parts = [prose(paragraph) for paragraph in paragraphs(text) if not paragraph.lstrip().startswith("|")]
-    return [sentence for part in parts for sentence in SENTENCE.split(part) if len(sentence.split()) > LONGEST]
+    parts = [
+        prose(paragraph) for paragraph in paragraphs(text) if not paragraph.lstrip().startswith("|")
+    ]
+    return [
+        sentence
+        for part in parts
+        for sentence in SENTENCE.split(part)
+        if len(sentence.split()) > LONGEST
+    ]
 
 
 def refusals(page: Path, text: str) -> list[str]:
     """Paragraphs that say that something is refused, without what is tried."""
     return [
-        paragraph for paragraph in paragraphs(text) if re.search(r"\brefuse[sd]?\b", prose(paragraph)) and not REFUSED.search(paragraph)
+        paragraph
+        for paragraph in paragraphs(text)
+        if re.search(r"\brefuse[sd]?\b", prose(paragraph)) and not REFUSED.search(paragraph)
     ]
 
 
@@ -105,7 +135,11 @@ def name(page: Path) -> str:
 
 @pytest.mark.parametrize("check", [lengths, words, sentences, refusals])
 def test_pages_are_written_plainly(check):
-    wrong = {name(page): found for page in WRITTEN if (found := check(page, page.read_text(encoding="utf-8")))}
+    wrong = {
+        name(page): found
+        for page in WRITTEN
+        if (found := check(page, page.read_text(encoding="utf-8")))
+    }
     assert wrong == {}, check.__doc__
 
 
@@ -113,7 +147,11 @@ def test_pages_are_written_plainly(check):
     "check, text, wrong",
     [
         (lengths, "It is 3 mm off.", 1),
-        (lengths, "It is 3 mm off, see [accuracy](../appendix/accuracy.md).\n\nA rod of `3 mm`.", 0),
+        (
+            lengths,
+            "It is 3 mm off, see [accuracy](../appendix/accuracy.md).\n\nA rod of `3 mm`.",
+            0,
+        ),
         (lengths, "It is 3 mm off, see [symbols](../reference/symbols.md).", 1),
         (words, "The student whirls. `student` and\n```\nstudent\n```\n", 2),
         (sentences, f"{'word ' * 24}word. {'word ' * 25}word.", 1),
@@ -124,14 +162,22 @@ def test_what_is_wrong_is_found(check, text, wrong):
     assert len(check(ROOT / "docs" / "how_to" / "own.md", text)) == wrong
 
 
-TRIED = [(page, match[1]) for page in WRITTEN for match in REFUSED.finditer(page.read_text(encoding="utf-8"))]
+TRIED = [
+    (page, match[1])
+    for page in WRITTEN
+    for match in REFUSED.finditer(page.read_text(encoding="utf-8"))
+]
 
 
 @pytest.mark.cases("page, tried", TRIED)
 def test_what_a_page_says_is_refused_is_refused(page, tried, capsys):
     if tried.startswith("tests/"):
         file, _, test = tried.partition("::")
-        tests = {node.name for node in ast.walk(ast.parse((ROOT / file).read_text())) if isinstance(node, ast.FunctionDef)}
+        tests = {
+            node.name
+            for node in ast.walk(ast.parse((ROOT / file).read_text()))
+            if isinstance(node, ast.FunctionDef)
+        }
         assert test in tests, f"{name(page)}: there is no test {tried}"
     else:
         assert refused(tried, capsys), f"{name(page)}: {tried} is not refused in one line"
@@ -152,8 +198,16 @@ def refused(tried: str, capsys: pytest.CaptureFixture[str]) -> bool:
 
 
 def test_no_docstring_needs_the_name_above_it():
-    """Docstrings, and texts below constants, make sense with the name above them removed, as the pages of the API show them."""
-    riddle, sources = re.compile(r'^ *"""(What|Of|Where|The same|Likewise|See)\b', re.MULTILINE), (ROOT / "soft_tendon_env").rglob("*.py")
+    """Docstrings, and texts below constants, make sense with the name above them removed, as the
+    pages of the API show them."""
+    riddle, sources = (
+        re.compile(r'^ *"""(What|Of|Where|The same|Likewise|See)\b', re.MULTILINE),
+        (ROOT / "soft_tendon_env").rglob("*.py"),
+    )
     texts = {path: path.read_text(encoding="utf-8") for path in sources}
-    found = [f"{path}: {match[0].strip()}" for path, text in texts.items() for match in riddle.finditer(text)]
+    found = [
+        f"{path}: {match[0].strip()}"
+        for path, text in texts.items()
+        for match in riddle.finditer(text)
+    ]
     assert texts and not found, found

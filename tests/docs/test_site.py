@@ -1,4 +1,5 @@
-"""The hooks of the documentation site: equations, links to sources, and tables that the package fills."""
+"""The hooks of the documentation site: equations, links to sources, and tables that the package
+fills."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,15 +22,24 @@ def page(uri):
 
 
 def test_equations_become_mathml():
-    html = site_math.on_page_content(r'<p><span class="arithmatex">\(a &lt; \dot q\)</span></p>', page("a.md"))
+    html = site_math.on_page_content(
+        r'<p><span class="arithmatex">\(a &lt; \dot q\)</span></p>', page("a.md")
+    )
     assert "<mover><mi>q</mi>" in html and 'display="inline"' in html and "arithmatex" not in html
-    assert 'display="block"' in site_math.on_page_content(r'<div class="arithmatex">\[\frac{1}{2}\]</div>', page("a.md"))
+    assert 'display="block"' in site_math.on_page_content(
+        r'<div class="arithmatex">\[\frac{1}{2}\]</div>', page("a.md")
+    )
 
 
-@pytest.mark.cases("latex, message", [(r"\nothing x", r"\nothing in"), (r"\frac{a", "do not pair"), (r"a & b", "&")])
+@pytest.mark.cases(
+    "latex, message",
+    [(r"\nothing x", r"\nothing in"), (r"\frac{a", "do not pair"), (r"a & b", "&")],
+)
 def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
     with pytest.raises(PluginError) as error:
-        site_math.on_page_content(rf'<span class="arithmatex">\({latex}\)</span>', page("how_to/a.md"))
+        site_math.on_page_content(
+            rf'<span class="arithmatex">\({latex}\)</span>', page("how_to/a.md")
+        )
     assert message in str(error.value) and "how_to/a.md" in str(error.value)
 
 
@@ -47,9 +57,14 @@ def test_source_files_are_linked(markdown, shown):
 
 
 def test_pages_of_environments_have_sizes_sections_and_arguments():
-    shown = site_environments.on_page_markdown("<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md"))
+    shown = site_environments.on_page_markdown(
+        "<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md")
+    )
     env = site_environments.made("Reach", fidelity="fast")
-    assert f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |' in shown
+    assert (
+        f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |'
+        in shown
+    )
     assert "\n### Rewards\n" in shown and "<!--" not in shown
     assert all(f"\n| `{name}` | " in shown for name in site_environments.Options.model_fields)
     assert all(f'\n| `"{name}"` | ' in shown for name in site_environments.PRESETS)
@@ -60,5 +75,12 @@ def test_pages_of_environments_have_sizes_sections_and_arguments():
 def test_the_page_of_effects_has_every_key_with_its_meaning():
     page_of_effects = (ROOT / "docs" / "how_to" / "effects.md").read_text()
     shown = site_environments.on_page_markdown(page_of_effects, page("how_to/effects.md"))
-    keys = [(name, key) for name, effect in site_environments.EFFECTS.items() for key in effect.model_fields]
-    assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys) and "| None |" not in shown
+    keys = [
+        (name, key)
+        for name, effect in site_environments.EFFECTS.items()
+        for key in effect.model_fields
+    ]
+    assert (
+        all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys)
+        and "| None |" not in shown
+    )

@@ -1,15 +1,25 @@
-"""Actuators, elastic tendons and tendon friction: closed forms of what lies between commands and tensions."""
+"""Actuators, elastic tendons and tendon friction: closed forms of what lies between commands and
+tensions."""
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from soft_tendon_env import Scene, Simulation, SimulationDiverged, build_model, commanded_equilibrium, simulate, static_equilibrium
+from soft_tendon_env import (
+    Scene,
+    Simulation,
+    SimulationDiverged,
+    build_model,
+    commanded_equilibrium,
+    simulate,
+    static_equilibrium,
+)
 
 FINE = {"integrator.step": 0.005, "integrator.columns": 4, "quadrature.intervals": 4}
 ROUND_OFF = {"rtol": 1e-12, "atol": 1e-12}
 RAMP = {"effects.actuators.rate_limit": 0.02}
-"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
+"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard
+as it is stiff."""
 MU = 0.15
 
 
@@ -31,22 +41,39 @@ def tension_response(model, command, times):
     return np.array(found)
 
 
-@pytest.mark.parametrize(("command", "rate", "step"), [(3.0, None, 0.005), (-2.0, None, 0.005), (3.0, 20.0, 0.001), (3.0, 20.0, 0.02)])
+@pytest.mark.parametrize(
+    ("command", "rate", "step"),
+    [(3.0, None, 0.005), (-2.0, None, 0.005), (3.0, 20.0, 0.001), (3.0, 20.0, 0.02)],
+)
 def test_step_response_of_a_lag(uniform, command, rate, step):
     """With a limited rate too, also where the limit ends within a step."""
-    model = uniform(changes={**FINE, "integrator.step": step, "effects.actuators": {"time_constant": 0.05, "rate_limit": rate}})
+    model = uniform(
+        changes={
+            **FINE,
+            "integrator.step": step,
+            "effects.actuators": {"time_constant": 0.05, "rate_limit": rate},
+        }
+    )
     times = np.array([0.004, 0.013, 0.06, 0.09, 0.1, 0.11, 0.3])
-    expected = limited_lag(0.0, command, 0.05, rate, times) if rate else command * -np.expm1(-times / 0.05)
-    np.testing.assert_allclose(tension_response(model, [command, 0.0, 0.0], times), expected, **ROUND_OFF)
+    expected = (
+        limited_lag(0.0, command, 0.05, rate, times) if rate else command * -np.expm1(-times / 0.05)
+    )
+    np.testing.assert_allclose(
+        tension_response(model, [command, 0.0, 0.0], times), expected, **ROUND_OFF
+    )
     assert limited_lag(0.0, 3.0, 0.05, 20.0, np.array([0.1])) == 2.0, "where the limit ends"
 
 
 @pytest.mark.parametrize("delay", [0.002, 0.013, 0.02, 0.0547])
 def test_a_delay_is_exact_at_any_time(uniform, delay):
-    """The motion is that of an arm that gets every command so much later, to the error of fine steps and not of where they end."""
+    """The motion is that of an arm that gets every command so much later, to the error of fine
+    steps and not of where they end."""
     rng = np.random.default_rng(0)
     table = rng.uniform(0.0, 3.0, (10, 3))
-    late, prompt = (Simulation(uniform(changes={**FINE, **more})) for more in ({"effects.actuators.delay": delay}, {}))
+    late, prompt = (
+        Simulation(uniform(changes={**FINE, **more}))
+        for more in ({"effects.actuators.delay": delay}, {})
+    )
     for u in table:
         late.step(u, 0.02)
     before, end = delay, 0.2
@@ -60,9 +87,14 @@ def test_a_delay_is_exact_at_any_time(uniform, delay):
 
 
 def test_more_commands_than_there_is_room_for_are_an_error(uniform):
-    simulation = Simulation(uniform(changes={**FINE, "integrator.step": 0.02, "effects.actuators.delay": 0.05}))
+    simulation = Simulation(
+        uniform(changes={**FINE, "integrator.step": 0.02, "effects.actuators.delay": 0.05})
+    )
     simulation.reset(time=-3.0)
-    with pytest.raises(SimulationDiverged, match=r"at -2\.98 s .*commands change more often than the delay of their path keeps"):
+    with pytest.raises(
+        SimulationDiverged,
+        match=r"at -2\.98 s .*commands change more often than the delay of their path keeps",
+    ):
         for i in range(10):
             simulation.step(np.full(3, 0.1 * i), 0.004)
     assert np.isfinite(simulation.state.q).all()
@@ -84,13 +116,17 @@ def test_an_arm_that_is_held_at_rest_stays(build):
 
 
 def springs(stiffness=5e3, **more):
-    return {"effects.tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [0.0, 0.05]}, **more}
+    return {
+        "effects.tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [0.0, 0.05]},
+        **more,
+    }
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 5e3, 3e5])
 @pytest.mark.parametrize("scene", ["three_tendon", "four_tendon", "helical"])
 def test_displacements_and_tensions_meet_at_rest(build, scene, stiffness):
-    """The displacements that belong to an equilibrium under tensions lead there, in statics and in motion."""
+    """The displacements that belong to an equilibrium under tensions lead there, in statics and in
+    motion."""
     model = build(scene, springs(stiffness, **RAMP))
     u = np.linspace(2.0, 1.0, model.tendon_count)
     rest = static_equilibrium(model, u)
@@ -107,30 +143,62 @@ def test_a_slack_tendon_does_not_pull(build):
     model = build("three_tendon", springs())
     found, tension = commanded_equilibrium(model, [0.004, -0.001, -0.02])
     assert tension[0] > 0.5 and tension[2] == 0.0
-    np.testing.assert_allclose(found.tip_pose, static_equilibrium(model, tension).tip_pose, atol=1e-9)
+    np.testing.assert_allclose(
+        found.tip_pose, static_equilibrium(model, tension).tip_pose, atol=1e-9
+    )
     motion = simulate(model, [0.004, -0.001, -0.02], 40.0, 0.02)
     np.testing.assert_allclose(motion.tip_pose[-1], found.tip_pose, atol=1e-6)
     straight = simulate(model, [-0.01, -0.01, -0.01], 0.2, 0.02)
     np.testing.assert_array_equal(straight.q, 0.0)
 
 
-@pytest.mark.parametrize("fidelity", ["fast", *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine"))])
-@pytest.mark.filterwarnings("ignore:'wire' has no coordinates")  # for "fine": 0.066 % in place of 0.05
+@pytest.mark.parametrize(
+    "fidelity",
+    ["fast", *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine"))],
+)
+@pytest.mark.filterwarnings(
+    "ignore:'wire' has no coordinates"
+)  # for "fine": 0.066 % in place of 0.05
 def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
-    """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the statics has it."""
-    offsets = [[6e-3 * np.cos(angle), 6e-3 * np.sin(angle)] for angle in np.deg2rad([0.0, 120.0, 240.0])]
-    wire = {"length": 0.25, "young_modulus": 5.2e10, "poisson_ratio": 0.33, "density": 6450.0, "radius": 5e-4}
-    tendons = [{"routing": {"type": "straight", "offset": offset}, "tension_limits": [0.0, 80.0]} for offset in offsets]
+    """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the
+    statics has it."""
+    offsets = [
+        [6e-3 * np.cos(angle), 6e-3 * np.sin(angle)] for angle in np.deg2rad([0.0, 120.0, 240.0])
+    ]
+    wire = {
+        "length": 0.25,
+        "young_modulus": 5.2e10,
+        "poisson_ratio": 0.33,
+        "density": 6450.0,
+        "radius": 5e-4,
+    }
+    tendons = [
+        {"routing": {"type": "straight", "offset": offset}, "tension_limits": [0.0, 80.0]}
+        for offset in offsets
+    ]
     for stiffness in (1e3, 1e5, 1e7):
-        effects = {"tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [-0.02, 0.02]}}
+        effects = {
+            "tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [-0.02, 0.02]}
+        }
         for damping in (1e7, 1e8):
-            table = {"name": "wire", "segments": [{**wire, "damping": damping}], "tendons": tendons, "effects": effects}
-            model, end = build_model(Scene.parse(table, "wire"), fidelity), np.array([0.008, -0.02, -0.02])
+            table = {
+                "name": "wire",
+                "segments": [{**wire, "damping": damping}],
+                "tendons": tendons,
+                "effects": effects,
+            }
+            model, end = (
+                build_model(Scene.parse(table, "wire"), fidelity),
+                np.array([0.008, -0.02, -0.02]),
+            )
             for command in (end, np.linspace(0.0, 1.0, 50)[:, None] * end):
                 assert np.isfinite(simulate(model, command, 1.0, 0.02).tip_pose).all()
         rest, _ = commanded_equilibrium(model, 0.5 * end)
         held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
-        assert rest.converged and np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
+        assert (
+            rest.converged
+            and np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
+        )
 
 
 def friction(coefficient=MU, **more):
@@ -138,22 +206,26 @@ def friction(coefficient=MU, **more):
 
 
 def bending(model, tension, direction):
-    """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta / l = T r (1 - exp(-a)) / a, with
-    a = mu z theta."""
+    """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta
+    / l = T r (1 - exp(-a)) / a, with a = mu z theta."""
     unit = model.strain_at(np.ones(1), [0.1])[1][0, 2, 0]
     terms = model.terms([0.0], [0.0])
     lever = terms.actuation[0, 0] / (unit * model.length)
 
     def unbalanced(q):
         a = MU * direction * unit * q * model.length * np.sign(q * unit)
-        return tension * lever * unit * model.length * (-np.expm1(-a) / a if a else 1.0) - terms.stiffness[0, 0] * q
+        return (
+            tension * lever * unit * model.length * (-np.expm1(-a) / a if a else 1.0)
+            - terms.stiffness[0, 0] * q
+        )
 
     far = 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0]
     return brentq(unbalanced, 0.0, far) if unbalanced(far) < 0.0 else far
 
 
 def test_hysteresis_of_a_slow_cycle(uniform):
-    """Loading and unloading lie where the capstan equation has them, the loop closes, and its area is that of the theory."""
+    """Loading and unloading lie where the capstan equation has them, the loop closes, and its area
+    is that of the theory."""
     steps = {"integrator.quasi_static": True, "integrator.columns": 1, "integrator.step": 1e-3}
     changes = friction(**{**steps, "quadrature.intervals": 5, "segments.0.damping": 200.0})
     changes["effects.tendon_friction"]["stiction_speed"] = 5e-7
@@ -173,5 +245,8 @@ def test_hysteresis_of_a_slow_cycle(uniform):
         """Where the tendon slides, and before that where it sticks."""
         return np.clip([bending(model, tension, direction) for tension in tensions], least, most)
 
-    for direction, part in ((1.0, slice(per, per + per // 2)), (-1.0, slice(per + per // 2, 2 * per))):
+    for direction, part in (
+        (1.0, slice(per, per + per // 2)),
+        (-1.0, slice(per + per // 2, 2 * per)),
+    ):
         np.testing.assert_allclose(q[part], theory(direction, pull[part]), rtol=1e-2)

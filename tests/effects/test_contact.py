@@ -1,4 +1,5 @@
-"""Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps of 20 ms without tunnelling."""
+"""Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps
+of 20 ms without tunnelling."""
 
 import numpy as np
 import pytest
@@ -15,9 +16,26 @@ FLOOR = {"type": "plane", "position": [0.0, 0.0, -RADIUS]}  # which the straight
 KINDS = [
     {"type": "plane", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5]},
     {"type": "sphere", "position": [0.1, 0.2, 0.3], "radius": 0.2},
-    {"type": "capsule", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5], "radius": 0.1, "length": 0.4},
-    {"type": "cylinder", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5], "radius": 0.1, "length": 0.4},
-    {"type": "box", "position": [0.1, 0.2, 0.3], "size": [0.2, 0.3, 0.4], "rotation": [20.0, -30.0, 40.0]},
+    {
+        "type": "capsule",
+        "position": [0.1, 0.2, 0.3],
+        "axis": [1.0, -2.0, 0.5],
+        "radius": 0.1,
+        "length": 0.4,
+    },
+    {
+        "type": "cylinder",
+        "position": [0.1, 0.2, 0.3],
+        "axis": [1.0, -2.0, 0.5],
+        "radius": 0.1,
+        "length": 0.4,
+    },
+    {
+        "type": "box",
+        "position": [0.1, 0.2, 0.3],
+        "size": [0.2, 0.3, 0.4],
+        "rotation": [20.0, -30.0, 40.0],
+    },
 ]
 SOLIDS = {
     "floor": {"type": "plane", "position": [0.0, 0.0, -0.05]},
@@ -25,17 +43,22 @@ SOLIDS = {
     "ball": {"type": "sphere", "position": [0.2, 0.0, -0.08], "radius": 0.05},
 }
 RISE = {0.02: 1e-4, 0.005: 1e-3, 0.001: 1e-9}
-"""Step [s]: largest part of the energy lost that 20 ms may bring back; extrapolated steps across the beginning of slip bring some."""
+"""Step [s]: largest part of the energy lost that 20 ms may bring back; extrapolated steps across
+the beginning of slip bring some."""
 
 
 def three_tendon(build, obstacles, friction=0.0, *, changes=()):
     table = {"obstacles": obstacles, "friction": friction}
-    return build("three_tendon", {"quadrature.intervals": 6, "effects.contact": table, **dict(changes)})
+    return build(
+        "three_tendon", {"quadrature.intervals": 6, "effects.contact": table, **dict(changes)}
+    )
 
 
 def pressed_arm(build, pull, friction, **changes):
     """An arm whose tip is pressed on the floor with 1 N and pulled along it."""
-    return three_tendon(build, [FLOOR], friction, changes={"effects.tip_load.force": [0.0, pull, -1.0], **changes})
+    return three_tendon(
+        build, [FLOOR], friction, changes={"effects.tip_load.force": [0.0, pull, -1.0], **changes}
+    )
 
 
 def simulate_to_rest(model, seconds=5.0, tension=None):
@@ -59,24 +82,40 @@ def test_signed_distances_have_their_gradients(obstacle):
     for x in rng.uniform(-0.5, 0.5, (60, 3)):
         _, gradient = distance(body, tuple(x))
         assert np.linalg.norm(gradient) == pytest.approx(1.0, abs=1e-12)
-        slope = [(distance(body, tuple(x + h * e))[0] - distance(body, tuple(x - h * e))[0]) / (2 * h) for e in np.eye(3)]
+        slope = [
+            (distance(body, tuple(x + h * e))[0] - distance(body, tuple(x - h * e))[0]) / (2 * h)
+            for e in np.eye(3)
+        ]
         differences.append(np.abs(np.array(gradient) - slope).max())
-    assert np.sort(differences)[-3] < 1e-6  # two may lie next to an edge, where there are two gradients
+    assert (
+        np.sort(differences)[-3] < 1e-6
+    )  # two may lie next to an edge, where there are two gradients
     assert np.median(differences) < 1e-8
 
 
 def test_an_obstacle_moves_as_it_is_told():
-    obstacle = {**KINDS[4], "velocity": [0.1, 0.2, -0.3], "amplitude": [0.0, 0.05, 0.0], "frequency": 0.7, "phase": 30.0}
+    obstacle = {
+        **KINDS[4],
+        "velocity": [0.1, 0.2, -0.3],
+        "amplitude": [0.0, 0.05, 0.0],
+        "frequency": 0.7,
+        "phase": 30.0,
+    }
     time, h = 0.6, 1e-6
     here, before, after = (body_of(obstacle, t) for t in (time, time - h, time + h))
     swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
-    np.testing.assert_allclose(here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14)
+    np.testing.assert_allclose(
+        here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14
+    )
     np.testing.assert_allclose(here.velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
-    np.testing.assert_allclose(Contact(obstacles=[obstacle]).obstacles[0].pose(time)[:3, 3], here.r, atol=1e-14)
+    np.testing.assert_allclose(
+        Contact(obstacles=[obstacle]).obstacles[0].pose(time)[:3, 3], here.r, atol=1e-14
+    )
 
 
 def test_an_arm_rests_on_the_floor(build):
-    """All forces balance: the floor and the base carry the weight; a sample sinks in by force over stiffness."""
+    """All forces balance: the floor and the base carry the weight; a sample sinks in by force over
+    stiffness."""
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
     changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive}
     model = three_tendon(build, [FLOOR], changes=changes)
@@ -91,7 +130,10 @@ def test_an_arm_rests_on_the_floor(build):
     depth, e = -found.gap[0, 5:-5], SMOOTHING * RADIUS
     line = np.where(depth < e, k * depth**2 / (2 * e), k * (depth - e / 2))
     np.testing.assert_allclose(inner, line, rtol=1e-9)
-    assert found.penetration[0] == pytest.approx(-found.gap.min()) and found.clearance[0] == -found.penetration[0]
+    assert (
+        found.penetration[0] == pytest.approx(-found.gap.min())
+        and found.clearance[0] == -found.penetration[0]
+    )
 
 
 def test_forces_are_those_of_a_potential(build):
@@ -100,7 +142,9 @@ def test_forces_are_those_of_a_potential(build):
     model = three_tendon(build, obstacles)
     n = model.coordinate_count
     still, h = np.zeros(n), 1e-4 * model.coordinate_scale()
-    falls = [0.5 * (model.energy(-way, still).load - model.energy(way, still).load) for way in np.diag(h)]
+    falls = [
+        0.5 * (model.energy(-way, still).load - model.energy(way, still).load) for way in np.diag(h)
+    ]
     work = model.terms(still, still).external_force * h
     assert np.abs(work).max() > 0.0
     np.testing.assert_allclose(work, falls, rtol=1e-4, atol=1e-6 * np.abs(work).max())
@@ -108,7 +152,8 @@ def test_forces_are_those_of_a_potential(build):
 
 @pytest.mark.parametrize("step", [0.02, 0.005])
 def test_friction_sticks_below_its_limit_and_slides_above(build, step):
-    """The beam on the floor's stiffness carries nothing of the pull: it slides where that exceeds mu N."""
+    """The beam on the floor's stiffness carries nothing of the pull: it slides where that exceeds
+    mu N."""
     mu = 0.5
     held = Simulation(pressed_arm(build, 0.9 * mu, mu, **{"integrator.step": step}))
     places = []
@@ -124,9 +169,14 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
 @pytest.mark.parametrize("step", RISE)
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_energy_never_grows_with_friction(build, solid, step):
-    """Of an arm thrown across what it falls on: kinetic, elastic, of gravity and of the obstacle pressed."""
+    """Of an arm thrown across what it falls on: kinetic, elastic, of gravity and of the obstacle
+    pressed."""
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
-    changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive, "integrator.step": step}
+    changes = {
+        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        "strain.passive": passive,
+        "integrator.step": step,
+    }
     model = three_tendon(build, [SOLIDS[solid]], 0.6, changes=changes)
     simulation, total = Simulation(model), []
     speed = np.zeros(model.coordinate_count)

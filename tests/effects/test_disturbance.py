@@ -1,4 +1,5 @@
-"""Disturbances and moving bases: virtual work of loads, their functions of time, inertia forces, and the pose of what moves along."""
+"""Disturbances and moving bases: virtual work of loads, their functions of time, inertia forces,
+and the pose of what moves along."""
 
 import numpy as np
 import pytest
@@ -21,20 +22,28 @@ def loads(*tables):
 @pytest.mark.no_jit
 @pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place):
-    """F = d(force . r)/dq of the backbone itself, to fourth order in the distance of the nodes, in the first interval too."""
+    """F = d(force . r)/dq of the backbone itself, to fourth order in the distance of the nodes, in
+    the first interval too."""
     changes = {"quadrature.intervals": 8, **loads({"at": place, "force": FORCE})}
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
     q = np.array([1.0, 4.0, -3.0])
     work = slope(lambda at: model.backbone_at(at, [place])[0, :3, 3], q, 1e-5).T @ FORCE
-    np.testing.assert_allclose(model.terms(q, 0 * q).external_force, work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
+    np.testing.assert_allclose(
+        model.terms(q, 0 * q).external_force, work, rtol=0.0, atol=1e-4 * 0.024
+    )  # of the largest, that at the tip
 
 
 def test_a_pulse_is_there_from_its_start_to_its_end(build):
-    """At borders of steps it begins and ends as a constant load does that is put on and taken off; at rest it is not there."""
+    """At borders of steps it begins and ends as a constant load does that is put on and taken off;
+    at rest it is not there."""
     load = {"at": 0.21, "force": [0.0, 0.1, 0.0], "moment": [0.0, 0.0, 0.01]}
-    plain = build("three_tendon", loads({**load, "force": [0.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}))
+    plain = build(
+        "three_tendon", loads({**load, "force": [0.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]})
+    )
     signal = {"type": "pulse", "start": 0.1, "duration": 0.06}
-    pushed, pulse = (build("three_tendon", loads(table)) for table in (load, {**load, "signal": signal}))
+    pushed, pulse = (
+        build("three_tendon", loads(table)) for table in (load, {**load, "signal": signal})
+    )
     state = Simulation(plain).state
     for model, duration in ((plain, 0.1), (pushed, 0.06), (plain, 0.14)):
         state = simulate(model, [1.0, 0.0, 2.0], duration, 0.02, initial=state).final
@@ -48,10 +57,19 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
     """One coordinate: the amplitude of M q'' + D q' + K q = F sin(omega t) once it has settled."""
     frequency, force = 1.5, 2e-4
     signal = {"type": "sine", "frequency": frequency, "phase": 40.0}
-    model = uniform(("bend_z",), 0, {**loads({"at": LENGTH, "force": [0.0, force, 0.0], "signal": signal}), "integrator.step": 2e-3})
+    model = uniform(
+        ("bend_z",),
+        0,
+        {
+            **loads({"at": LENGTH, "force": [0.0, force, 0.0], "signal": signal}),
+            "integrator.step": 2e-3,
+        },
+    )
     constant = uniform(("bend_z",), 0, loads({"at": LENGTH, "force": [0.0, force, 0.0]}))
     terms, omega = constant.terms([0.0], [0.0]), 2 * np.pi * frequency
-    expected = terms.external_force / np.abs(terms.stiffness - omega**2 * terms.mass + 1j * omega * terms.damping)
+    expected = terms.external_force / np.abs(
+        terms.stiffness - omega**2 * terms.mass + 1j * omega * terms.damping
+    )
     motion = simulate(model, np.zeros(3), 40.0, 0.01)
     settled = motion.q[motion.time > 35.0, 0]
     np.testing.assert_allclose(0.5 * np.ptp(settled), expected.item(), rtol=5e-3)
@@ -60,7 +78,9 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
 
 
 def moving(build, name="three_tendon", **motion):
-    return build(name, {**STIFF, **{f"effects.moving_base.{key}": value for key, value in motion.items()}})
+    return build(
+        name, {**STIFF, **{f"effects.moving_base.{key}": value for key, value in motion.items()}}
+    )
 
 
 def motion_of(model, tension=None, seconds=0.4):
@@ -70,19 +90,32 @@ def motion_of(model, tension=None, seconds=0.4):
 
 
 def test_constant_acceleration_is_gravity_the_other_way(build):
-    """Einstein's lift: relative to a base with acceleration a the arm moves as it does at rest under gravity -a."""
+    """Einstein's lift: relative to a base with acceleration a the arm moves as it does at rest
+    under gravity -a."""
     a, tension = np.array([0.0, -2.0, 5.0]), np.array([2.0, 0.0, 1.0])
     accelerated = motion_of(moving(build, acceleration=a.tolist()), tension)
-    heavy = motion_of(build("three_tendon", {**STIFF, "effects.gravity.acceleration": (-a).tolist()}), tension)
+    heavy = motion_of(
+        build("three_tendon", {**STIFF, "effects.gravity.acceleration": (-a).tolist()}), tension
+    )
     lift = 0.5 * a * accelerated.time[:, None] ** 2
-    np.testing.assert_allclose(accelerated.tip_pose[:, :3, 3] - lift, heavy.tip_pose[:, :3, 3], atol=1e-9)
-    np.testing.assert_allclose(accelerated.tip_pose[:, :3, :3], heavy.tip_pose[:, :3, :3], atol=1e-9)
+    np.testing.assert_allclose(
+        accelerated.tip_pose[:, :3, 3] - lift, heavy.tip_pose[:, :3, 3], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        accelerated.tip_pose[:, :3, :3], heavy.tip_pose[:, :3, :3], atol=1e-9
+    )
 
 
 @pytest.mark.no_jit
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
-    """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand still."""
-    motion = {"velocity": [0.1, 0.2, -0.3], "acceleration": [1.0, -0.5, 2.0], "amplitude": [0.1, 0.0, 0.2], "axis": [1.0, 2.0, -1.0]}
+    """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand
+    still."""
+    motion = {
+        "velocity": [0.1, 0.2, -0.3],
+        "acceleration": [1.0, -0.5, 2.0],
+        "amplitude": [0.1, 0.0, 0.2],
+        "axis": [1.0, 2.0, -1.0],
+    }
     model = moving(build, **motion, angular_velocity=3.0, angular_amplitude=0.4, frequency=0.7)
     q, still, work, h = np.array([1.0, 0.5, 2.0]), np.zeros(3), make_workspace(model.arm), 1e-4
 
@@ -92,9 +125,15 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
         assert evaluate(model.arm, still, q, still, 1e-12, work) == -1
         g, tip = np.eye(4), work.pose.reshape(-1, 12, 4)[-1, :, -1]
         g[:3, :3], g[:3, 3] = tip[:9].reshape(3, 3), tip[9:]
-        return g, work.eta.reshape(-1, 6, 4)[-1, :, -1].copy(), work.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy()
+        return (
+            g,
+            work.eta.reshape(-1, 6, 4)[-1, :, -1].copy(),
+            work.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy(),
+        )
 
-    (before, eta_before, _), (g, eta, eta_bias), (after, eta_after, _) = (node(0.3 + dt) for dt in (-h, 0.0, h))
+    (before, eta_before, _), (g, eta, eta_bias), (after, eta_after, _) = (
+        node(0.3 + dt) for dt in (-h, 0.0, h)
+    )
     twist = np.linalg.inv(g) @ (after - before) / (2.0 * h)
     found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])
     np.testing.assert_allclose(eta, found, rtol=1e-6, atol=1e-6)

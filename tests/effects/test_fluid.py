@@ -1,4 +1,5 @@
-"""Fluid: drag, added mass and buoyancy against closed forms, and the powers that they take and give."""
+"""Fluid: drag, added mass and buoyancy against closed forms, and the powers that they take and
+give."""
 
 import numpy as np
 import pytest
@@ -22,7 +23,11 @@ FLAT = {
 def test_deflection_in_a_cross_stream(uniform):
     """A uniform load w = 1/2 rho C_n 2 r U^2 bends a cantilever by w L^4 / (8 E I) at the tip."""
     speed = 0.01
-    model = uniform(("bend_y", "bend_z"), 2, {"effects.fluid": {"density": 1000.0, "current": [0.0, 0.0, speed], "normal_drag": 1.2}})
+    model = uniform(
+        ("bend_y", "bend_z"),
+        2,
+        {"effects.fluid": {"density": 1000.0, "current": [0.0, 0.0, speed], "normal_drag": 1.2}},
+    )
     tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
     load = 0.5 * 1000.0 * 1.2 * 2 * RADIUS * speed**2
     np.testing.assert_allclose(tip[2], load * LENGTH**4 / (8 * YOUNG * INERTIA), rtol=2e-3)
@@ -30,10 +35,17 @@ def test_deflection_in_a_cross_stream(uniform):
 
 
 @pytest.mark.no_jit
-def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(uniform, workspace_at, slope):
-    """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the frame of the slice, by differences."""
+def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
+    uniform, workspace_at, slope
+):
+    """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the
+    frame of the slice, by differences."""
     current = np.array([0.3, -0.2, 0.5])
-    fluid = {"effects.fluid": {"density": 1000.0, "current": current.tolist()}, **NO_DRAG, "quadrature.intervals": 4}
+    fluid = {
+        "effects.fluid": {"density": 1000.0, "current": current.tolist()},
+        **NO_DRAG,
+        "quadrature.intervals": 4,
+    }
     model = uniform(("torsion", "bend_y", "bend_z"), 0, fluid)
     n, added = 3, model.scene.effects.fluid
     q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
@@ -44,7 +56,9 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
         pose = np.moveaxis(work.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
         J = np.moveaxis(work.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
         U = np.einsum("iab,a->ib", pose[:, :9].reshape(-1, 3, 3), current) * [0.0, 1.0, 1.0]
-        return np.append(-np.einsum("i,nia,ia->n", mass, J, U), 0.5 * np.einsum("i,ia,ia->", mass, U, U))
+        return np.append(
+            -np.einsum("i,nia,ia->n", mass, J, U), 0.5 * np.einsum("i,ia,ia->", mass, U, U)
+        )
 
     gradient = slope(parts, q, 1e-5)
     momentum, potential = gradient[:n], gradient[n]
@@ -54,22 +68,40 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
 
 
 def test_a_flat_section_with_discs(uniform):
-    """What moves along y is as wide as the height, and discs add their rims, faces and volume beyond the rod."""
+    """What moves along y is as wide as the height, and discs add their rims, faces and volume
+    beyond the rod."""
     fluid = {"density": 1000.0, "normal_drag": 1.0, "tangential_drag": 0.0, "disc_drag": 1.0}
     model = uniform(changes={**FLAT, "effects.fluid": fluid, "quadrature.intervals": 6})
     found = model.scene.effects.fluid.parameters(model.discretisation)
-    rod = model.discretisation.over_nodes(lambda arc_length: np.ones((arc_length.size, 1))).sum()  # length, less the share of the base
+    rod = model.discretisation.over_nodes(
+        lambda arc_length: np.ones((arc_length.size, 1))
+    ).sum()  # length, less the share of the base
     y, z = ((500.0 * (rod * width + 3 * (0.04 - width) * 0.002)) for width in (0.02, 0.004))
-    for part, total in ((found.normal_y**1.5, y), (found.normal_z**1.5, z), (found.tangential, 1500.0 * (np.pi * 4e-4 - 8e-5))):
+    for part, total in (
+        (found.normal_y**1.5, y),
+        (found.normal_z**1.5, z),
+        (found.tangential, 1500.0 * (np.pi * 4e-4 - 8e-5)),
+    ):
         np.testing.assert_allclose(part.sum(), total, rtol=1e-3)
-    np.testing.assert_allclose(found.displaced.sum(), 1e3 * (8e-5 * rod + 3 * 0.002 * (np.pi * 4e-4 - 8e-5)), rtol=1e-3)
-    np.testing.assert_allclose(found.added_y.sum(), 1e3 * np.pi * (1e-4 * rod + 3 * 0.002 * 3e-4), rtol=1e-3)
+    np.testing.assert_allclose(
+        found.displaced.sum(), 1e3 * (8e-5 * rod + 3 * 0.002 * (np.pi * 4e-4 - 8e-5)), rtol=1e-3
+    )
+    np.testing.assert_allclose(
+        found.added_y.sum(), 1e3 * np.pi * (1e-4 * rod + 3 * 0.002 * 3e-4), rtol=1e-3
+    )
 
 
-@pytest.mark.parametrize("shape", [pytest.param({}, marks=pytest.mark.no_jit, id="round"), pytest.param(FLAT, id="flat")])
+@pytest.mark.parametrize(
+    "shape", [pytest.param({}, marks=pytest.mark.no_jit, id="round"), pytest.param(FLAT, id="flat")]
+)
 def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, shape):
-    """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose share is no damping."""
-    changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4, **shape}
+    """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose
+    share is no damping."""
+    changes = {
+        "effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0},
+        "quadrature.intervals": 4,
+        **shape,
+    }
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
     q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
     work = workspace_at(model, q, v)
@@ -83,6 +115,11 @@ def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, sha
 
 def test_potential_energy(build, slope):
     """Its gradient is the force on the arm at rest."""
-    model, q = build("paper", {**GRAVITY, "effects.fluid.density": 300.0}), np.linspace(0.0, 4.0, 10)
+    model, q = (
+        build("paper", {**GRAVITY, "effects.fluid.density": 300.0}),
+        np.linspace(0.0, 4.0, 10),
+    )
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-4)
-    np.testing.assert_allclose(-gradient, model.terms(q, 0 * q).external_force, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        -gradient, model.terms(q, 0 * q).external_force, rtol=1e-6, atol=1e-9
+    )

@@ -9,25 +9,44 @@ from soft_tendon_env.model.statics import static_equilibrium
 RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
 ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
-LAW = {"effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}}
+LAW = {
+    "effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}
+}
 ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
-TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
+TWO = {
+    "effects.viscoelastic_memory.branches": [
+        {"modulus": 0.5, "relaxation_time": 0.1},
+        {"modulus": 2.0, "relaxation_time": 0.01},
+    ]
+}
 
 
 @pytest.mark.no_jit
 @pytest.mark.parametrize("curvature", [0.5, 4.0, 12.0])
 def test_uniform_bending(uniform, curvature):
     """M = E I k (1 + (k / k0)^2), under a moment that follows the tip."""
-    moment = YOUNG * INERTIA * curvature * (1.0 + (curvature / 4.0) ** 2)  # of the law at this strain
-    load = {"effects.tip_load": {"moment": [0.0, 0.0, moment], "frame": "tip"}, "quadrature.intervals": 4}
-    found = static_equilibrium(uniform(("bend_z", "stretch", "shear_y"), 0, {**LAW, **load}), np.zeros(3))
+    moment = (
+        YOUNG * INERTIA * curvature * (1.0 + (curvature / 4.0) ** 2)
+    )  # of the law at this strain
+    load = {
+        "effects.tip_load": {"moment": [0.0, 0.0, moment], "frame": "tip"},
+        "quadrature.intervals": 4,
+    }
+    found = static_equilibrium(
+        uniform(("bend_z", "stretch", "shear_y"), 0, {**LAW, **load}), np.zeros(3)
+    )
     assert found.converged
     np.testing.assert_allclose(found.q, [curvature, 0.0, 0.0], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.no_jit
-def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(uniform, workspace_at, slope):
-    model, q = uniform(ALL, 1, {**LAW, "quadrature.intervals": 4}), 0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05])
+def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
+    uniform, workspace_at, slope
+):
+    model, q = (
+        uniform(ALL, 1, {**LAW, "quadrature.intervals": 4}),
+        0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05]),
+    )
     force = model.terms(q, 0 * q).external_force
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
     np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
@@ -54,7 +73,8 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
 
 @pytest.mark.no_jit
 def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, workspace_at):
-    """s = a (t - tau (1 - exp(-t / tau))) + b (t^2 - 2 tau t + 2 tau^2 (1 - exp(-t / tau))) for e = a t + b t^2, in one step or in many."""
+    """s = a (t - tau (1 - exp(-t / tau))) + b (t^2 - 2 tau t + 2 tau^2 (1 - exp(-t / tau))) for e =
+    a t + b t^2, in one step or in many."""
     model, unit = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
     a, b, tau, end = 1.0, 3.0, 0.1, 0.3
     for steps in (1, 7):
@@ -66,5 +86,7 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
             remember(model.arm, work)
             before, state = work.xi, work.state.copy()
         settled = 1.0 - np.exp(-end / tau)
-        expected = a * (end - tau * settled) + b * (end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled)
+        expected = a * (end - tau * settled) + b * (
+            end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled
+        )
         np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)

@@ -1,4 +1,5 @@
-"""A user's own stiff effects, without derivatives by hand: stable at steps of 20 ms where `implicit` names what they depend on."""
+"""A user's own stiff effects, without derivatives by hand: stable at steps of 20 ms where
+`implicit` names what they depend on."""
 
 import numpy as np
 import pytest
@@ -37,7 +38,9 @@ def spring(parameters, nodes):
     pose, at = last * 12 * LANES + LANES - 1, last * 6 * LANES + LANES - 1
     for k in range(3):
         for i in range(3):
-            force = parameters.stiffness[i] * (parameters.anchor[i] - nodes.pose[pose + (9 + i) * LANES])
+            force = parameters.stiffness[i] * (
+                parameters.anchor[i] - nodes.pose[pose + (9 + i) * LANES]
+            )
             nodes.wrench[at + (3 + k) * LANES] += nodes.pose[pose + (3 * i + k) * LANES] * force
 
 
@@ -52,25 +55,33 @@ def stiff(monkeypatch):
             def parameters(self, rod):
                 return parameters
 
-        return ste.build_model(ste.load_scene("three_tendon").replace({"effects.stiff": {}}), "standard")
+        return ste.build_model(
+            ste.load_scene("three_tendon").replace({"effects.stiff": {}}), "standard"
+        )
 
     return make
 
 
 def simulate_pull(model, seconds):
-    """Simulation after so long under a pull of 3 N, in steps of 20 ms, and how many steps were rejected."""
+    """Simulation after so long under a pull of 3 N, in steps of 20 ms, and how many steps were
+    rejected."""
     simulation = ste.Simulation(model)
-    return simulation, sum(simulation.step([3.0, 0.0, 0.0], 0.02).rejected for _ in range(round(50 * seconds)))
+    return simulation, sum(
+        simulation.step([3.0, 0.0, 0.0], 0.02).rejected for _ in range(round(50 * seconds))
+    )
 
 
 def test_a_stiff_drag_creeps_as_it_should(stiff):
-    """(D + D_drag) q_dot = B u - K to the small inertia; hardly a step is tried again, where it would be thousands otherwise."""
+    """(D + D_drag) q_dot = B u - K to the small inertia; hardly a step is tried again, where it
+    would be thousands otherwise."""
     model = stiff(Drag(RATE))
     simulation, rejected = simulate_pull(model, 2.0)
     terms = model.terms(simulation.state.q, simulation.state.q_dot, time=simulation.state.time)
     drive = terms.actuation @ [3.0, 0.0, 0.0] - terms.elastic_force
     creep = np.linalg.solve(terms.damping + terms.external_damping, drive)
-    np.testing.assert_allclose(simulation.state.q_dot, creep, rtol=0, atol=1e-4 * np.abs(creep).max())
+    np.testing.assert_allclose(
+        simulation.state.q_dot, creep, rtol=0, atol=1e-4 * np.abs(creep).max()
+    )
     assert rejected < 10
 
 

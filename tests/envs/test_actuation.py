@@ -1,4 +1,5 @@
-"""From actions to tensions, and commands on their way: elastic tendons, actuators that lag and are late, friction, states in mid-delay."""
+"""From actions to tensions, and commands on their way: elastic tendons, actuators that lag and are
+late, friction, states in mid-delay."""
 
 import numpy as np
 import pytest
@@ -25,15 +26,22 @@ def test_tensions_go_from_limit_to_limit():
     np.testing.assert_allclose(tension_after(env, [-1.0, 0.0, 1.0]), [-1.0, 1.0, 3.0])
 
 
-@pytest.mark.cases("limits, start", [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)])
+@pytest.mark.cases(
+    "limits, start",
+    [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)],
+)
 @pytest.mark.cases("action", ["tension", "increment"])
 def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start, action):
-    env = TipPoseEnv(**SMALL, tension_limits=limits, action=action, observation=["last_action", "rates"])
+    env = TipPoseEnv(
+        **SMALL, tension_limits=limits, action=action, observation=["last_action", "rates"]
+    )
     observation, _ = env.reset(seed=0)
     np.testing.assert_array_equal(env.episodes.tension[0], start)
     begun = env.episodes.arms.reading.tip_pose[0].copy()
     still = np.zeros(3) if action == "increment" else observation[:3].astype(float)
-    assert action == "increment" or np.allclose(limits[0] + 0.5 * np.ptp(limits) * (still + 1.0), start, atol=1e-6)
+    assert action == "increment" or np.allclose(
+        limits[0] + 0.5 * np.ptp(limits) * (still + 1.0), start, atol=1e-6
+    )
     assert not observation[env.episodes.layout.slices["rates"]].any()
     for _ in range(5):
         env.step(still)
@@ -43,20 +51,27 @@ def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start,
 def test_increments_add_up_within_their_rate_and_the_limits():
     env = TipPoseEnv(**SMALL, tension_rate=50.0)  # 1 N a step
     np.testing.assert_allclose(tension_after(env, [1.0, 0.5, -1.0]), [1.0, 0.5, 0.0])
-    np.testing.assert_allclose(tension_after(env, [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]), [2.0, 1.0, 1.0])  # no wind-up at the limit
+    np.testing.assert_allclose(
+        tension_after(env, [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]), [2.0, 1.0, 1.0]
+    )  # no wind-up at the limit
     np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
     np.testing.assert_allclose(tension_after(env, *[[1.0] * 3] * 9, [-1.0] * 3), 4.0)
     np.testing.assert_array_equal(tension_after(env), 0.0)
 
 
 def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
-    springs = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()}}
+    springs = {
+        "scene": "three_tendon",
+        "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()},
+    }
     env = TipPoseEnv(scene=springs, fidelity="fast", action="tension")
     env.reset(seed=0)
     action = np.array([0.5, -1.0, -1.0])
     for _ in range(1000):
         env.step(action)
-    found, tension = commanded_equilibrium(env.model, LIMITS[0] + 0.5 * np.ptp(LIMITS) * (action + 1.0))
+    found, tension = commanded_equilibrium(
+        env.model, LIMITS[0] + 0.5 * np.ptp(LIMITS) * (action + 1.0)
+    )
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], found.tip_pose, atol=1e-6)
     np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
     assert tension.max() > 0.5 and tension.min() == 0.0, "one is slack"

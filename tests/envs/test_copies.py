@@ -1,4 +1,5 @@
-"""Copies, pickles and forks of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
+"""Copies, pickles and forks of environments go on from where these are, bit for bit, with
+everything hidden, and by themselves."""
 
 import copy
 import pickle
@@ -22,14 +23,40 @@ MEMORY = {
 }
 BALL = {"type": "sphere", "radius": 0.02, "position": [0.15, 0.06, 0.0]}
 AMONG = {"scene": "three_tendon", "effects.contact": {"obstacles": [BALL]}}
-DRAWN = {"randomize": {"effects": {"gravity.acceleration": {"factor": [0.5, 1.0]}}, "latency": [0.0, 0.07], "noise": {"length": 1e-3}}}
+DRAWN = {
+    "randomize": {
+        "effects": {"gravity.acceleration": {"factor": [0.5, 1.0]}},
+        "latency": [0.0, 0.07],
+        "noise": {"length": 1e-3},
+    }
+}
 KINDS = {
     "plain": SMALL,
-    "memory": {**SMALL, "scene": MEMORY, **DRAWN, "history": 2, "observation": "measurable", "sensors": 2},
-    "increments": {**SMALL, "action": "increment", "tension_limits": [1.0, 12.0], "target": "steps"},
+    "memory": {
+        **SMALL,
+        "scene": MEMORY,
+        **DRAWN,
+        "history": 2,
+        "observation": "measurable",
+        "sensors": 2,
+    },
+    "increments": {
+        **SMALL,
+        "action": "increment",
+        "tension_limits": [1.0, 12.0],
+        "target": "steps",
+    },
     "obstacles": {**SMALL, "scene": AMONG, "observation": ["coordinates", "target_error"]},
-    "held": {**SMALL, "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}, "target": "hold"},
-    "spline": {**SMALL, "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}, "sensors": [0.1]},
+    "held": {
+        **SMALL,
+        "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]},
+        "target": "hold",
+    },
+    "spline": {
+        **SMALL,
+        "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]},
+        "sensors": [0.1],
+    },
 }
 COPIES = {
     "deepcopy": copy.deepcopy,
@@ -43,12 +70,15 @@ def play(env, seed, steps, reset=True):
     """What steps with random actions give, and after them a reset and another step."""
     actions = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps, *env.action_space.shape))
     found = [env.step(action) for action in actions]
-    return [*found, env.reset(), env.step(actions[0]), env.action_space.sample()] if reset else found
+    return (
+        [*found, env.reset(), env.step(actions[0]), env.action_space.sample()] if reset else found
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
-    """With Gymnasium's wrappers around, which count steps. Neither is changed by what the other does."""
+    """With Gymnasium's wrappers around, which count steps. Neither is changed by what the other
+    does."""
     task = "Shape" if kind == "spline" else "TipPose"
     env = gym.make(IDS[task], max_episode_steps=30, **KINDS[kind])
     env.reset(seed=6)
@@ -58,7 +88,9 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
     first = play(copies[0], 1, 19)  # which ends an episode, for it alone
     assert first[18][3] and not first[17][3]
     expected = play(env, 1, 19)
-    assert all(same(expected, found) for found in (first, *(play(other, 1, 19) for other in copies[1:])))
+    assert all(
+        same(expected, found) for found in (first, *(play(other, 1, 19) for other in copies[1:]))
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +112,11 @@ def test_copies_of_rows_go_on_alike_and_by_themselves(made, kind, mode, everythi
     copies = [make(env) for make in COPIES.values()]
 
     def lived(env):
-        begun = env.reset(options={"reset_mask": np.array([True, False, True, False])}) if mode == "disabled" else None
+        begun = (
+            env.reset(options={"reset_mask": np.array([True, False, True, False])})
+            if mode == "disabled"
+            else None
+        )
         return begun, *play(env, 1, 2), env.state[3].q, env.timed_out
 
     expected = lived(copies[0])
@@ -96,7 +132,9 @@ def test_what_is_recorded_is_not_copied(tmp_path):
     env = RecordRollout(TipPoseEnv(**SMALL), tmp_path / "a.rrd")
     env.reset(seed=0)
     for copied in COPIES.values():
-        with pytest.raises(TypeError, match="a.rrd cannot be copied: copy an environment without RecordRollout"):
+        with pytest.raises(
+            TypeError, match="a.rrd cannot be copied: copy an environment without RecordRollout"
+        ):
             copied(env)
     copy.deepcopy(env.unwrapped).step(np.zeros(3))
     env.close()
@@ -118,16 +156,22 @@ def run_in_a_fork(act):
 
 def step_randomly(env, seed, steps=4):
     """What some steps give, rejected steps and everything else that info says included."""
-    return [env.step(action) for action in np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, ROWS, 3))]
+    return [
+        env.step(action)
+        for action in np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, ROWS, 3))
+    ]
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 def test_a_forked_child_and_its_parent_go_on_alike(same):
-    """The child has threads of its own and closes them; its parent's may be handed work, or be stopped, when it is forked."""
+    """The child has threads of its own and closes them; its parent's may be handed work, or be
+    stopped, when it is forked."""
     env = TipPoseVectorEnv(ROWS, threads=3, scene="three_tendon", fidelity="fast")
     env.reset(seed=0)
     step_randomly(env, 1)
-    assert sum(thread.name.startswith("ThreadPoolExecutor") for thread in threading.enumerate()) >= 2
+    assert (
+        sum(thread.name.startswith("ThreadPoolExecutor") for thread in threading.enumerate()) >= 2
+    )
 
     def act():
         before = threading.active_count()

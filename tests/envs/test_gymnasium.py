@@ -32,22 +32,32 @@ def test_the_checker_has_nothing_to_say(mode):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["three_tendon", "explicit", pytest.param("loads inside", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["three_tendon", "explicit", pytest.param("loads inside", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("task", IDS)
 def test_the_checker_has_nothing_to_say_about_random_arms(task, name, arms, everything):
     arm = arms[name]
-    check_env(gym.make(IDS[task], **arm, randomize=everything, **SENSORS).unwrapped, skip_render_check=True)
+    check_env(
+        gym.make(IDS[task], **arm, randomize=everything, **SENSORS).unwrapped,
+        skip_render_check=True,
+    )
 
 
 @pytest.mark.parametrize("longest", [None, 7, 700])
 def test_episodes_are_truncated_in_time(longest):
-    env = gym.make(IDS["TipPose"], **SMALL, **({} if longest is None else {"max_episode_steps": longest}))
+    env = gym.make(
+        IDS["TipPose"], **SMALL, **({} if longest is None else {"max_episode_steps": longest})
+    )
     env.reset(seed=0)
     ends = [env.step(np.zeros(3))[2:4] for _ in range(longest or 500)]
     assert ends == [(False, False)] * (len(ends) - 1) + [(False, True)]
 
 
-@pytest.mark.parametrize("mode, kind", [(None, TipPoseVectorEnv), ("vector_entry_point", TipPoseVectorEnv), ("sync", SyncVectorEnv)])
+@pytest.mark.parametrize(
+    "mode, kind",
+    [(None, TipPoseVectorEnv), ("vector_entry_point", TipPoseVectorEnv), ("sync", SyncVectorEnv)],
+)
 def test_vector_environments_are_made_in_every_mode(mode, kind):
     env = gym.make_vec(IDS["TipPose"], num_envs=2, vectorization_mode=mode, **SMALL)
     assert isinstance(env.unwrapped, kind)

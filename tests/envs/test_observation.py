@@ -1,4 +1,5 @@
-"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit, clipped and cast."""
+"""The observation's layout: groups side by side in the order of the table, each the thing it names
+over its unit, clipped and cast."""
 
 import numpy as np
 import pytest
@@ -10,8 +11,15 @@ from soft_tendon_env.envs.observation import GROUPS
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
 KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
-HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
-NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
+HISTORY = {
+    "observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"],
+    "history": 3,
+}
+NOISY = {
+    "noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4},
+    "latency": 0.03,
+    "tension_gain": [0.9, 1.1],
+}
 
 
 @pytest.mark.parametrize("task", KINDS)
@@ -20,9 +28,16 @@ def test_groups_are_those_of_the_docstring_side_by_side(task):
     slices = env.episodes.layout.slices
     assert ", ".join(slices) in " ".join(type(env).__doc__.split())
     ends = [where.stop for where in slices.values()]
-    assert [where.start for where in slices.values()] == [0, *ends[:-1]] and env.episodes.layout.space.shape == (ends[-1],)
+    assert [where.start for where in slices.values()] == [
+        0,
+        *ends[:-1],
+    ] and env.episodes.layout.space.shape == (ends[-1],)
     space = env.observation_space
-    assert space.dtype == np.float32 if task != "Reach" else set(space.spaces) == {"observation", "achieved_goal", "desired_goal"}
+    assert (
+        space.dtype == np.float32
+        if task != "Reach"
+        else set(space.spaces) == {"observation", "achieved_goal", "desired_goal"}
+    )
 
 
 def log(g):
@@ -32,7 +47,13 @@ def log(g):
 
 def test_groups_are_what_they_say(arm):
     sensors = [0.0, 0.1, 0.3]
-    env = ShapeEnv(**{**arm, "fidelity": "fine"}, action="tension", observation=[*GROUPS], sensors=sensors, preview=[0.1])
+    env = ShapeEnv(
+        **{**arm, "fidelity": "fine"},
+        action="tension",
+        observation=[*GROUPS],
+        sensors=sensors,
+        preview=[0.1],
+    )
     env.reset(seed=0)
     action = np.array([0.4, -0.9, 0.1])
     for _ in range(12):
@@ -59,29 +80,40 @@ def test_groups_are_what_they_say(arm):
         "command": 0.5 * (action + 1.0),
         "target_coordinates": (target_q[0] - q) / unit,
         "coordinate_preview": (target_q[1] - q) / unit,
-        "strain_rate": (model.strain_at(q, sensors)[1] @ q_dot).ravel() / np.tile(np.repeat([10 / L, 1.0], 3), 3),
+        "strain_rate": (model.strain_at(q, sensors)[1] @ q_dot).ravel()
+        / np.tile(np.repeat([10 / L, 1.0], 3), 3),
         "wanted_coordinates": (target_q / unit).ravel(),
         "target_lengths": (model.tendon_lengths(target_q[0]) - model.tendon_lengths(q)) / (0.1 * L),
         "last_action": action,
     }
     for name, value in expected.items():
         found = observation[episodes.layout.slices[name]]
-        np.testing.assert_allclose(found, np.clip(value, -10, 10), rtol=1e-5, atol=2e-6, err_msg=name)
+        np.testing.assert_allclose(
+            found, np.clip(value, -10, 10), rtol=1e-5, atol=2e-6, err_msg=name
+        )
     strain = observation[episodes.layout.slices["strain"]].reshape(3, 6)
     h = 1e-5
     for place, seen in zip(sensors, strain, strict=True):
         a, b = np.clip([place - h, place + h], 0.0, L)
         before, after = model.backbone_at(q, [a, b])
         xi = log(np.linalg.solve(before, after)) / (b - a)
-        np.testing.assert_allclose(seen * np.repeat([1 / L, 0.1], 3), xi - [0, 0, 0, 1, 0, 0], atol=2e-2, err_msg=f"strain at {place}")
+        np.testing.assert_allclose(
+            seen * np.repeat([1 / L, 0.1], 3),
+            xi - [0, 0, 0, 1, 0, 0],
+            atol=2e-2,
+            err_msg=f"strain at {place}",
+        )
 
 
 def units(model):
-    """Coordinates that bend the arm by about a radian each: half their stiffness is the energy of that."""
+    """Coordinates that bend the arm by about a radian each: half their stiffness is the energy of
+    that."""
     segment = model.scene.segments[0]
     bending = segment.young_modulus * np.pi * segment.radius**4 / 4
     n = model.coordinate_count
-    return np.sqrt(bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness))
+    return np.sqrt(
+        bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness)
+    )
 
 
 def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_always_so(arm):
@@ -98,7 +130,9 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
         assert len(np.unique(now[:, 0])) == len(now)  # of noise at least
         for time, observation in enumerate(seen):
             past = observation[slices["history"]].reshape(3, -1)
-            np.testing.assert_array_equal(past, (now[np.maximum(time - np.arange(1, 4), 0)] - now[time]) / np.float32(0.1))
+            np.testing.assert_array_equal(
+                past, (now[np.maximum(time - np.arange(1, 4), 0)] - now[time]) / np.float32(0.1)
+            )
 
 
 @pytest.mark.no_jit
@@ -110,5 +144,9 @@ def test_values_are_scaled_then_clipped_then_cast():
     found = np.empty((7, 5), dtype=np.float32)
     scale_and_clip(values, scale, bound, found)
     np.testing.assert_array_equal(found, np.clip(values * scale, -bound, bound).astype(np.float32))
-    assert np.isnan(found[0, 2]) and np.isnan(found[1, 1]) and np.isfinite(found).sum() == found.size - 2
+    assert (
+        np.isnan(found[0, 2])
+        and np.isnan(found[1, 1])
+        and np.isfinite(found).sum() == found.size - 2
+    )
     assert (np.abs(values * scale) > bound).any() and (np.abs(values * scale) < bound).any()

@@ -1,4 +1,5 @@
-"""What an episode draws: a row's material is that of a scene with the same changes; actuators and sensors err as they say."""
+"""What an episode draws: a row's material is that of a scene with the same changes; actuators and
+sensors err as they say."""
 
 import numpy as np
 import pytest
@@ -11,20 +12,30 @@ STEPS = 25
 
 def commands(env, seed=0):
     """Random actions (STEPS, n_a) and their tensions [N]."""
-    actions = np.random.default_rng(seed).uniform(-1.0, 1.0, (STEPS, env.episodes.model.tendon_count))
+    actions = np.random.default_rng(seed).uniform(
+        -1.0, 1.0, (STEPS, env.episodes.model.tendon_count)
+    )
     least, greatest = env.episodes.limits.T
     return actions, least + 0.5 * (greatest - least) * (actions + 1.0)
 
 
-EXPLICIT = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+EXPLICIT = {
+    "type": "explicit",
+    "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}],
+}
 LOADED = {"strain": EXPLICIT, "effects.gravity.acceleration": [0.0, 0.0, -3.0]}
 
 
-@pytest.mark.parametrize("changes, factor", [({}, 1.3), (LOADED, 1.0)], ids=["statics-based", "explicit"])
+@pytest.mark.parametrize(
+    "changes, factor", [({}, 1.3), (LOADED, 1.0)], ids=["statics-based", "explicit"]
+)
 def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
-    """Coordinates of a statics-based strain make the same shape of a stiffer rod where they are as much greater."""
+    """Coordinates of a statics-based strain make the same shape of a stiffer rod where they are as
+    much greater."""
     target = {"type": "hold", "tension": [2.0, 1.0, 0.5]}
-    env = ShapeEnv(scene={"scene": "three_tendon", **changes}, target=target, randomize={"stiffness": 1.3})
+    env = ShapeEnv(
+        scene={"scene": "three_tendon", **changes}, target=target, randomize={"stiffness": 1.3}
+    )
     env.reset(seed=0)
     episodes, one = env.episodes, np.arange(1)
     wanted = episodes.target.q[:, 0].copy()
@@ -36,13 +47,18 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
 
 
 def acting_tensions(env, actions, seed=0):
-    """The tensions (20 steps, n_a) that acted in every millisecond of control periods of 20 ms, and the observations."""
+    """The tensions (20 steps, n_a) that acted in every millisecond of control periods of 20 ms, and
+    the observations."""
     episodes, tensions = env.episodes, []
     apply = episodes.actuation.apply
 
     def noted(action, members):
         commands, durations = apply(action, members)
-        ends = np.cumsum(np.full(commands.shape[1], 0.02 / commands.shape[1]) if durations is None else durations[0])
+        ends = np.cumsum(
+            np.full(commands.shape[1], 0.02 / commands.shape[1])
+            if durations is None
+            else durations[0]
+        )
         assert abs(ends[-1] - 0.02) < 1e-15
         tensions.append(commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))])
         return commands, durations
@@ -57,20 +73,34 @@ def acting_tensions(env, actions, seed=0):
 @pytest.mark.parametrize("milliseconds", [13, 20, 100])
 def test_latency_delays_the_tensions_by_any_time(milliseconds):
     """What came before is the start's tension, zero."""
-    options = {**SMALL, "scene": {"scene": "three_tendon", "integrator.step": 0.01}, "fidelity": "scene"}
-    prompt, late = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"latency": 0.001 * milliseconds})
+    options = {
+        **SMALL,
+        "scene": {"scene": "three_tendon", "integrator.step": 0.01},
+        "fidelity": "scene",
+    }
+    prompt, late = (
+        TipPoseEnv(**options),
+        TipPoseEnv(**options, randomize={"latency": 0.001 * milliseconds}),
+    )
     actions, tensions = commands(prompt)
     fine = np.repeat(tensions, 20, axis=0)
     np.testing.assert_array_equal(acting_tensions(prompt, actions)[0], fine)
     expected = np.concatenate([np.zeros((milliseconds, 3)), fine])[: len(fine)]
     np.testing.assert_array_equal(acting_tensions(late, actions)[0], expected)
-    np.testing.assert_array_equal(acting_tensions(late, actions)[0], expected)  # nothing is left of the last episode
+    np.testing.assert_array_equal(
+        acting_tensions(late, actions)[0], expected
+    )  # nothing is left of the last episode
 
 
 def test_gains_and_offsets_act_on_tensions():
-    plain, wrong = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5})
+    plain, wrong = (
+        TipPoseEnv(**SMALL),
+        TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5}),
+    )
     actions, tensions = commands(plain)
-    np.testing.assert_allclose(acting_tensions(wrong, actions)[0][::20], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15)
+    np.testing.assert_allclose(
+        acting_tensions(wrong, actions)[0][::20], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15
+    )
     drawn = TipPoseEnv(**SMALL, randomize={"tension_gain": [0.8, 1.2]})
     ratio = acting_tensions(drawn, actions)[0][::20] / tensions
     np.testing.assert_allclose(ratio, np.tile(ratio[0], (STEPS, 1)))
@@ -80,7 +110,15 @@ def test_gains_and_offsets_act_on_tensions():
 def test_noise_is_on_what_is_measured_and_on_nothing_else():
     of_strain = {"curvature": 0.3, "stretch": 0.02, "curvature_rate": 4.0, "stretch_rate": 0.5}
     noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, **of_strain}
-    groups = ["coordinates", "tip_position", "tip_rotation", "tendon_lengths", "strain", "strain_rate", "target_error"]
+    groups = [
+        "coordinates",
+        "tip_position",
+        "tip_rotation",
+        "tendon_lengths",
+        "strain",
+        "strain_rate",
+        "target_error",
+    ]
     options = {**SMALL, "observation": groups, "sensors": [0.1, 0.2]}
     plain, noisy = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"noise": noise})
     seen, infos = {}, {}
@@ -95,7 +133,10 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
     assert infos[plain] == infos[noisy]  # the target is drawn before the sensors' seed
     assert not difference[:, slices["coordinates"]].any()
     length = plain.episodes.model.length
-    for name, deviation in [("tip_position", noise["position"] / length), ("tendon_lengths", noise["length"] / (0.1 * length))]:
+    for name, deviation in [
+        ("tip_position", noise["position"] / length),
+        ("tendon_lengths", noise["length"] / (0.1 * length)),
+    ]:
         assert difference[:, slices[name]].std() == pytest.approx(deviation, rel=0.1)
     strain = difference[:, slices["strain"]].reshape(-1, 2, 2, 3)
     assert strain[:, :, 0].std() == pytest.approx(noise["curvature"] * length, rel=0.1)
@@ -119,7 +160,8 @@ UNDAMPED = {
 
 @pytest.mark.parametrize("drawn", UNDAMPED)
 def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn):
-    """Three columns amplify what nothing damps; damping ratios fall with the viscosity and grow stiffer arms' frequencies."""
+    """Three columns amplify what nothing damps; damping ratios fall with the viscosity and grow
+    stiffer arms' frequencies."""
     options = {**SMALL, "fidelity": None}
     assert TipPoseEnv(**options).model.scene.integrator.columns is None
     env = TipPoseEnv(**options, randomize=UNDAMPED[drawn])
@@ -128,12 +170,20 @@ def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn):
 
 
 def test_what_is_omitted_is_as_the_scene_says():
-    """Of numbers, gains, latency and noise about half each, independently; without noise for the whole episode."""
-    drawn = {"stiffness": [1.2, 1.3], "tension_gain": [0.8, 0.9], "latency": [0.01, 0.02], "noise": {"position": 1e-3}}
+    """Of numbers, gains, latency and noise about half each, independently; without noise for the
+    whole episode."""
+    drawn = {
+        "stiffness": [1.2, 1.3],
+        "tension_gain": [0.8, 0.9],
+        "latency": [0.01, 0.02],
+        "noise": {"position": 1e-3},
+    }
     env = TipPoseVectorEnv(64, threads=1, **SMALL, randomize={**drawn, "omit": 0.5})
     env.reset(seed=0)
     episodes, none = env.episodes, np.zeros((64, 3))
-    modulus = np.array([episodes.arms.model_of(row).scene.segments[0].young_modulus for row in range(64)])
+    modulus = np.array(
+        [episodes.arms.model_of(row).scene.segments[0].young_modulus for row in range(64)]
+    )
     stiffness = modulus / episodes.model.scene.segments[0].young_modulus
     late = np.array([episodes.actuation.delay(row) for row in range(64)])
     noisy = np.zeros((2, 64), dtype=bool)
@@ -141,7 +191,11 @@ def test_what_is_omitted_is_as_the_scene_says():
         noisy[k] = (episodes.observed.tip_pose != episodes.arms.reading.tip_pose).any(axis=(1, 2))
         env.step(none)
     gain = episodes.actuation.gain
-    assert ((gain == 1.0).all(axis=1) | (gain < 0.9).all(axis=1)).all() and (noisy[0] == noisy[1]).all()
+    assert ((gain == 1.0).all(axis=1) | (gain < 0.9).all(axis=1)).all() and (
+        noisy[0] == noisy[1]
+    ).all()
     usual = np.array([stiffness == 1.0, gain[:, 0] == 1.0, late == 0.0, ~noisy[0]])
     assert (usual | np.array([stiffness >= 1.2, gain[:, 0] >= 0.8, late >= 0.01, noisy[0]])).all()
-    assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all() and (np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4).all()
+    assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all() and (
+        np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4
+    ).all()

@@ -1,4 +1,5 @@
-"""Tasks and targets that are registered, from this package and from outside: ids, classes, names in options and in errors."""
+"""Tasks and targets that are registered, from this package and from outside: ids, classes, names in
+options and in errors."""
 
 import pickle
 from dataclasses import replace
@@ -30,7 +31,9 @@ def test_every_task_has_its_classes_and_its_id(name):
 
 def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
     env = gym.make("TendonRod-TipPose-v0", **SMALL)
-    terms = {name.removeprefix("reward_") for name in env.reset(seed=0)[1] if name.startswith("reward_")}
+    terms = {
+        name.removeprefix("reward_") for name in env.reset(seed=0)[1] if name.startswith("reward_")
+    }
     assert env.unwrapped.episodes.options.action == "increment"
     assert terms == {"graded_position", "graded_angle", "effort", "smoothness"}
     assert not [warning for warning in recwarn if "out of date" in str(warning.message)]
@@ -39,10 +42,19 @@ def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
 
 
 def test_a_task_from_outside_is_an_environment(forgotten):
-    register_task(replace(TIP_POSE, name="Hover", target="hold", description="Stay."), max_episode_steps=7)
-    env, envs = gym.make("TendonRod-Hover-v0", **SMALL), gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL)
+    register_task(
+        replace(TIP_POSE, name="Hover", target="hold", description="Stay."), max_episode_steps=7
+    )
+    env, envs = (
+        gym.make("TendonRod-Hover-v0", **SMALL),
+        gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL),
+    )
     like = TipPoseEnv(**SMALL, target="hold")
-    assert type(env.unwrapped).__name__ == "HoverEnv" and type(env.unwrapped).__doc__ == "Stay." and env.spec.max_episode_steps == 7
+    assert (
+        type(env.unwrapped).__name__ == "HoverEnv"
+        and type(env.unwrapped).__doc__ == "Stay."
+        and env.spec.max_episode_steps == 7
+    )
     first, expected = env.reset(seed=3)[0], like.reset(seed=3)[0]
     np.testing.assert_array_equal(first, expected)
     np.testing.assert_array_equal(envs.reset(seed=3)[0][0], expected)
@@ -53,9 +65,15 @@ def test_a_task_from_outside_is_an_environment(forgotten):
 @pytest.mark.cases(
     "changes, message",
     [
-        ({"name": "hover"}, "a task's name should be one word in capitals such as 'TipPose', not 'hover'"),
+        (
+            {"name": "hover"},
+            "a task's name should be one word in capitals such as 'TipPose', not 'hover'",
+        ),
         ({"target": "hld"}, "the task New names 'hld': did you mean 'hold'"),
-        ({"observations": {"full": ("ratse",)}}, "the task New names 'ratse': did you mean 'rates'"),
+        (
+            {"observations": {"full": ("ratse",)}},
+            "the task New names 'ratse': did you mean 'rates'",
+        ),
         ({"observations": {"full": ("target_coordinates",)}}, "names 'target_coordinates'"),
         ({"measured_reference": ("preveiw",)}, "names 'preveiw': did you mean 'preview'"),
     ],
@@ -77,7 +95,12 @@ class Near(Target):
 
 
 def test_a_target_from_outside_is_an_option(forgotten):
-    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, circles, either, file, hold, out_of_reach, ramp"):
+    with pytest.raises(
+        ConfigurationError,
+        match=(
+            "target.type is 'near': valid: circle, circles, either, file, hold, out_of_reach, ramp"
+        ),
+    ):
         Options(target="near")
     assert register_target(Near) is Near and register_target(Near) is Near
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):
@@ -89,7 +112,10 @@ def test_a_target_from_outside_is_an_option(forgotten):
         assert env.unwrapped.target_at([0.0]).tip_pose[0, 0, 3] == 0.2
     with pytest.raises(ConfigurationError, match="target.distance is missing"):
         Options(target="near")
-    with pytest.raises(ConfigurationError, match="target is 'near', which is a pose alone: Shape needs one that is made of tensions"):
+    with pytest.raises(
+        ConfigurationError,
+        match="target is 'near', which is a pose alone: Shape needs one that is made of tensions",
+    ):
         gym.make("TendonRod-Shape-v0", **SMALL, target={"type": "near", "distance": 0.2})
 
 
@@ -97,5 +123,8 @@ def test_a_target_needs_a_name_of_its_own():
     class Other(Target):
         type: Literal["hold"] = "hold"
 
-    with pytest.raises(ValueError, match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.shipped"):
+    with pytest.raises(
+        ValueError,
+        match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.shipped",
+    ):
         register_target(Other)

@@ -1,4 +1,5 @@
-"""Target motions: the poses they say, twists that are their derivatives, shapes that the statics can hold."""
+"""Target motions: the poses they say, twists that are their derivatives, shapes that the statics
+can hold."""
 
 import pickle
 
@@ -30,7 +31,8 @@ def read(env, course, times):
 
 
 def twist_by_differences(poses, h):
-    """Body twists (m, 6) of poses (m, 2, 4, 4), h before and h after: logarithms of the middle's change."""
+    """Body twists (m, 6) of poses (m, 2, 4, 4), h before and h after: logarithms of the middle's
+    change."""
     twists = [np.real(logm(np.linalg.solve(before, after))) / (2 * h) for before, after in poses]
     return np.array([[x[2, 1], x[0, 2], x[1, 0], *x[:3, 3]] for x in twists])
 
@@ -40,7 +42,8 @@ H = 1e-4
 
 
 def test_the_circle_is_the_paper_s():
-    """Radius 0.25 m about (0.95, 0, 0), parallel to the y-z plane; the tip leans outward by 37.8 degrees and does not roll."""
+    """Radius 0.25 m about (0.95, 0, 0), parallel to the y-z plane; the tip leans outward by 37.8
+    degrees and does not roll."""
     pose = CircleCourse(Circle()).sample(np.linspace(0.0, 4.0, 9)).tip_pose
     R, r = pose[:, :3, :3], pose[:, :3, 3]
     np.testing.assert_allclose(r[:, 0], 0.95)
@@ -49,7 +52,9 @@ def test_the_circle_is_the_paper_s():
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
     np.testing.assert_allclose(R[:, 0, 0], np.cos(np.radians(37.8)))
     np.testing.assert_allclose(R[:, 1:, 0], np.sin(np.radians(37.8)) * r[:, 1:] / 0.25, atol=1e-15)
-    axis = np.stack([0 * r[:, 0], -r[:, 2], r[:, 1]], axis=1) / 0.25  # across to where it leans: the axis of the shortest turn
+    axis = (
+        np.stack([0 * r[:, 0], -r[:, 2], r[:, 1]], axis=1) / 0.25
+    )  # across to where it leans: the axis of the shortest turn
     np.testing.assert_allclose(np.einsum("mij,mj->mi", R, axis), axis, atol=1e-15)
     np.testing.assert_allclose(pose[0], pose[-1], atol=1e-15)
     assert np.allclose(pose[0, :3, 3], [0.95, 0.25, 0.0])
@@ -64,12 +69,19 @@ def test_twists_and_rates_are_derivatives(target, arm):
     poses = np.stack([part.tip_pose for part, _ in beside], axis=1)
     np.testing.assert_allclose(reading.tip_twist, twist_by_differences(poses, H), atol=1e-5)
     q_dot = course.coordinates(TIMES)[1]
-    np.testing.assert_allclose(q_dot, (beside[1][1] - beside[0][1]) / (2 * H), atol=1e-5 * max(1.0, np.abs(q_dot).max()))
+    np.testing.assert_allclose(
+        q_dot, (beside[1][1] - beside[0][1]) / (2 * H), atol=1e-5 * max(1.0, np.abs(q_dot).max())
+    )
 
 
-@pytest.mark.parametrize("target", ["random", "ramp", "hold", {"type": "circle", "centre": [0.25, 0.0, 0.0], "radius": 0.1}], ids=str)
+@pytest.mark.parametrize(
+    "target",
+    ["random", "ramp", "hold", {"type": "circle", "centre": [0.25, 0.0, 0.0], "radius": 0.1}],
+    ids=str,
+)
 def test_what_the_environment_shows_is_the_target_now(target, same):
-    """Poses along an episode, chunk after chunk, are those of the course at the steps' times; previews come true."""
+    """Poses along an episode, chunk after chunk, are those of the course at the steps' times;
+    previews come true."""
     env = TipPoseEnv(**SMALL, target=target, preview=[0.1])
     course, _ = course_of(env, 2)
     times, shown, ahead = 0.02 * np.arange(301), [], []
@@ -77,18 +89,29 @@ def test_what_the_environment_shows_is_the_target_now(target, same):
         shown.append(env.episodes.target.tip_pose[0, 0].copy())
         ahead.append(env.episodes.target.tip_pose[0, 1].copy())
         env.step(np.zeros(3))
-    expected = course.sample(times).tip_pose if isinstance(course, CircleCourse) else read(env, course, times)[0].tip_pose
+    expected = (
+        course.sample(times).tip_pose
+        if isinstance(course, CircleCourse)
+        else read(env, course, times)[0].tip_pose
+    )
     np.testing.assert_array_equal(shown, expected)
     np.testing.assert_array_equal(ahead[:-5], shown[5:])
 
 
 @pytest.mark.parametrize("target", ["random", "ramp", "hold", "circle"], ids=str)
 def test_a_target_is_one_function_of_time(target, arm):
-    """The same together, one by one, in any part and any order, far ahead and long before, and in a row of many."""
+    """The same together, one by one, in any part and any order, far ahead and long before, and in a
+    row of many."""
     env = TipPoseEnv(**arm, target=target)
     env.reset(seed=3)
     rng = np.random.default_rng(0)
-    times = np.concatenate([0.02 * np.arange(60), rng.uniform(0.0, 20.0, 60), [-1e-300, -3.3, -1e9, 1e9, 1e18, 1e300, -1e300]])
+    times = np.concatenate(
+        [
+            0.02 * np.arange(60),
+            rng.uniform(0.0, 20.0, 60),
+            [-1e-300, -3.3, -1e9, 1e9, 1e18, 1e300, -1e300],
+        ]
+    )
     together = env.target_at(times)
     assert all(np.isfinite(values).all() for values in together)
     order = rng.permutation(times.size)
@@ -103,11 +126,29 @@ def test_a_target_is_one_function_of_time(target, arm):
 
 DIFFICULT = [
     (TipPoseEnv, "hard", None, {"fraction": 0.6, "knot_period": 0.3}),
-    (TipPoseEnv, "medium", {"type": "random", "knot_period": 2.0}, {"fraction": 0.4, "knot_period": 2.0}),
+    (
+        TipPoseEnv,
+        "medium",
+        {"type": "random", "knot_period": 2.0},
+        {"fraction": 0.4, "knot_period": 2.0},
+    ),
     (ShapeEnv, "easy", {"type": "random"}, {"fraction": 0.25, "knot_period": 1.0}),
     (ReachEnv, "hard", None, {"fraction": 0.6}),
-    (TipPoseEnv, "hard", "circle", "difficulty is 'hard', and the target 'circle' leaves neither fraction nor knot_period open"),
-    (TipPoseEnv, "hard", {"type": "hold", "tension": [1.0, 0.0, 0.0]}, "the target 'hold' leaves neither"),
+    (
+        TipPoseEnv,
+        "hard",
+        "circle",
+        (
+            "difficulty is 'hard', and the target 'circle' leaves neither fraction nor knot_period"
+            " open"
+        ),
+    ),
+    (
+        TipPoseEnv,
+        "hard",
+        {"type": "hold", "tension": [1.0, 0.0, 0.0]},
+        "the target 'hold' leaves neither",
+    ),
     (TipPoseEnv, "hard", {"type": "steps", "fraction": 0.1}, "the target 'steps' leaves neither"),
     (TipPoseEnv, "hrad", None, "difficulty is 'hrad': it should be 'easy', 'medium' or 'hard'"),
 ]
@@ -121,8 +162,12 @@ def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target,
         return
     env = kind(**SMALL, difficulty=difficulty, target=target)
     alike = kind(**SMALL, target={"type": env.task.target, **expected})
-    np.testing.assert_array_equal(*(each.target_at([0.0, 1.0, 7.0]).tip_pose for each in (env, alike) if each.reset(seed=4)))
-    env.set_target("circle" if kind is TipPoseEnv else "hold")  # of which it sets nothing, or what it sets of others
+    np.testing.assert_array_equal(
+        *(each.target_at([0.0, 1.0, 7.0]).tip_pose for each in (env, alike) if each.reset(seed=4))
+    )
+    env.set_target(
+        "circle" if kind is TipPoseEnv else "hold"
+    )  # of which it sets nothing, or what it sets of others
 
 
 @pytest.mark.cases("limits", [None, [-2.0, 4.0], [1.0, 4.0]])
@@ -133,25 +178,44 @@ def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):
     middle = max(least, 0.0)
     for seed in range(5):
         u = course_of(env, seed)[1](np.linspace(0.0, 10.0, 201))
-        assert (u >= middle + 0.5 * (least - middle) - 1e-12).all() and (u <= middle + 0.5 * (greatest - middle) + 1e-12).all()
+        assert (u >= middle + 0.5 * (least - middle) - 1e-12).all() and (
+            u <= middle + 0.5 * (greatest - middle) + 1e-12
+        ).all()
         assert target != "random" or np.ptp(u, axis=0).min() > 0.1
 
 
 def shape_errors(env, course, tension, times, on_path=True):
-    """Distances [m] of the target's tip from where the tensions would hold it at rest, over the rod's length: where a slowly loaded arm
-    goes or, where tensions beside those of rest lead elsewhere, next to the target."""
+    """Distances [m] of the target's tip from where the tensions would hold it at rest, over the
+    rod's length: where a slowly loaded arm goes or, where tensions beside those of rest lead
+    elsewhere, next to the target."""
     reading, q = read(env, course, times)
-    rest = [static_equilibrium(env.episodes.model, u, None if on_path else near) for u, near in zip(tension(times), q, strict=True)]
+    rest = [
+        static_equilibrium(env.episodes.model, u, None if on_path else near)
+        for u, near in zip(tension(times), q, strict=True)
+    ]
     assert all(found.converged and found.stable for found in rest)
     apart = reading.tip_pose[:, :3, 3] - np.array([found.tip_pose[:3, 3] for found in rest])
     return np.linalg.norm(apart, axis=1) / env.episodes.model.length
 
 
 LOADED = {
-    "paper": {"scene": {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.force": [0.0, 0.5, 0.0]}},
-    "redundant": {"scene": {"scene": "four_tendon", "effects.gravity.acceleration": [9.81, 0.0, 0.0], "effects.tip_load.mass": 0.05}},
+    "paper": {
+        "scene": {
+            "scene": "paper",
+            "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+            "effects.tip_load.force": [0.0, 0.5, 0.0],
+        }
+    },
+    "redundant": {
+        "scene": {
+            "scene": "four_tendon",
+            "effects.gravity.acceleration": [9.81, 0.0, 0.0],
+            "effects.tip_load.mass": 0.05,
+        }
+    },
 }
-"""Arms beside those of conftest.py whose targets the statics find: one hangs out from the side, one hangs down."""
+"""Arms beside those of conftest.py whose targets the statics find: one hangs out from the side, one
+hangs down."""
 
 
 @pytest.mark.parametrize(
@@ -183,13 +247,17 @@ UNHELD = {
     "loaded": (None, [500.0, 0.0, 0.0], "% of the load"),
     "explicit": (None, [5e4, 0.0, 0.0], "% of the load"),
 }
-"""Options (None: those of conftest.py), tensions that the arm cannot hold, and what the message says of the limit."""
+"""Options (None: those of conftest.py), tensions that the arm cannot hold, and what the message
+says of the limit."""
 
 
-@pytest.mark.cases("kind, target", [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")])
+@pytest.mark.cases(
+    "kind, target", [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")]
+)
 @pytest.mark.parametrize("where", UNHELD)
 def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, arms):
-    """When the environment is made: with what was given, the tendon, and the part of the load that is reached."""
+    """When the environment is made: with what was given, the tendon, and the part of the load that
+    is reached."""
     options, tension, limit = UNHELD[where]
     options = options or arms[where]
     with pytest.raises(ConfigurationError) as caught:
@@ -202,13 +270,22 @@ def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, a
 @pytest.mark.parametrize(
     "target, where",
     [
-        pytest.param(target, where, marks=[pytest.mark.slow] if (target, where) == ("random", "loaded") else [])
-        for target, places in (("random", ("three_tendon", "redundant", "loaded")), ("hold", ("pushed",)), ("ramp", ("explicit",)))
+        pytest.param(
+            target,
+            where,
+            marks=[pytest.mark.slow] if (target, where) == ("random", "loaded") else [],
+        )
+        for target, places in (
+            ("random", ("three_tendon", "redundant", "loaded")),
+            ("hold", ("pushed",)),
+            ("ramp", ("explicit",)),
+        )
         for where in places
     ],
 )
 def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arms, same):
-    """Limits far beyond it, both ways: every target is a shape that its tensions hold, is none at rest, and is the same for a seed."""
+    """Limits far beyond it, both ways: every target is a shape that its tensions hold, is none at
+    rest, and is the same for a seed."""
     options = UNHELD[where][0] or arms[where]
     env = TipPoseEnv(**options, target=target, tension_limits=[-1e5, 1e5])
     shown = []
@@ -216,7 +293,9 @@ def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arm
         course, tension = course_of(env, seed)
         times = np.linspace(0.0, max(course.tension.knots[-1], 1.0), 23)
         assert shape_errors(env, course, tension, times, on_path=False).max() < 1e-4
-        moved = env.target_at(times).tip_pose[:, :3, 3] - env.episodes.arms.reading.tip_pose[0, :3, 3]
+        moved = (
+            env.target_at(times).tip_pose[:, :3, 3] - env.episodes.arms.reading.tip_pose[0, :3, 3]
+        )
         assert np.linalg.norm(moved, axis=1).max() > 1e-3 * env.model.length
         shown.append(list(env.target_at(times)))
     assert same(shown[0], shown[2]) and not same(shown[0], shown[1])
@@ -226,9 +305,13 @@ HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -
 
 
 def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
-    """By the seed alone, for one arm and for rows; begun at any control period; bounded in number."""
+    """By the seed alone, for one arm and for rows; begun at any control period; bounded in
+    number."""
     target = {"type": "random", "period": 2.0, "knot_period": 0.5}
-    env, other, rows = (make(scene=HANGING, fidelity="fast", target=target) for make in (TipPoseEnv, TipPoseEnv, TipPoseVectorEnv))
+    env, other, rows = (
+        make(scene=HANGING, fidelity="fast", target=target)
+        for make in (TipPoseEnv, TipPoseEnv, TipPoseVectorEnv)
+    )
     times, seen = 0.02 * np.arange(100), {}
     for seed in (3, 8, 1):
         env.reset(seed=seed)
@@ -247,7 +330,12 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     assert same(again.reset()[0], env.reset()[0])
 
 
-PATH = ["time,x,y,z,qw,qx,qy,qz", "0.5,0.28,0,0.05,1,0,0,0", "1,0.25,0.1,0.05,0.8,0,0.6,0", "2,0.2,0.1,0,0,0.6,0,0.8"]
+PATH = [
+    "time,x,y,z,qw,qx,qy,qz",
+    "0.5,0.28,0,0.05,1,0,0,0",
+    "1,0.25,0.1,0.05,0.8,0,0.6,0",
+    "2,0.2,0.1,0,0,0.6,0,0.8",
+]
 
 
 def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
@@ -256,11 +344,19 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
     course = course_of(env, 0)[0]
     times = np.array([0.0, 0.5, 1.0, 2.0, 3.0])
     found, between = course.sample(times), course.sample(np.array([0.6, 1.3, 1.9]))
-    np.testing.assert_allclose(found.tip_pose[[0, 1, 4], :3, 3], [[0.28, 0.0, 0.05], [0.28, 0.0, 0.05], [0.2, 0.1, 0.0]], atol=1e-12)
-    np.testing.assert_allclose(found.tip_pose[2, :3, :3], [[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]], atol=1e-12)
+    np.testing.assert_allclose(
+        found.tip_pose[[0, 1, 4], :3, 3],
+        [[0.28, 0.0, 0.05], [0.28, 0.0, 0.05], [0.2, 0.1, 0.0]],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        found.tip_pose[2, :3, :3], [[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]], atol=1e-12
+    )
     assert not found.tip_twist[[0, 4]].any()
     beside = [course.sample(np.array([0.6, 1.3, 1.9]) + h).tip_pose for h in (-H, H)]
-    np.testing.assert_allclose(between.tip_twist, twist_by_differences(np.stack(beside, axis=1), H), atol=1e-6)
+    np.testing.assert_allclose(
+        between.tip_twist, twist_by_differences(np.stack(beside, axis=1), H), atol=1e-6
+    )
 
 
 @pytest.mark.cases(
@@ -279,7 +375,10 @@ def test_files_without_poses_are_refused(tmp_path, row, said):
         TipPoseEnv(**SMALL, target={"type": "file", "path": str(tmp_path / "path.csv")})
 
 
-EITHER = {"type": "either", "of": ["hold", {"type": "circles", "radius": [0.1, 0.2], "distance": [0.7, 0.9]}]}
+EITHER = {
+    "type": "either",
+    "of": ["hold", {"type": "circles", "radius": [0.1, 0.2], "distance": [0.7, 0.9]}],
+}
 
 
 def test_every_episode_draws_one_of_several_targets():
@@ -289,11 +388,24 @@ def test_every_episode_draws_one_of_several_targets():
         course, _ = course_of(env, seed)
         kinds.append(isinstance(course, CircleCourse))
         if kinds[-1]:
-            found.append([course.radius / 0.3, course.centre[0] / 0.3, course.circle.tilt, course.circle.period])  # the rod has 0.3 m
+            found.append(
+                [
+                    course.radius / 0.3,
+                    course.centre[0] / 0.3,
+                    course.circle.tilt,
+                    course.circle.period,
+                ]
+            )  # the rod has 0.3 m
     assert 10 < sum(kinds) < 30
     least, greatest = np.array([[0.1, 0.7, 0.0, 2.0], [0.2, 0.9, 45.0, 8.0]])
-    assert ((least <= found) & (found <= greatest)).all() and (np.ptp(found, axis=0) > 0.5 * (greatest - least)).all()
-    assert len(course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose if kinds[-1] else TIMES) == len(TIMES)
+    assert ((least <= found) & (found <= greatest)).all() and (
+        np.ptp(found, axis=0) > 0.5 * (greatest - least)
+    ).all()
+    assert len(
+        course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose
+        if kinds[-1]
+        else TIMES
+    ) == len(TIMES)
 
 
 @pytest.mark.cases(
@@ -305,10 +417,19 @@ def test_every_episode_draws_one_of_several_targets():
             {"type": "either", "of": [{"type": "random", "knot_period": [0.5, 3.0]}]},
             r"knot_period is \[0\.5, 3\.0\]: it should",
         ),
-        ({"type": "either", "of": [{"type": "hold", "position": [0.2, 0.0, 0.1]}]}, r"target\.position is a position alone: TipPose needs"),
-        ({"type": "circles", "radius": [0.3, 0.1]}, r"target\.radius.* should be a number greater than 0"),
+        (
+            {"type": "either", "of": [{"type": "hold", "position": [0.2, 0.0, 0.1]}]},
+            r"target\.position is a position alone: TipPose needs",
+        ),
+        (
+            {"type": "circles", "radius": [0.3, 0.1]},
+            r"target\.radius.* should be a number greater than 0",
+        ),
         ({"type": "circles", "tilt": [0.0, 100.0]}, r"target\.tilt"),
-        ({"type": "circles", "tilt": [45.0, 0.0]}, r"target\.tilt is .* should be \(least, greatest\), least before greatest"),
+        (
+            {"type": "circles", "tilt": [45.0, 0.0]},
+            r"target\.tilt is .* should be \(least, greatest\), least before greatest",
+        ),
     ],
 )
 def test_targets_that_cannot_be_drawn_are_refused(target, said):

@@ -1,17 +1,37 @@
-"""Row i of a vector environment with seed s is the single environment with seed s + i; what reset and step refuse."""
+"""Row i of a vector environment with seed s is the single environment with seed s + i; what reset
+and step refuse."""
 
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
-from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import (
+    ReachEnv,
+    ReachVectorEnv,
+    ShapeEnv,
+    ShapeVectorEnv,
+    TipPoseEnv,
+    TipPoseVectorEnv,
+)
 
-KINDS = {"TipPose": (TipPoseEnv, TipPoseVectorEnv), "Shape": (ShapeEnv, ShapeVectorEnv), "Reach": (ReachEnv, ReachVectorEnv)}
+KINDS = {
+    "TipPose": (TipPoseEnv, TipPoseVectorEnv),
+    "Shape": (ShapeEnv, ShapeVectorEnv),
+    "Reach": (ReachEnv, ReachVectorEnv),
+}
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 LONGEST = 9
 MORE = {
-    "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
-    "contact": {"effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}], "friction": 0.4}},
+    "elastic": {
+        "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]},
+        "effects.actuators.delay": 0.033,
+    },
+    "contact": {
+        "effects.contact": {
+            "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}],
+            "friction": 0.4,
+        }
+    },
 }
 SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
 
@@ -25,12 +45,21 @@ def row_of(values, row):
 
 def info_of(info, row):
     """The entries of a vector environment's info that belong to a row, as plain values."""
-    entries = {key: value for key, value in info.items() if not key.startswith("_") and isinstance(value, np.ndarray)}
-    return {key: getattr(value[row], "tolist", lambda v=value[row]: v)() for key, value in entries.items() if info[f"_{key}"][row]}
+    entries = {
+        key: value
+        for key, value in info.items()
+        if not key.startswith("_") and isinstance(value, np.ndarray)
+    }
+    return {
+        key: getattr(value[row], "tolist", lambda v=value[row]: v)()
+        for key, value in entries.items()
+        if info[f"_{key}"][row]
+    }
 
 
 def single_steps(env, seed, actions, mode):
-    """What one row gives: (observation, reward, terminated, truncated, info, final observation, final info) by step."""
+    """What one row gives: (observation, reward, terminated, truncated, info, final observation,
+    final info) by step."""
     count, over = 0, False
     yield (*env.reset(seed=seed),)
     for action in actions:
@@ -53,7 +82,9 @@ def single_steps(env, seed, actions, mode):
 
 
 def compare(single, vector, seed, rows, mode, same, steps=40):
-    actions = np.random.default_rng(1).uniform(-1.5, 1.5, (steps, rows, vector.single_action_space.shape[0]))
+    actions = np.random.default_rng(1).uniform(
+        -1.5, 1.5, (steps, rows, vector.single_action_space.shape[0])
+    )
     alone = [single_steps(single(), seed + row, actions[:, row], mode) for row in range(rows)]
     observation, info = vector.reset(seed=seed)
     for row in range(rows):
@@ -67,8 +98,17 @@ def compare(single, vector, seed, rows, mode, same, steps=40):
             expected = next(alone[row])
             assert same(row_of(observation, row), expected[0])
             assert (reward[row], terminated[row], truncated[row]) == expected[1:4]
-            known = info_of({key: value for key, value in info.items() if not key.startswith("_final") and key != "final_obs"}, row)
-            assert known.keys() >= {"diverged", "rejected_steps"} and same(known, {key: expected[4][key] for key in known})
+            known = info_of(
+                {
+                    key: value
+                    for key, value in info.items()
+                    if not key.startswith("_final") and key != "final_obs"
+                },
+                row,
+            )
+            assert known.keys() >= {"diverged", "rejected_steps"} and same(
+                known, {key: expected[4][key] for key in known}
+            )
             if expected[5] is not None:
                 assert info["_final_obs"][row] and same(info["final_obs"][row], expected[5])
                 assert same(info_of(info["final_info"], row), expected[6])
@@ -87,8 +127,19 @@ def test_rows_are_single_environments(task, mode, same):
 @pytest.mark.parametrize("kind", ["loaded", "explicit", "elastic", "contact"])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
-    made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]
-    options = {**made, "randomize": everything, "observation": "measurable", "history": 2, "sensors": [0.1, 0.3], "action": "increment"}
+    made = (
+        {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"}
+        if kind in MORE
+        else arms[kind]
+    )
+    options = {
+        **made,
+        "randomize": everything,
+        "observation": "measurable",
+        "history": 2,
+        "sensors": [0.1, 0.3],
+        "action": "increment",
+    }
     vector = TipPoseVectorEnv(16, LONGEST, "same_step", 2, **options)
     assert vector.episodes.arms.threads == 2
     compare(lambda: TipPoseEnv(**options), vector, 20, 16, "same_step", same, steps=10)
@@ -121,19 +172,32 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
         ({"options": "reset_mask"}, "options should be a dict or None, not str"),
         ({"options": {"reset_mask": [1, 0]}}, MASK),
         ({"options": {"reset_mask": [False, False]}}, MASK),
-        ({"options": {"episode_steps": [4]}}, "options: episode_steps should have one value per row, 2"),
-        ({"options": {"episode_steps": [1, 2.5]}}, "options of row 1: episode_steps is 2.5: it should be a valid integer"),
-        ({"options": {"episode_steps": [0, 1]}}, "options of row 0: episode_steps is 0: it should be greater than or equal to 1"),
+        (
+            {"options": {"episode_steps": [4]}},
+            "options: episode_steps should have one value per row, 2",
+        ),
+        (
+            {"options": {"episode_steps": [1, 2.5]}},
+            "options of row 1: episode_steps is 2.5: it should be a valid integer",
+        ),
+        (
+            {"options": {"episode_steps": [0, 1]}},
+            "options of row 0: episode_steps is 0: it should be greater than or equal to 1",
+        ),
     ],
 )
-def test_bad_arguments_of_reset_are_refused_before_anything_changes(given, message, everything, same):
+def test_bad_arguments_of_reset_are_refused_before_anything_changes(
+    given, message, everything, same
+):
     vector, twin = (TipPoseVectorEnv(2, **SMALL, randomize=everything) for _ in range(2))
     for env in (vector, twin):
         env.reset(seed=3)
         env.step(np.ones((2, 3)))
     with pytest.raises((ValueError, TypeError), match=f"^{message}"):
         vector.reset(**given)
-    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(vector.reset(), twin.reset())
+    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(
+        vector.reset(), twin.reset()
+    )
 
 
 @pytest.mark.cases("rows, threads", [(None, None), (1, None), (32, 2)])
@@ -144,8 +208,15 @@ def test_nothing_goes_on_after_close(rows, threads):
     env.step(np.zeros(env.action_space.shape))
     env.close()
     env.close()
-    for called, call in {"reset": env.reset, "step": lambda: env.step(np.zeros(env.action_space.shape)), "render": env.render}.items():
-        with pytest.raises(ClosedEnvironmentError, match=f"^{called} was called after close: make a new environment"):
+    for called, call in {
+        "reset": env.reset,
+        "step": lambda: env.step(np.zeros(env.action_space.shape)),
+        "render": env.render,
+    }.items():
+        with pytest.raises(
+            ClosedEnvironmentError,
+            match=f"^{called} was called after close: make a new environment",
+        ):
             call()
 
 
@@ -169,4 +240,6 @@ def test_a_reset_erases_what_was(task, arms, everything, live, same):
     env = KINDS[task][0](**options)
     live(env, 1, 60, np.random.default_rng(0).choice([-1.0, 1.0], (60, 3)))
     fresh = KINDS[task][0](**options)
-    assert same(live(env, 2, 30), live(fresh, 2, 30)) and not same(live(env, 3, 2), live(fresh, 4, 2))
+    assert same(live(env, 2, 30), live(fresh, 2, 30)) and not same(
+        live(env, 3, 2), live(fresh, 4, 2)
+    )

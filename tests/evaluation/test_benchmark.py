@@ -46,17 +46,23 @@ def own_policies(monkeypatch):
 
 
 def benchmark(*policies, **more):
-    return Benchmark(**{"entrants": tuple({"policy": policy} for policy in policies), **SHORT, **more})
+    return Benchmark(
+        **{"entrants": tuple({"policy": policy} for policy in policies), **SHORT, **more}
+    )
 
 
 def test_everybody_plays_all_settings_on_the_same_episodes():
     found = benchmark(STILL, "filtered:tracking", regimes=("tip",)).cells()[0]
-    assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {("tip", setting) for setting in SETTINGS}
+    assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {
+        ("tip", setting) for setting in SETTINGS
+    }
     assert len({cell.key("code") for cell in found.values()}) == len(found)
     assert {cell.seeds for cell in found.values()} == {tuple(SEEDS["arena"][:2])}
     assert {cell.options["target"] for cell in found.values()} == {"random"}
     for label, cell in found.items():
-        assert cell.options["difficulty"] == (label.setting if label.setting in ("easy", "hard") else "medium")
+        assert cell.options["difficulty"] == (
+            label.setting if label.setting in ("easy", "hard") else "medium"
+        )
 
 
 def test_agents_of_one_training_share_its_episodes(tmp_path):
@@ -65,12 +71,27 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
     for seed in range(3):
         folder = tmp_path / f"seed_{seed}" if seed else tmp_path
         shutil.copytree(shipped, folder, dirs_exist_ok=True)
-        (folder / "config.json").write_text(json.dumps({**json.loads((shipped / "config.json").read_text()), "seed": seed}))
-    found = Benchmark(**{**SHORT, "scene": "paper", "task": "Reach", "entrants": ({"policy": str(tmp_path)},), "episodes": 7}).cells()[0]
+        (folder / "config.json").write_text(
+            json.dumps({**json.loads((shipped / "config.json").read_text()), "seed": seed})
+        )
+    found = Benchmark(
+        **{
+            **SHORT,
+            "scene": "paper",
+            "task": "Reach",
+            "entrants": ({"policy": str(tmp_path)},),
+            "episodes": 7,
+        }
+    ).cells()[0]
     seeds = {label.seed: cell.seeds for label, cell in found.items()}
-    assert seeds == {seed: tuple(SEEDS["arena"][first : first + 3]) for seed, first in enumerate((0, 3, 4))}
+    assert seeds == {
+        seed: tuple(SEEDS["arena"][first : first + 3]) for seed, first in enumerate((0, 3, 4))
+    }
     config = json.loads((tmp_path / "seed_2" / "config.json").read_text())
-    for changed, text in (({"steps": 1}, "seed_2 has steps = 1, not"), ({"task": "Shape"}, "seed_2 has task")):
+    for changed, text in (
+        ({"steps": 1}, "seed_2 has steps = 1, not"),
+        ({"task": "Shape"}, "seed_2 has task"),
+    ):
         (tmp_path / "seed_2" / "config.json").write_text(json.dumps({**config, **changed}))
         with pytest.raises(ValueError, match=text):
             trained_alike(PolicyName.parse(str(tmp_path), "Reach"))
@@ -82,14 +103,20 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
 @pytest.mark.cases(
     "observed, regime, reason",
     [
-        *(({"observation": ["tip_position", "coordinates"]}, regime, "it observes coordinates") for regime in REGIMES),
+        *(
+            ({"observation": ["tip_position", "coordinates"]}, regime, "it observes coordinates")
+            for regime in REGIMES
+        ),
         ({"observation": ["strain"], "sensors": 4}, "sensors", "it has 4 strain sensors"),
         ({"observation": ["strain"], "sensors": 4}, "state", ""),
     ],
 )
 def test_policies_observe_what_a_regime_has(observed, regime, reason):
     """Coordinates are in none: they mean other shapes on a finer arm."""
-    assert misfit(PolicyName.parse(STILL, "TipPose"), {"scene": "three_tendon", **observed}, regime) == reason
+    assert (
+        misfit(PolicyName.parse(STILL, "TipPose"), {"scene": "three_tendon", **observed}, regime)
+        == reason
+    )
 
 
 @pytest.mark.cases(
@@ -99,9 +126,18 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
             {"entrants": ({"policy": "predictive"},)},
             "predictive can play in no regime .*coordinates.*does not depend on the discretisation",
         ),
-        ({"entrants": ({"policy": "nobody"},)}, "nobody can play: nobody is left out: policy is 'nobody', no policy"),
-        ({"entrants": ({"policy": "arena_policies:Moving"},)}, "should be module:name of what makes a policy"),
-        ({"settings": ("nominal", "space")}, r"settings\[1\] is 'space': it should be a setting: .*nominal"),
+        (
+            {"entrants": ({"policy": "nobody"},)},
+            "nobody can play: nobody is left out: policy is 'nobody', no policy",
+        ),
+        (
+            {"entrants": ({"policy": "arena_policies:Moving"},)},
+            "should be module:name of what makes a policy",
+        ),
+        (
+            {"settings": ("nominal", "space")},
+            r"settings\[1\] is 'space': it should be a setting: .*nominal",
+        ),
         ({"entrants": ({"policy": STILL}, {"policy": STILL})}, "several times"),
         ({"regimes": ("all",)}, r"regimes\[0\] is 'all': it should be an information"),
         ({"seconds": 0.2, "skip": 0.3}, "at least one control period"),
@@ -115,21 +151,35 @@ def test_mistakes_name_what_is_allowed(given, text):
 @pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("nominal", None)])
 def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_told(setting, effect):
     """At the fidelity that they name; and are another policy only where there are such effects."""
-    entrants = tuple({"policy": "filtered:tracking@fast", "name": name, "told": name == "told"} for name in ("told", "untold"))
-    told, untold = Benchmark(**{**SHORT, "entrants": entrants, "settings": (setting,), "regimes": ("tip",)}).cells()[0].values()
+    entrants = tuple(
+        {"policy": "filtered:tracking@fast", "name": name, "told": name == "told"}
+        for name in ("told", "untold")
+    )
+    told, untold = (
+        Benchmark(**{**SHORT, "entrants": entrants, "settings": (setting,), "regimes": ("tip",)})
+        .cells()[0]
+        .values()
+    )
     effects = [] if effect is None else [effect]
     for cell, believes in ((told, effects), (untold, [])):
         policy, envs = cell.open()
         believed, there = policy.estimator.model, episodes_of(envs).model
-        assert [*believed.scene.effects.chosen()] == believes and [*there.scene.effects.chosen()] == effects
+        assert [*believed.scene.effects.chosen()] == believes and [
+            *there.scene.effects.chosen()
+        ] == effects
         assert believed.coordinate_count < there.coordinate_count
     assert (told.key("code") == untold.key("code")) == (effect is None)
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     config, docs = tmp_path / "small.toml", tmp_path / "page.md"
-    table = "".join(f"{key} = {json.dumps(value)}\n" for key, value in {**SHORT, "settings": ["nominal", "latency"]}.items())
-    entrants = "".join(f'[[entrants]]\npolicy = "{policy}"\n' for policy in ("filtered:tracking@fast", STILL))
+    table = "".join(
+        f"{key} = {json.dumps(value)}\n"
+        for key, value in {**SHORT, "settings": ["nominal", "latency"]}.items()
+    )
+    entrants = "".join(
+        f'[[entrants]]\npolicy = "{policy}"\n' for policy in ("filtered:tracking@fast", STILL)
+    )
     config.write_text(f'{table}regimes = ["tip"]\n{entrants}')
     docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
     command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
@@ -138,9 +188,20 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     main([*command, "--write-docs", str(docs)])
     said = capsys.readouterr().out
     assert "4 cells, 2 of them to be played" in said
-    assert re.search(r"\| filtered:tracking@fast +\| controller, kalman estimator \| [0-9.]+ / ", said)
+    assert re.search(
+        r"\| filtered:tracking@fast +\| controller, kalman estimator \| [0-9.]+ / ", said
+    )
     assert re.search(r"\| best learned minus best controller \| - +\| -?[0-9.]+ \(", said)
-    assert len(re.findall(r"(best controller\. By position|By return): (ahead|behind|not separated) in (nominal|latency|all)", said)) == 2
+    assert (
+        len(
+            re.findall(
+                r"(best controller\. By position|By return): (ahead|behind|not separated) in"
+                r" (nominal|latency|all)",
+                said,
+            )
+        )
+        == 2
+    )
     main(command)
     assert "4 cells, 0 of them to be played" in capsys.readouterr().out
     assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
@@ -155,5 +216,7 @@ def test_the_published_comparison_can_be_played(monkeypatch):
     monkeypatch.chdir(ROOT)
     published = Arena(**Arena.read_file({}))
     cells, notes = published.cells()
-    assert notes == [] and {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
+    assert notes == [] and {label.policy for label in cells} == {
+        entrant.name for entrant in published.entrants
+    }
     assert published.episodes == 100 and {cell.seconds for cell in cells.values()} == {4.0}

@@ -1,4 +1,5 @@
-"""Experiments: what was played is kept, and played again only where something has changed; blocks of pages say what made them."""
+"""Experiments: what was played is kept, and played again only where something has changed; blocks
+of pages say what made them."""
 
 import json
 import sys
@@ -22,14 +23,25 @@ def less_time(scores):
 
 def test_what_is_there_is_not_played_again_and_scores_survive_their_file(tmp_path, monkeypatch):
     """NaN too, of an episode that diverged before any error counted."""
-    wild = {"scene": "three_tendon", "integrator.max_halvings": 0, "integrator.step": 0.02, "integrator.tolerance": 1e-10}
+    wild = {
+        "scene": "three_tendon",
+        "integrator.max_halvings": 0,
+        "integrator.step": 0.02,
+        "integrator.tolerance": 1e-10,
+    }
     ill = CELL._replace(options={"scene": wild}, seconds=2.0, skip=1.9)
     Experiment({"one": CELL, "ill": ill}, tmp_path).play("first", 1)
-    whole = Experiment({"one": CELL, "alike": CELL, "ill": ill, "other": CELL._replace(seeds=(5,))}, tmp_path)
+    whole = Experiment(
+        {"one": CELL, "alike": CELL, "ill": ill, "other": CELL._replace(seeds=(5,))}, tmp_path
+    )
     assert whole.missing() == ["other"]
     for label in ("alike", "ill"):
-        np.testing.assert_equal(less_time(whole.scores(label)), less_time(measure(whole.cells[label])))
-    assert whole.scores("ill")[0].diverged and np.isnan(whole.scores("ill")[0].errors["position_error"].rms)
+        np.testing.assert_equal(
+            less_time(whole.scores(label)), less_time(measure(whole.cells[label]))
+        )
+    assert whole.scores("ill")[0].diverged and np.isnan(
+        whole.scores("ill")[0].errors["position_error"].rms
+    )
     for path in tmp_path.glob("*.json"):
         path.write_text("{}")
     with pytest.raises(ValueError, match="is no result of an experiment: take it away"):
@@ -60,7 +72,9 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
 
     save_scene(load_scene("three_tendon"), file)
     first = key()
-    assert key() == first and [*experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})] == [str(file)]
+    assert key() == first and [
+        *experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})
+    ] == [str(file)]
     different = [
         key(policy="tracking"),
         key(task="Shape"),
@@ -81,11 +95,18 @@ def test_a_stamp_says_what_a_block_was_made_by(tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "ROOT", tmp_path)
     monkeypatch.chdir(tmp_path)
     for command, line in (
-        (("/usr/bin/soft-tendon", "compare", "--config", "own"), "soft-tendon compare --config own"),
+        (
+            ("/usr/bin/soft-tendon", "compare", "--config", "own"),
+            "soft-tendon compare --config own",
+        ),
         (("own.py", "--write-docs"), "python own.py --write-docs"),
     ):
         made = Stamp.of(command)
-        assert made.command == line and f"<!-- made {json.dumps(made._asdict())} -->" in made.text() and f"`{line}`" in made.text()
+        assert (
+            made.command == line
+            and f"<!-- made {json.dumps(made._asdict())} -->" in made.text()
+            and f"`{line}`" in made.text()
+        )
 
 
 def test_a_page_keeps_what_stands_around_a_block(tmp_path):
@@ -93,7 +114,11 @@ def test_a_page_keeps_what_stands_around_a_block(tmp_path):
     path.write_text("before\n<!-- own -->\nold\n<!-- /own -->\nafter\n")
     Page(str(path), ["own"]).write("own", "| table |")
     text = path.read_text()
-    assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
+    assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith(
+        "\n\n| table |\n<!-- /own -->\nafter\n"
+    )
     assert "\nold\n" not in text
-    with pytest.raises(ValueError, match="should have the lines <!-- other --> and <!-- /other -->"):
+    with pytest.raises(
+        ValueError, match="should have the lines <!-- other --> and <!-- /other -->"
+    ):
         Page(str(path), ["other"])

@@ -1,4 +1,5 @@
-"""Exported agents act as their originals, whatever they observe and however they are built; what cannot be exported is refused."""
+"""Exported agents act as their originals, whatever they observe and however they are built; what
+cannot be exported is refused."""
 
 import json
 from pathlib import Path
@@ -22,10 +23,21 @@ from soft_tendon_env.policies.network import new_network  # noqa: E402
 from soft_tendon_env.policies.normalization import Moments, Normalization  # noqa: E402
 from soft_tendon_env.tools.configuration import ConfigurationError  # noqa: E402
 
-TRAINED = sorted(path.parent for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.pt"))
+TRAINED = sorted(
+    path.parent
+    for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.pt")
+)
 MEASURABLE = {"observation": "measurable", "sensors": 2, "action": "tension"}
-INCREMENTS = {**MEASURABLE, "action": "increment", "history": 2, "randomize": {"noise": {"position": 1e-3, "rotation": 0.01}}}
-ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [0.0, 0.02]}}
+INCREMENTS = {
+    **MEASURABLE,
+    "action": "increment",
+    "history": 2,
+    "randomize": {"noise": {"position": 1e-3, "rotation": 0.01}},
+}
+ELASTIC = {
+    "scene": "three_tendon",
+    "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [0.0, 0.02]},
+}
 CASES = [
     {},
     {"policy": {"use_sde": True}, "normalised": True, **MEASURABLE},
@@ -35,25 +47,52 @@ CASES = [
     {"algorithm": "TQC", "task": "Shape", "integral_time": 0.3, "history": 1},
     {"algorithm": "SAC", "task": "Reach", "normalised": True, "integral_time": 0.3, **INCREMENTS},
     {"observation": ["tip_position", "strain_rate", "last_action"], "sensors": 1},
-    {"algorithm": "APG", "policy": {"memory": 8, "fine": 10.0, "posture": 9}, "integral_time": 0.3, **MEASURABLE, "action": "increment"},
-    {"task": "Shape", "observation": ["tendon_lengths", "target_lengths", "command"], "scene": ELASTIC, "action": "increment"},
+    {
+        "algorithm": "APG",
+        "policy": {"memory": 8, "fine": 10.0, "posture": 9},
+        "integral_time": 0.3,
+        **MEASURABLE,
+        "action": "increment",
+    },
+    {
+        "task": "Shape",
+        "observation": ["tendon_lengths", "target_lengths", "command"],
+        "scene": ELASTIC,
+        "action": "increment",
+    },
 ]
 
 
 @pytest.fixture
 def exported(tmp_path):
-    """exported(algorithm=..., task=..., ...): an environment, an agent of random weights for it, and the path of its file."""
+    """exported(algorithm=..., task=..., ...): an environment, an agent of random weights for it,
+    and the path of its file."""
 
-    def make(algorithm="PPO", task="TipPose", policy=None, normalised=False, integral_time=None, **options):
+    def make(
+        algorithm="PPO",
+        task="TipPose",
+        policy=None,
+        normalised=False,
+        integral_time=None,
+        **options,
+    ):
         env = gym.make(IDS[task], **{"scene": "three_tendon", "fidelity": "fast", **options})
         torch.manual_seed(0)
-        network = new_network(algorithm, {"net_arch": [16, 16], **(policy or {})}, env.observation_space, env.action_space)
+        network = new_network(
+            algorithm,
+            {"net_arch": [16, 16], **(policy or {})},
+            env.observation_space,
+            env.action_space,
+        )
         with torch.no_grad():
             for parameter in network.parameters():
                 parameter += 0.1 * torch.randn_like(parameter)
         spaces = env.observation_space.spaces if task == "Reach" else {"": env.observation_space}
         draw = np.random.default_rng(0)
-        moments = {key: Moments(draw.normal(size=of.shape), draw.uniform(0.1, 1.0, of.shape)) for key, of in spaces.items()}
+        moments = {
+            key: Moments(draw.normal(size=of.shape), draw.uniform(0.1, 1.0, of.shape))
+            for key, of in spaces.items()
+        }
         agent = NetworkPolicy(network, Normalization(moments, 3.0, 1e-8) if normalised else None)
         agent = agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
         path = tmp_path / "agent.onnx"
@@ -63,7 +102,11 @@ def exported(tmp_path):
     return make
 
 
-@pytest.mark.parametrize("given", CASES, ids=lambda given: f"{given.get('algorithm', 'PPO')}-{given.get('task', 'TipPose')}")
+@pytest.mark.parametrize(
+    "given",
+    CASES,
+    ids=lambda given: f"{given.get('algorithm', 'PPO')}-{given.get('task', 'TipPose')}",
+)
 def test_commands_are_those_of_the_original(exported, given):
     env, agent, path = exported(**given)
     observations, _, of_range = compare(path, agent, env, seeds=(0, 1), steps=10)
@@ -71,7 +114,9 @@ def test_commands_are_those_of_the_original(exported, given):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("folder", TRAINED, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
+@pytest.mark.parametrize(
+    "folder", TRAINED, ids=lambda folder: f"{folder.parent.name}-{folder.name}"
+)
 def test_agents_that_ship(folder, tmp_path):
     env = gym.make(IDS[folder.name], **policy_options(folder.parent.name, folder.name, {}))
     agent, path = load_agent(folder.parent.name, env), tmp_path / "agent.onnx"
@@ -84,41 +129,79 @@ def test_another_policy_is_told_apart(exported):
     with torch.no_grad():
         agent.network.action_net.bias += 0.01
     _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)
-    assert of_range == pytest.approx(0.005, rel=1e-3) and difference == pytest.approx(0.005 * np.ptp(env.unwrapped.episodes.limits[0]))
+    assert of_range == pytest.approx(0.005, rel=1e-3) and difference == pytest.approx(
+        0.005 * np.ptp(env.unwrapped.episodes.limits[0])
+    )
 
 
 def test_it_remembers_and_says_what_goes_in(exported):
     env, _, path = exported(observation=["tip_position", "command"], action="increment")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    names, given = [of.name for of in session.get_outputs()], {"tip_pose": np.eye(4), "started": np.zeros(1), "command": np.zeros(3)}
+    names, given = (
+        [of.name for of in session.get_outputs()],
+        {"tip_pose": np.eye(4), "started": np.zeros(1), "command": np.zeros(3)},
+    )
     first = dict(zip(names, session.run(None, given), strict=True))
-    second = dict(zip(names, session.run(None, {**given, "started": np.ones(1), "command": first["next_command"]}), strict=True))
-    assert first["next_started"] == 1.0 and not np.array_equal(first["next_command"], second["next_command"])
-    said, limits = json.loads(session.get_modelmeta().custom_metadata_map["soft_tendon_env"]), env.unwrapped.episodes.limits
+    second = dict(
+        zip(
+            names,
+            session.run(None, {**given, "started": np.ones(1), "command": first["next_command"]}),
+            strict=True,
+        )
+    )
+    assert first["next_started"] == 1.0 and not np.array_equal(
+        first["next_command"], second["next_command"]
+    )
+    said, limits = (
+        json.loads(session.get_modelmeta().custom_metadata_map["soft_tendon_env"]),
+        env.unwrapped.episodes.limits,
+    )
     assert (said["task"], said["control_period_s"], said["of"]) == ("TipPose", 0.02, "nobody")
     assert said["inputs"] == {"tip_pose": {"shape": [4, 4], "unit": "1, last column m"}}
     assert said["command"] == {"unit": "N", "limits": limits.tolist()}
 
 
 def test_pose_logarithms_are_those_of_the_package():
-    """Of no rotation, tiny ones, any, and nearly half a turn, about all axes and their diagonals."""
+    """Of no rotation, tiny ones, any, and nearly half a turn, about all axes and their
+    diagonals."""
     draw = np.random.default_rng(1)
-    axes = np.array([*np.eye(3), *-np.eye(3), [1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [1.0, 1.0, 1.0], *draw.normal(size=(5, 3))])
+    axes = np.array(
+        [
+            *np.eye(3),
+            *-np.eye(3),
+            [1.0, -1.0, 0.0],
+            [0.0, 1.0, -1.0],
+            [1.0, 1.0, 1.0],
+            *draw.normal(size=(5, 3)),
+        ]
+    )
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    rotations = np.array([angle * axis for axis in axes for angle in (0.0, 1e-9, 1e-6, 1.1e-6, 1e-4, 0.01, 1.0, 3.0, np.pi - 1e-4)])
+    rotations = np.array(
+        [
+            angle * axis
+            for axis in axes
+            for angle in (0.0, 1e-9, 1e-6, 1.1e-6, 1e-4, 0.01, 1.0, 3.0, np.pi - 1e-4)
+        ]
+    )
     twists = np.concatenate([rotations, draw.normal(size=rotations.shape)], axis=1)
     pose, wanted = np.empty((1, 4, 4)), np.empty((1, len(twists), 4, 4))
-    kernels.move_poses(np.eye(4)[None], np.array([[[0.3, -0.5, 0.2, 0.1, 0.2, -0.3]]]), wanted[:, :1])
+    kernels.move_poses(
+        np.eye(4)[None], np.array([[[0.3, -0.5, 0.2, 0.1, 0.2, -0.3]]]), wanted[:, :1]
+    )
     pose[0] = wanted[0, 0]
     kernels.move_poses(pose, twists[None], wanted)
-    np.testing.assert_allclose(pose_logarithm(torch.tensor(pose[0]), torch.tensor(wanted[0])), twists, atol=1e-9)
+    np.testing.assert_allclose(
+        pose_logarithm(torch.tensor(pose[0]), torch.tensor(wanted[0])), twists, atol=1e-9
+    )
     half = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))[None]
     turned = pose_logarithm(torch.eye(4, dtype=torch.float64), half)[0].abs()
     np.testing.assert_allclose(turned, [np.pi, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_what_cannot_be_exported(exported, monkeypatch):
-    monkeypatch.setitem(GROUPS, "own", Group("made by NumPy", lambda o: np.sin(o.tip_pose[:, :3, 3])))
+    monkeypatch.setitem(
+        GROUPS, "own", Group("made by NumPy", lambda o: np.sin(o.tip_pose[:, :3, 3]))
+    )
     with pytest.raises((ValueError, ConfigurationError), match="an observation group uses NumPy"):
         exported(observation=["tip_position", "own"])
     env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast")

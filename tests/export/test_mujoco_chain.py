@@ -1,4 +1,5 @@
-"""Arms as chains in MuJoCo: what is in the file, and with MuJoCo how near its tip comes to that of the rod."""
+"""Arms as chains in MuJoCo: what is in the file, and with MuJoCo how near its tip comes to that of
+the rod."""
 
 from xml.etree import ElementTree
 
@@ -25,12 +26,20 @@ CURVED = {
     "tendons.*.tension_limits": [-1.0, 4.0],
     "base": {"position": [0.1, -0.2, 0.3], "quaternion": [0.5, 0.5, -0.5, 0.5]},
 }
-ARMS = [("three_tendon", WEIGHT), ("three_tendon", TAPER), ("helical", {}), ("two_segment_six", CURVED)]
+ARMS = [
+    ("three_tendon", WEIGHT),
+    ("three_tendon", TAPER),
+    ("helical", {}),
+    ("two_segment_six", CURVED),
+]
 
 
 def sites_of(body, pose):
     """Positions of the sites of a body, at a pose in the world, and of those that it carries."""
-    found = {site.attrib["name"]: pose[:3, :3] @ numbers(site, "pos") + pose[:3, 3] for site in body.findall("site")}
+    found = {
+        site.attrib["name"]: pose[:3, :3] @ numbers(site, "pos") + pose[:3, 3]
+        for site in body.findall("site")
+    }
     for part in body.findall("body"):
         placed = np.eye(4)
         placed[:3, :3] = Rotation.from_quat(numbers(part, "quat"), scalar_first=True).as_matrix()
@@ -48,29 +57,54 @@ def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name
     scene, model = load_scene(name).replace(changes), build(name, changes)
     chain.mujoco_chain(scene, 15).write(tmp_path / "arm.xml")
     root = ElementTree.parse(tmp_path / "arm.xml").getroot()
-    line_mass, borders = lambda s: screw_matrices(scene, np.array([s]))[2][0, 3], segment_borders(scene)
+    line_mass, borders = (
+        lambda s: screw_matrices(scene, np.array([s]))[2][0, 3],
+        segment_borders(scene),
+    )
     mass = quad(line_mass, 0.0, borders[-1], points=borders[1:-1])[0] + scene.effects.payload[3]
     mass += disc_rows(scene)[:, 1].sum()
-    assert sum(float(part.attrib["mass"]) for part in root.iter("inertial")) == pytest.approx(mass, rel=1e-5)
+    assert sum(float(part.attrib["mass"]) for part in root.iter("inertial")) == pytest.approx(
+        mass, rel=1e-5
+    )
     sites = sites_of(root.find("worldbody"), np.eye(4))
-    np.testing.assert_allclose(sites["tip"], model.tip_pose(np.zeros(model.coordinate_count))[:3, 3], atol=1e-4 * rod_length(scene))
+    np.testing.assert_allclose(
+        sites["tip"],
+        model.tip_pose(np.zeros(model.coordinate_count))[:3, 3],
+        atol=1e-4 * rod_length(scene),
+    )
     for path, length in zip(root.iter("spatial"), model.discretisation.tendon_length, strict=True):
         divisor, at, total = 1.0, [], 0.0
         for part in path:
             divisor = float(part.attrib.get("divisor", divisor))
             at += [sites[part.attrib["site"]]] if part.tag == "site" else []
-            total += np.linalg.norm(at[-1] - at[-2]) / divisor if part.tag == "site" and len(at) % 2 == 0 else 0.0
+            total += (
+                np.linalg.norm(at[-1] - at[-2]) / divisor
+                if part.tag == "site" and len(at) % 2 == 0
+                else 0.0
+            )
         assert total == pytest.approx(length, rel=1e-3)
     for motor, tendon in zip(root.iter("motor"), scene.tendons, strict=True):
-        assert tuple(numbers(motor, "ctrlrange")) == tendon.tension_limits and motor.attrib["gear"] == "-1"
+        assert (
+            tuple(numbers(motor, "ctrlrange")) == tendon.tension_limits
+            and motor.attrib["gear"] == "-1"
+        )
 
 
 def test_what_a_chain_cannot_have_is_named_and_rigid_strains_have_no_joint():
-    loads = {"effects.tip_load": {"mass": 0.1, "force": [1.0, 0.0, 0.0]}, "effects.tendon_friction.coefficient": 0.1}
-    scene = load_scene("underwater").replace({**loads, "strain.strains": ["bend_y", "stretch"], "integrator.quasi_static": True})
+    loads = {
+        "effects.tip_load": {"mass": 0.1, "force": [1.0, 0.0, 0.0]},
+        "effects.tendon_friction.coefficient": 0.1,
+    }
+    scene = load_scene("underwater").replace(
+        {**loads, "strain.strains": ["bend_y", "stretch"], "integrator.quasi_static": True}
+    )
     kept, left = chain.exportable(scene)
     assert left == ["fluid", "tendon_friction", "force and moment of tip_load", "quasi_static"]
-    assert {*kept.effects.chosen()} == {"gravity", "tip_load"} and not kept.effects.tip_load.acts and kept.effects.payload[3] == 0.1
+    assert (
+        {*kept.effects.chosen()} == {"gravity", "tip_load"}
+        and not kept.effects.tip_load.acts
+        and kept.effects.payload[3] == 0.1
+    )
     joints = [joint.attrib["name"] for joint in chain.mujoco_chain(scene, 2).iter("joint")]
     assert sorted(joints) == ["bend_y_0", "bend_y_1", "stretch_0", "stretch_1"]
 

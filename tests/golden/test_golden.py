@@ -1,4 +1,5 @@
-"""Golden numbers: what is computed is what was computed before the code was made smaller, see golden.json for the commit."""
+"""Golden numbers: what is computed is what was computed before the code was made smaller, see
+golden.json for the commit."""
 
 import json
 import sys
@@ -15,25 +16,38 @@ import golden_numbers  # noqa: E402
 
 sys.path.remove(str(HERE))
 MADE = json.loads((HERE / "golden.json").read_text())
-IS_HERE = MADE["machine"] == machine() and all(MADE["versions"][name] == versions()[name] for name in ("numpy", "scipy", "numba"))
+IS_HERE = MADE["machine"] == machine() and all(
+    MADE["versions"][name] == versions()[name] for name in ("numpy", "scipy", "numba")
+)
 TOLERANCE = 1e-8 if IS_HERE else 1e-5
-"""Largest difference as a share of an array's largest number; other processors and libraries round differently, and motions grow that."""
+"""Largest difference as a share of an array's largest number; other processors and libraries round
+differently, and motions grow that."""
 REWRITTEN = {"gradients": 1e-8}
 """Of parts whose way of computing has changed since."""
 ARBITRARY = {"three_tendon stands": 1e-5}
-"""Of arrays by the beginning of their names: the direction in which a symmetric column falls follows from rounding."""
+"""Of arrays by the beginning of their names: the direction in which a symmetric column falls
+follows from rounding."""
 
 
 MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
 
 
-@pytest.mark.parametrize("part, scene", [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS])
+@pytest.mark.parametrize(
+    "part, scene", [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS]
+)
 def test_numbers_are_those_of_before(part, scene):
     beginning = f"{part}/{scene} " if scene else f"{part}/"
     with np.load(HERE / "golden.npz") as kept:
-        wanted = {name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(beginning)}
-    found, tolerance = golden_numbers.PARTS[part](*scene.split()), max(TOLERANCE, REWRITTEN.get(part, 0.0))
+        wanted = {
+            name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(beginning)
+        }
+    found, tolerance = (
+        golden_numbers.PARTS[part](*scene.split()),
+        max(TOLERANCE, REWRITTEN.get(part, 0.0)),
+    )
     assert found.keys() == wanted.keys()
     for name, array in wanted.items():
-        largest = max(tolerance, ARBITRARY.get(name.rpartition(" ")[0], 0.0)) * max(1e-6, np.abs(array).max())
+        largest = max(tolerance, ARBITRARY.get(name.rpartition(" ")[0], 0.0)) * max(
+            1e-6, np.abs(array).max()
+        )
         np.testing.assert_allclose(found[name], array, rtol=0.0, atol=largest, err_msg=name)

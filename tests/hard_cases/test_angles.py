@@ -1,8 +1,9 @@
 """Rotation at and across every switch.
 
-The coefficients of exp and of its tangent come from a series below theta^2 = 1 and from closed forms above, and closed forms lose their
-digits or divide by zero in unlucky places: near 0, at pi, at 2 pi. A Magnus interval reaches such angles when the rod is curved by
-nature or curls by several turns; half of them agree with twice as many intervals only if both sides of every switch are right.
+The coefficients of exp and of its tangent come from a series below theta^2 = 1 and from closed
+forms above, and closed forms lose their digits or divide by zero in unlucky places: near 0, at pi,
+at 2 pi. A Magnus interval reaches such angles when the rod is curved by nature or curls by several
+turns; half of them agree with twice as many intervals only if both sides of every switch are right.
 """
 
 import numpy as np
@@ -16,12 +17,15 @@ SWITCHES = {"1 rad": 1.0, "pi": np.pi, "2 pi": 2 * np.pi}
 INTERVALS = 6
 
 
-@pytest.mark.filterwarnings("ignore:.*coordinates are too many")  # at 2 pi every interval closes a circle: its end does not move
+@pytest.mark.filterwarnings(
+    "ignore:.*coordinates are too many"
+)  # at 2 pi every interval closes a circle: its end does not move
 @pytest.mark.cases("axis", AXES)
 @pytest.mark.cases("angle", SWITCHES)
 def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis, angle):
-    """An interval of a pre-curved rod turns by just less than, exactly and just more than 1 rad (where the series ends), pi and 2 pi.
-    Expected: pose and mass matrix are continuous across the angle, and the pose is that of a rod with twice the intervals."""
+    """An interval of a pre-curved rod turns by just less than, exactly and just more than 1 rad
+    (where the series ends), pi and 2 pi. Expected: pose and mass matrix are continuous across the
+    angle, and the pose is that of a rod with twice the intervals."""
 
     def model(relative, intervals):
         curvature = SWITCHES[angle] * (1 + relative) * INTERVALS * np.array(AXES[axis])
@@ -43,11 +47,14 @@ def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis
 
 @pytest.mark.parametrize("turns", [1.3, 5.3, 20.3, 100.3])
 def test_rod_of_many_turns(one_segment, measured, turns):
-    """A stress-free rod wound up into many turns, so that every interval turns by up to 17 times 2 pi. Expected: the tip is where the
-    circle says, and the rod swings and settles when it is pulled."""
+    """A stress-free rod wound up into many turns, so that every interval turns by up to 17 times 2
+    pi. Expected: the tip is where the circle says, and the rod swings and settles when it is
+    pulled."""
     k = 2 * np.pi * turns
     model = one_segment(curvature=(0, 0, k))
-    misfit = np.abs(model.tip_pose(np.zeros(3))[:3, 3] - [np.sin(k) / k, (1 - np.cos(k)) / k, 0]).max()
+    misfit = np.abs(
+        model.tip_pose(np.zeros(3))[:3, 3] - [np.sin(k) / k, (1 - np.cos(k)) / k, 0]
+    ).max()
     measured("tip error [m]", misfit)
     assert misfit < 1e-12
     tension = [1.0, 0.5, 0.0]
@@ -59,8 +66,9 @@ def test_rod_of_many_turns(one_segment, measured, turns):
 
 @pytest.mark.parametrize("tension", [10.0, 20.0, 40.0])
 def test_arm_that_curls_by_more_than_a_turn(build, measured, one_pulled, tension):
-    """The soft three-tendon arm is pulled by up to eight times its limit, until it lies in several turns. Expected: statics converge, the
-    motion ends there, and the tip is where a rod with four times the intervals has it."""
+    """The soft three-tendon arm is pulled by up to eight times its limit, until it lies in several
+    turns. Expected: statics converge, the motion ends there, and the tip is where a rod with four
+    times the intervals has it."""
     model, finer = build("three_tendon"), build("three_tendon", {"quadrature.intervals": 24})
     u = one_pulled(model, 0, tension)
     rest = static_equilibrium(model, u)
@@ -74,11 +82,15 @@ def test_arm_that_curls_by_more_than_a_turn(build, measured, one_pulled, tension
 
 
 def test_straight_rod_at_rest(measured):
-    """Zero over zero: no curvature, no motion, no tension, where angles, chords' slopes and velocities vanish. Expected: every term is
-    finite, the mass matrix is positive definite, and nothing moves, not by one bit."""
+    """Zero over zero: no curvature, no motion, no tension, where angles, chords' slopes and
+    velocities vanish. Expected: every term is finite, the mass matrix is positive definite, and
+    nothing moves, not by one bit."""
     for name in ste.scene_names():
         scene = ste.load_scene(name)
-        if any(any(segment.curvature) for segment in scene.segments) or scene.effects.model_fields_set:
+        if (
+            any(any(segment.curvature) for segment in scene.segments)
+            or scene.effects.model_fields_set
+        ):
             continue
         model = ste.build_model(scene)
         rest = np.zeros(model.coordinate_count)

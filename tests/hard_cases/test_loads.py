@@ -1,8 +1,9 @@
 """Abrupt, violent and random tensions, and steps of every size.
 
-The tensions jump, the coordinates chase them within a step or two, and the stiffest rates (1e4 1/s) are a hundred times faster than the
-step. With the paper's raw passive coordinates the tendons' and the passive fields nearly coincide, so that tensions run away against each
-other at almost no energy (phantom tensions) until no strain exists.
+The tensions jump, the coordinates chase them within a step or two, and the stiffest rates (1e4 1/s)
+are a hundred times faster than the step. With the paper's raw passive coordinates the tendons' and
+the passive fields nearly coincide, so that tensions run away against each other at almost no energy
+(phantom tensions) until no strain exists.
 """
 
 import numpy as np
@@ -22,15 +23,22 @@ def pull(which, value):
 @pytest.mark.parametrize("step", [pytest.param(0.0005, marks=pytest.mark.slow), 0.01])
 @pytest.mark.parametrize("scene", SCENES)
 def test_abrupt_tension(build, measured, scene, step):
-    """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten. Expected: no step
-    fails for good; no coordinate exceeds 1.5 times the tension."""
+    """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half
+    way) or on all ten. Expected: no step fails for good; no coordinate exceeds 1.5 times the
+    tension."""
     model = build(scene, {"integrator.step": step})
     greatest, rejected = 0.0, 0
     for value in (80.0, 100.0, 120.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
-            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
-            greatest, rejected = max(greatest, np.abs(motion.q[:, :10]).max() / value), rejected + motion.rejected
+            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (
+                which,
+                value,
+            )
+            greatest, rejected = (
+                max(greatest, np.abs(motion.q[:, :10]).max() / value),
+                rejected + motion.rejected,
+            )
     measured("q_a / tension", greatest)
     measured("rejected steps", rejected)
     assert greatest < BOUND
@@ -38,8 +46,9 @@ def test_abrupt_tension(build, measured, scene, step):
 
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
-    """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size. Expected: finite motion, or
-    SimulationDiverged with a finite state, after a bounded number of attempts."""
+    """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
+    Expected: finite motion, or SimulationDiverged with a finite state, after a bounded number of
+    attempts."""
     model = build("paper_16dof", {"strain.passive_coordinates": "raw", "integrator.step": step})
     failed = 0
     for value in (80.0, 150.0):
@@ -56,12 +65,15 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
 
 @pytest.mark.parametrize("tendons", [(0, 1), (0, 3), (5, 8)])
 def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
-    """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for. Expected: the tip of the
-    model with moments to quadratic converges with columns and steps; how far it is off the 48-DOF model is measured and bounded."""
+    """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields
+    were made for. Expected: the tip of the model with moments to quadratic converges with columns
+    and steps; how far it is off the 48-DOF model is measured and bounded."""
     u = sum(pull(i, 100.0) for i in tendons)
 
     def tip(scene, step, columns):
-        return ste.simulate(build(scene, {"integrator.step": step, "integrator.columns": columns}), u, 0.5, 0.01).tip_pose
+        return ste.simulate(
+            build(scene, {"integrator.step": step, "integrator.columns": columns}), u, 0.5, 0.01
+        ).tip_pose
 
     exact, full = tip("paper moments 0-2", 5e-4, 4), tip("paper_48dof", 1e-3, 3)
     errors = [tip_distance(tip("paper moments 0-2", 0.01, columns), exact) for columns in (2, 3, 4)]
@@ -78,42 +90,63 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
 @pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", SCENES)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
-    """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does. Expected: finite
-    throughout, no coordinate above 1.5 times the greatest tension at steps of 10 ms and twice that tension at 20 ms, where the motion is
-    chaotic (over 48 inputs and two roundings the most was 1.39 to 1.79 times), rejected steps counted (at most 1 % at 10 ms, 30 % at 20
-    ms), and the last state continues."""
+    """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained
+    agent does. Expected: finite throughout, no coordinate above 1.5 times the greatest tension at
+    steps of 10 ms and twice that tension at 20 ms, where the motion is chaotic (over 48 inputs and
+    two roundings the most was 1.39 to 1.79 times), rejected steps counted (at most 1 % at 10 ms, 30
+    % at 20 ms), and the last state continues."""
     model = build(scene, {"integrator.columns": columns, "integrator.step": step})
     for hold in (0.01, 0.02):
         tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
         motion = ste.simulate(model, tensions, 60.0, hold)
-        assert np.isfinite(motion.q).all() and np.isfinite(motion.q_dot).all() and np.isfinite(motion.tip_pose).all()
+        assert (
+            np.isfinite(motion.q).all()
+            and np.isfinite(motion.q_dot).all()
+            and np.isfinite(motion.tip_pose).all()
+        )
         measured("q_a / 150 N", np.abs(motion.q[:, :10]).max() / 150.0)
         measured("rejected steps", motion.rejected)
         assert np.abs(motion.q[:, :10]).max() < (BOUND if step == 0.01 else 2.0) * 150.0
-        assert motion.steps >= 60.0 / max(step, hold) and motion.rejected < most_rejected * motion.steps
+        assert (
+            motion.steps >= 60.0 / max(step, hold)
+            and motion.rejected < most_rejected * motion.steps
+        )
         after = ste.simulate(model, np.zeros(10), 20.0, 0.1, initial=motion.final)
         assert np.abs(after.q[-1]).max() < 1.0
 
 
-@pytest.mark.parametrize("columns", [1, *(pytest.param(columns, marks=pytest.mark.slow) for columns in (2, 3, 4))])
+@pytest.mark.parametrize(
+    "columns", [1, *(pytest.param(columns, marks=pytest.mark.slow) for columns in (2, 3, 4))]
+)
 def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
-    """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500. Expected: finite, and the
-    tip's error (to steps of 0.1 ms with 4 columns) falls with the step."""
+    """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a
+    factor of 500. Expected: finite, and the tip's error (to steps of 0.1 ms with 4 columns) falls
+    with the step."""
 
     def tension(t):
         u = np.zeros(10)
         u[[0, 3, 5, 8]] = (
-            6 * np.sin(np.pi * t) ** 2, 4 * np.sin(2 * np.pi * t) ** 2, 2.5 * (1 - np.cos(2 * np.pi * t / 1.5)), 3 * np.sin(np.pi * t) ** 2
-        )  # fmt: skip
+            6 * np.sin(np.pi * t) ** 2,
+            4 * np.sin(2 * np.pi * t) ** 2,
+            2.5 * (1 - np.cos(2 * np.pi * t / 1.5)),
+            3 * np.sin(np.pi * t) ** 2,
+        )
         u[[1, 2]] = (8.0, 5.0) if t > 0.5 else (0.0, 0.0)
         return u
 
     def track(step, columns):
-        return ste.simulate(build("paper", {"integrator.step": step, "integrator.columns": columns}), tension, 1.0, 0.05).tip_pose
+        return ste.simulate(
+            build("paper", {"integrator.step": step, "integrator.columns": columns}),
+            tension,
+            1.0,
+            0.05,
+        ).tip_pose
 
     exact = track(1e-4, 4)
     steps = (0.05, 0.025, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0001)
-    errors = [tip_distance(track(step, columns), exact) for step in steps if (step, columns) != (1e-4, 4)]
+    errors = [
+        tip_distance(track(step, columns), exact) for step in steps if (step, columns) != (1e-4, 4)
+    ]
     measured("error at 50 ms [mm]", 1e3 * errors[0])
     measured("error at 10 ms [mm]", 1e3 * errors[2])
     measured("error at 1 ms [mm]", 1e3 * errors[5])
@@ -123,10 +156,13 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
-    """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down. Expected: every
-    tolerance ends near the same tip, the tighter the nearer, and steps are spent at the jump."""
+    """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the
+    motion calms down. Expected: every tolerance ends near the same tip, the tighter the nearer, and
+    steps are spent at the jump."""
     u = pull(0, 100.0)
-    exact = ste.simulate(build(scene, {"integrator.step": 2e-4, "integrator.columns": 4}), u, 0.5, 0.01)
+    exact = ste.simulate(
+        build(scene, {"integrator.step": 2e-4, "integrator.columns": 4}), u, 0.5, 0.01
+    )
     distances = []
     for tolerance in (1e-4, 1e-6):
         model = build(scene, {"integrator.tolerance": tolerance, "integrator.columns": 4})
@@ -142,16 +178,29 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
 @pytest.mark.parametrize("scene", SCENES)
 def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance):
-    """80 and 150 N all at once on one tendon or on all ten, in the longest step: its first columns say nothing, the most may not do.
-    Expected: no step fails for good, no coordinate exceeds 1.5 times the tension, and two columns are enough once the arm is still."""
+    """80 and 150 N all at once on one tendon or on all ten, in the longest step: its first columns
+    say nothing, the most may not do. Expected: no step fails for good, no coordinate exceeds 1.5
+    times the tension, and two columns are enough once the arm is still."""
     model = build(scene, {"integrator.tolerance": tolerance})
     greatest, evaluations = 0.0, 0
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.02)
-            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
-            greatest, evaluations = max(greatest, np.abs(motion.q[:, :10]).max() / value), evaluations + motion.evaluations
-    still = ste.simulate(model, pull("all", 150.0), 0.2, 0.02, initial=ste.simulate(model, pull("all", 150.0), 20.0, 0.1).final)
+            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (
+                which,
+                value,
+            )
+            greatest, evaluations = (
+                max(greatest, np.abs(motion.q[:, :10]).max() / value),
+                evaluations + motion.evaluations,
+            )
+    still = ste.simulate(
+        model,
+        pull("all", 150.0),
+        0.2,
+        0.02,
+        initial=ste.simulate(model, pull("all", 150.0), 20.0, 0.1).final,
+    )
     measured("q_a / tension", greatest)
     measured("evaluations per 20 ms", evaluations / 250)
     assert greatest < BOUND and still.evaluations == 2 * still.steps == 20
@@ -159,8 +208,8 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
 def test_order_control_under_random_tensions(build, measured, tolerance):
-    """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns. Expected: a finite motion, and no step fails
-    for good."""
+    """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns.
+    Expected: a finite motion, and no step fails for good."""
     model = build("paper moments 0-2", {"integrator.tolerance": tolerance})
     tensions = np.random.default_rng(4).uniform(0.0, 150.0, (1000, 10))
     motion = ste.simulate(model, tensions, 20.0, 0.02)
@@ -171,14 +220,29 @@ def test_order_control_under_random_tensions(build, measured, tolerance):
 
 @pytest.mark.parametrize("which", [0, 3, 5, "all"])
 def test_order_control_through_jumps_under_combined_loads(build, measured, tip_distance, which):
-    """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word. Expected:
-    with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion."""
-    loads = {"effects.gravity.acceleration": [9.81, 0, 0], "effects.tip_load.mass": 0.05, "effects.tip_load.force": [0, 0.2, 0.1]}
+    """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are
+    millimetres off, without a word. Expected: with a tolerance of 3e-5 m the tip is within a
+    millimetre of the converged motion."""
+    loads = {
+        "effects.gravity.acceleration": [9.81, 0, 0],
+        "effects.tip_load.mass": 0.05,
+        "effects.tip_load.force": [0, 0.2, 0.1],
+    }
     exact = ste.simulate(
-        build("paper moments 0-2", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pull(which, 40.0), 1.0, 0.02
+        build("paper moments 0-2", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}),
+        pull(which, 40.0),
+        1.0,
+        0.02,
     )
-    fixed = ste.simulate(build("paper moments 0-2", {**loads, "integrator.columns": 3}), pull(which, 40.0), 1.0, 0.02)
-    motion = ste.simulate(build("paper moments 0-2", {**loads, "integrator.tolerance": 3e-5}), pull(which, 40.0), 1.0, 0.02)
+    fixed = ste.simulate(
+        build("paper moments 0-2", {**loads, "integrator.columns": 3}), pull(which, 40.0), 1.0, 0.02
+    )
+    motion = ste.simulate(
+        build("paper moments 0-2", {**loads, "integrator.tolerance": 3e-5}),
+        pull(which, 40.0),
+        1.0,
+        0.02,
+    )
     measured("three columns [mm]", 1e3 * tip_distance(fixed.tip_pose, exact.tip_pose))
     measured("with the tolerance [mm]", 1e3 * tip_distance(motion.tip_pose, exact.tip_pose))
     measured("evaluations per 20 ms", motion.evaluations / 50)
@@ -186,11 +250,18 @@ def test_order_control_through_jumps_under_combined_loads(build, measured, tip_d
 
 
 def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
-    """Whatever happened on the way, a damped arm under constant tension must end where the statics say. Expected: after 40 s the tip is at
-    the equilibrium to 1e-6 m."""
+    """Whatever happened on the way, a damped arm under constant tension must end where the statics
+    say. Expected: after 40 s the tip is at the equilibrium to 1e-6 m."""
     for scene in SCENES:
         model = build(scene)
-        for u in (pull(3, 100.0), pull("all", 60.0), np.random.default_rng(1).uniform(0.0, 60.0, 10)):
-            distance = tip_distance(ste.simulate(model, u, 40.0, 0.1).tip_pose[-1], static_equilibrium(model, u).tip_pose)
+        for u in (
+            pull(3, 100.0),
+            pull("all", 60.0),
+            np.random.default_rng(1).uniform(0.0, 60.0, 10),
+        ):
+            distance = tip_distance(
+                ste.simulate(model, u, 40.0, 0.1).tip_pose[-1],
+                static_equilibrium(model, u).tip_pose,
+            )
             measured("tip to equilibrium [m]", distance)
             assert distance < 1e-6

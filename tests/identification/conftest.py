@@ -14,7 +14,11 @@ from soft_tendon_env.model.build import build_model
 
 NOISE = 2e-4
 TURN = [0.5, 0.5, 0.5, 0.5]  # data (x, y, z) to scene (z, x, y)
-MARKERS = {"base": (0.08, [0.0, 0.012, 0.0]), "middle": (0.16, [0.0, 0.0, 0.012]), "tip": (0.24, [0.004, 0.0, 0.0])}
+MARKERS = {
+    "base": (0.08, [0.0, 0.012, 0.0]),
+    "middle": (0.16, [0.0, 0.0, 0.012]),
+    "tip": (0.24, [0.004, 0.0, 0.0]),
+}
 
 
 @pytest.fixture(scope="session")
@@ -31,8 +35,14 @@ def arm():
 def folder(tmp_path_factory):
     """A folder with markers.toml."""
     path = tmp_path_factory.mktemp("measured")
-    table = {name: {"arc_length": place, "offset": offset} for name, (place, offset) in MARKERS.items()}
-    (path / "markers.toml").write_text(tomli_w.dumps({"markers": table, "frame": {"quaternion": TURN, "translation": [0.0, 0.0, 0.01]}}))
+    table = {
+        name: {"arc_length": place, "offset": offset} for name, (place, offset) in MARKERS.items()
+    }
+    (path / "markers.toml").write_text(
+        tomli_w.dumps(
+            {"markers": table, "frame": {"quaternion": TURN, "translation": [0.0, 0.0, 0.01]}}
+        )
+    )
     return path
 
 
@@ -43,8 +53,8 @@ def placed(arm, folder):
 
 @pytest.fixture(scope="session")
 def record_of(folder, placed):
-    """record_of(arm, name, truth, tensions, period=0.0, noise=NOISE): the CSV file of holds, or of a motion, of an arm with other
-    numbers."""
+    """record_of(arm, name, truth, tensions, period=0.0, noise=NOISE): the CSV file of holds, or of
+    a motion, of an arm with other numbers."""
 
     def measured(positions, noise, seed):
         """In the frame of the data, with noise."""
@@ -65,12 +75,17 @@ def record_of(folder, placed):
         poses[..., :3, 3] -= scene.base.position
         positions = measured(measurement.positions(poses), noise, seed)
         times = [[i * period if period else f"{name}{i}"] for i in range(len(q))]
-        columns = [*(f"tension_{i}" for i in range(3)), *(f"{marker}_{axis}" for marker in MARKERS for axis in "xyz")]
+        columns = [
+            *(f"tension_{i}" for i in range(3)),
+            *(f"{marker}_{axis}" for marker in MARKERS for axis in "xyz"),
+        ]
         header = ["time" if period else "hold", *columns]
         path = folder / f"{name}.csv"
         with path.open("w", newline="") as file:
             rows = zip(times, tensions, positions, strict=True)
-            csv.writer(file, lineterminator="\n").writerows([header, *([*t, *u, *p.ravel()] for t, u, p in rows)])
+            csv.writer(file, lineterminator="\n").writerows(
+                [header, *([*t, *u, *p.ravel()] for t, u, p in rows)]
+            )
         return path
 
     return write
@@ -85,7 +100,9 @@ def record(record_of, arm):
 @pytest.fixture(scope="session")
 def tensions():
     """Tensions of 16 holds."""
-    return np.random.default_rng(1).uniform(0.2, 3.0, size=(16, 3)) * (np.arange(16)[:, None] % 3 != np.arange(3))
+    return np.random.default_rng(1).uniform(0.2, 3.0, size=(16, 3)) * (
+        np.arange(16)[:, None] % 3 != np.arange(3)
+    )
 
 
 @pytest.fixture(scope="session")

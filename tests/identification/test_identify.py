@@ -1,4 +1,5 @@
-"""Identification of simulated arms from holds and motions: truth within intervals, and what the data do not contain told."""
+"""Identification of simulated arms from holds and motions: truth within intervals, and what the
+data do not contain told."""
 
 import json
 import os
@@ -35,18 +36,32 @@ def test_the_truth_is_within_the_intervals_and_held_out_data_are_met_as_well(fou
     spread = found.intervals
     for low, high, true in zip(spread.low, spread.high, truth.values(), strict=True):
         assert low <= true <= high and high - low < 0.1 * true
-    assert found.errors[0] < 5e-4 and found.errors[1] < 5e-4 and found.before[1] > 5.0 * found.errors[1]
+    assert (
+        found.errors[0] < 5e-4
+        and found.errors[1] < 5e-4
+        and found.before[1] > 5.0 * found.errors[1]
+    )
     assert spread.identified.all() and not found.findings
     assert found.scene.segments[0].young_modulus == pytest.approx(found.value[0])
 
 
 def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
-    parameters = read_parameters([E, RHO, "base", "markers.tip.offset", "commands.0.gain"], arm, placed)
-    readings = Readings(Plants(arm, build_model(arm), placed, parameters), read_recordings([holds], arm, placed)[:3])
+    parameters = read_parameters(
+        [E, RHO, "base", "markers.tip.offset", "commands.0.gain"], arm, placed
+    )
+    readings = Readings(
+        Plants(arm, build_model(arm), placed, parameters), read_recordings([holds], arm, placed)[:3]
+    )
     x = np.full(len(parameters), 0.02)
     J = readings.jacobian(x)
     d = 3e-4
-    other = np.stack([(readings.residual(x + step) - readings.residual(x - step)) / (2 * d) for step in d * np.eye(x.size)], axis=-1)
+    other = np.stack(
+        [
+            (readings.residual(x + step) - readings.residual(x - step)) / (2 * d)
+            for step in d * np.eye(x.size)
+        ],
+        axis=-1,
+    )
     assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
 
 
@@ -54,43 +69,84 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
     elastic = {"stiffness": 3e3, "slack": [-1e-3, 0.0, 1e-3], "displacement_limits": [-0.01, 0.03]}
     placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
     driven = arm.replace({"effects.tendon_elasticity": elastic})
-    asked = [E, "effects.tendon_elasticity.stiffness", "effects.tendon_elasticity.slack.1=-0.01..0.01", "commands.0.offset"]
+    asked = [
+        E,
+        "effects.tendon_elasticity.stiffness",
+        "effects.tendon_elasticity.slack.1=-0.01..0.01",
+        "commands.0.offset",
+    ]
     commands = np.array([[[4e-3, 1e-3, 0.0]], [[0.0, 6e-3, 5e-3]]])
-    holds = [Recording(f"{i}", "test", command, np.zeros((1, 1, 3)), 0.0, {}) for i, command in enumerate(commands)]
-    readings = Readings(Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), holds)
+    holds = [
+        Recording(f"{i}", "test", command, np.zeros((1, 1, 3)), 0.0, {})
+        for i, command in enumerate(commands)
+    ]
+    readings = Readings(
+        Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), holds
+    )
     x, d = np.full(4, 0.02), 1e-4
-    other = np.stack([(readings.residual(x + step) - readings.residual(x - step)) / (2 * d) for step in d * np.eye(4)], axis=-1)
+    other = np.stack(
+        [
+            (readings.residual(x + step) - readings.residual(x - step)) / (2 * d)
+            for step in d * np.eye(4)
+        ],
+        axis=-1,
+    )
     assert np.abs(readings.jacobian(x) - other).max() < 1e-6 * np.abs(other).max()
 
 
 def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
     found = identify(arm, holds, placed, [E], fidelity="scene", held_out=holds, fit_to=6)
-    assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)] and len(found.error_held_out) == 16
+    assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)] and len(
+        found.error_held_out
+    ) == 16
 
 
-def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_told(arm, monkeypatch):
+def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_told(
+    arm, monkeypatch
+):
     """Elastic tendons go slack in some of the holds, whose readings have kinks there."""
     elastic = {"stiffness": 3e3, "slack": [0.0, 0.0, 0.0], "displacement_limits": [-0.01, 0.03]}
-    strain = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]}
+    strain = {
+        "type": "explicit",
+        "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}],
+    }
     driven = arm.replace({"effects": {"tendon_elasticity": elastic}, "strain": strain})
     placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
-    asked = ["effects.tendon_elasticity.stiffness", *(f"effects.tendon_elasticity.slack.{i}=-0.002..0.002" for i in range(3))]
-    plants, random = Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), np.random.default_rng(0)
-    holds = [Recording(f"{i}", "test", random.uniform(-2e-3, 3e-3, (1, 3)), np.zeros((1, 1, 3)), 0.0, {}) for i in range(10)]
-    measured = Readings(plants, holds).positions(np.array([0.3, 0.4, -0.3, 0.2])) + 1e-3 * random.normal(size=(10, 1, 3))
-    readings = Readings(plants, [replace(one, positions=place[None]) for one, place in zip(holds, measured, strict=True)])
+    asked = [
+        "effects.tendon_elasticity.stiffness",
+        *(f"effects.tendon_elasticity.slack.{i}=-0.002..0.002" for i in range(3)),
+    ]
+    plants, random = (
+        Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)),
+        np.random.default_rng(0),
+    )
+    holds = [
+        Recording(f"{i}", "test", random.uniform(-2e-3, 3e-3, (1, 3)), np.zeros((1, 1, 3)), 0.0, {})
+        for i in range(10)
+    ]
+    measured = Readings(plants, holds).positions(
+        np.array([0.3, 0.4, -0.3, 0.2])
+    ) + 1e-3 * random.normal(size=(10, 1, 3))
+    readings = Readings(
+        plants,
+        [replace(one, positions=place[None]) for one, place in zip(holds, measured, strict=True)],
+    )
     found = fit(readings)
     monkeypatch.setattr("soft_tendon_env.identification.fit.PROGRESS", 0.0)
     exact = fit(readings)
     deviation = np.sqrt(np.diag(np.linalg.inv(exact.information)))
-    assert found.converged and exact.converged and (np.abs(found.x - exact.x) < 0.1 * deviation).all()
+    assert (
+        found.converged and exact.converged and (np.abs(found.x - exact.x) < 0.1 * deviation).all()
+    )
     monkeypatch.setattr("soft_tendon_env.identification.fit.MOST_TRIALS", 3)
     stopped = fit(readings)
     assert not stopped.converged and "did not converge" in findings(stopped, [], readings, None)[0]
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("MEASURED" not in os.environ, reason="MEASURED names no folder with measured data")
+@pytest.mark.skipif(
+    "MEASURED" not in os.environ, reason="MEASURED names no folder with measured data"
+)
 def test_the_tip_of_a_measured_arm_of_three_segments_is_met(tmp_path):
     example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "three_segment_arm.py"))
     example["write_inputs"](tmp_path)
@@ -98,23 +154,40 @@ def test_the_tip_of_a_measured_arm_of_three_segments_is_met(tmp_path):
     asked, most = example["STEPS"]["8 parameters"]
     scene = load_scene(tmp_path / "three_segment.toml")
     found = identify(scene, data, tmp_path / "markers.toml", asked, fit_to=most, fidelity="scene")
-    assert len(found.value) == 8 and found.errors[1] < 5e-3 < 7e-3 < found.before[1] and found.intervals.identified.all()
+    assert (
+        len(found.value) == 8
+        and found.errors[1] < 5e-3 < 7e-3 < found.before[1]
+        and found.intervals.identified.all()
+    )
 
 
 @pytest.mark.parametrize(
     "parameters, words",
     [
-        pytest.param([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"], marks=pytest.mark.slow),
-        pytest.param([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"], marks=pytest.mark.slow),
+        pytest.param(
+            [E, RHO, "commands.*.gain"],
+            ["a combination of ", "commands.0.gain", "known weight"],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            [E, RHO, "segments.*.damping"],
+            ["segments.*.damping: a free decay"],
+            marks=pytest.mark.slow,
+        ),
         ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
     ],
 )
 def test_parameters_that_the_data_do_not_contain_are_named(arm, holds, placed, parameters, words):
     found = identify(arm, holds, placed, parameters, fidelity="scene")
-    (text,) = (finding for finding in found.findings if finding.startswith("The data do not contain"))
+    (text,) = (
+        finding for finding in found.findings if finding.startswith("The data do not contain")
+    )
     assert all(word in text for word in words), text
     assert found.intervals.identified[:2].all() == ("commands.*.gain" not in parameters)
-    assert not found.intervals.identified[2:].any() and np.isfinite([found.intervals.low, found.intervals.high]).all()
+    assert (
+        not found.intervals.identified[2:].any()
+        and np.isfinite([found.intervals.low, found.intervals.high]).all()
+    )
 
 
 def test_a_forgotten_payload_is_told_by_the_residuals(arm, record, placed, tensions, truth):
@@ -129,7 +202,10 @@ def test_outliers_are_named(arm, holds, placed, tmp_path):
     (tmp_path / "holds.csv").write_text("\n".join(map(",".join, rows)))
     found = identify(arm, tmp_path / "holds.csv", placed, [E, RHO], fidelity="scene", held_out=0)
     (text,) = found.findings
-    assert "1 of the markers' positions stand out, above all middle in 'holds5'" in text and "leave their cells empty" in text
+    assert (
+        "1 of the markers' positions stand out, above all middle in 'holds5'" in text
+        and "leave their cells empty" in text
+    )
 
 
 def test_fewer_data_than_parameters_are_told(arm, record, placed, truth):
@@ -150,25 +226,52 @@ def test_a_hold_without_equilibrium_is_told(arm, record, placed, truth):
 def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_path, truth, capsys):
     save_scene(arm, tmp_path / "arm.toml")
     out = tmp_path / "found"
-    options = ["--markers", folder / "markers.toml", "--parameters", E, RHO, "--fidelity", "scene", "--out", out]
+    options = [
+        "--markers",
+        folder / "markers.toml",
+        "--parameters",
+        E,
+        RHO,
+        "--fidelity",
+        "scene",
+        "--out",
+        out,
+    ]
     main([str(argument) for argument in ["identify", tmp_path / "arm.toml", holds, *options]])
     printed, numbers = capsys.readouterr().out, json.loads((out / "estimate.json").read_text())
     modulus = numbers["parameters"][E]
-    assert modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"] and modulus["low"] <= modulus["value"] <= modulus["high"]
+    assert (
+        modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"]
+        and modulus["low"] <= modulus["value"] <= modulus["high"]
+    )
     assert numbers["error_mm"]["held_out"]["mean"] < 0.5
     assert list(numbers["data"]) == ["holds.csv"] and "soft_tendon_env" in numbers["versions"]
-    assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(modulus["value"])
+    assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(
+        modulus["value"]
+    )
     assert f"# | {E} " in (out / "scene.toml").read_text() and E in printed
-    assert numbers["error_mm"]["fit"]["each"].keys() | numbers["error_mm"]["held_out"]["each"].keys() == {f"holds{i}" for i in range(16)}
+    assert numbers["error_mm"]["fit"]["each"].keys() | numbers["error_mm"]["held_out"][
+        "each"
+    ].keys() == {f"holds{i}" for i in range(16)}
 
 
 @pytest.mark.slow
-def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record, placed, truth, tensions, tmp_path):
+def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(
+    arm, record, placed, truth, tensions, tmp_path
+):
     base = {"rotation": [0.0, 0.0, 3.0], "position": [0.004, 0.0, -0.003]}
     turned = record("turned", {**truth, "base": base}, tensions)
-    found = identify(arm, turned, placed, [E, RHO, "segments.*.damping", "base"], fidelity="scene", held_out=0)
-    assert found.errors[0] < 5e-4 and np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
-    assert np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3 and found.markers.frame == placed.frame
+    found = identify(
+        arm, turned, placed, [E, RHO, "segments.*.damping", "base"], fidelity="scene", held_out=0
+    )
+    assert (
+        found.errors[0] < 5e-4
+        and np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
+    )
+    assert (
+        np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3
+        and found.markers.frame == placed.frame
+    )
     save_estimate(found, tmp_path)
     scene = load_scene(tmp_path / "scene.toml")
     again = identify(scene, turned, tmp_path / "markers.toml", [E], fidelity="scene", held_out=0)
@@ -179,11 +282,18 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
-def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed):
-    elastic = arm.replace({"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}})
+def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(
+    arm, placed
+):
+    elastic = arm.replace(
+        {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}}
+    )
     plants = Plants(elastic, build_model(elastic), placed, read_parameters([E], elastic, placed))
     commands = np.array([[2e-3, 0.0, 0.0], [0.0, 4e-3, 0.0], [1e-3, 0.0, 3e-3]])
-    still = [Recording(f"{i}", "simulated", one[None], np.zeros((1, 3, 3)), 0.0, {}) for i, one in enumerate(commands)]
+    still = [
+        Recording(f"{i}", "simulated", one[None], np.zeros((1, 3, 3)), 0.0, {})
+        for i, one in enumerate(commands)
+    ]
     truth = np.array([0.2])
     seen = Readings(plants, still).positions(truth)
     holds = [replace(one, positions=at[None]) for one, at in zip(still, seen, strict=True)]
@@ -192,8 +302,15 @@ def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_o
 
 @pytest.fixture(scope="module")
 def moving(arm):
-    """The arm with actuators that lag and tendons that rub, by other numbers than those of the robot."""
-    return arm.replace({"effects.actuators.time_constant": 0.03, "effects.tendon_friction.coefficient": 0.05, "integrator.step": PERIOD})
+    """The arm with actuators that lag and tendons that rub, by other numbers than those of the
+    robot."""
+    return arm.replace(
+        {
+            "effects.actuators.time_constant": 0.03,
+            "effects.tendon_friction.coefficient": 0.05,
+            "integrator.step": PERIOD,
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +318,11 @@ def robot(moving):
     """Numbers of the robot."""
     damping = 1.4 * moving.segments[0].damping
     actuators = {"effects.actuators.time_constant": LAG, "effects.actuators.delay": DELAY}
-    return {"segments.0.damping": damping, **actuators, "effects.tendon_friction.coefficient": FRICTION}
+    return {
+        "segments.0.damping": damping,
+        **actuators,
+        "effects.tendon_friction.coefficient": FRICTION,
+    }
 
 
 @pytest.fixture(scope="module")
@@ -209,19 +330,32 @@ def steps(record_of, moving, robot):
     """Three motions of steps between random tensions."""
     random = np.random.default_rng(2)
     tensions = [np.repeat(random.uniform(0.0, 4.0, (3, 3)), 40, axis=0) for _ in range(3)]
-    return [record_of(moving, f"steps{i}", robot, table, period=PERIOD, seed=i) for i, table in enumerate(tensions)]
+    return [
+        record_of(moving, f"steps{i}", robot, table, period=PERIOD, seed=i)
+        for i, table in enumerate(tensions)
+    ]
 
 
 @pytest.mark.slow
 def test_damping_lag_delay_and_friction_are_found_from_steps(moving, steps, robot, placed):
-    asked = ["segments.*.damping", "effects.actuators.time_constant", "commands.delay", "effects.tendon_friction.coefficient"]
+    asked = [
+        "segments.*.damping",
+        "effects.actuators.time_constant",
+        "commands.delay",
+        "effects.tendon_friction.coefficient",
+    ]
     found = identify(moving, steps, placed, asked, fidelity="scene", held_out=0)
     truth = [robot["segments.0.damping"], LAG, DELAY, FRICTION]
     assert found.value == pytest.approx(truth, rel=0.05)
-    assert ((found.intervals.low <= truth) & (truth <= found.intervals.high)).all() and not found.findings
+    assert (
+        (found.intervals.low <= truth) & (truth <= found.intervals.high)
+    ).all() and not found.findings
     assert found.scene.effects.actuators.delay == pytest.approx(found.value[2])
     table = randomize(found)
-    assert table["latency"] == [0.0, found.intervals.high[2] - found.value[2]]  # on top of the scene's delay
+    assert table["latency"] == [
+        0.0,
+        found.intervals.high[2] - found.value[2],
+    ]  # on top of the scene's delay
     env = gym.make("TendonRod-Reach-v0", scene=found.scene, fidelity="fast", randomize=table)
     env.reset(seed=0)
     assert 0.0 < env.unwrapped.episodes.actuation.delay(0) < 0.1 * DELAY
@@ -232,4 +366,6 @@ def test_damping_alone_is_told_to_be_not_enough_where_tendons_rub(moving, steps,
     smooth = moving.replace({"effects.tendon_friction.coefficient": 0.0})
     asked = ["segments.*.damping", "effects.actuators.time_constant", "commands.delay"]
     found = identify(smooth, steps, placed, asked, fidelity="scene", held_out=0)
-    assert any("viscous damping alone cannot make up for friction" in text for text in found.findings)
+    assert any(
+        "viscous damping alone cannot make up for friction" in text for text in found.findings
+    )

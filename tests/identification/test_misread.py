@@ -1,4 +1,5 @@
-"""Data that are read in another way than they were recorded: a finding names how, and there is none for data that are read right."""
+"""Data that are read in another way than they were recorded: a finding names how, and there is none
+for data that are read right."""
 
 import functools
 
@@ -16,21 +17,45 @@ SHIFT = np.array([0.02, -0.01, 0.03])
 
 @functools.cache
 def holds_of(name):
-    """An arm, tensions, positions of two markers in holds of it, softer than it is drawn, and the markers."""
+    """An arm, tensions, positions of two markers in holds of it, softer than it is drawn, and the
+    markers."""
     scene = load_scene(name).replace({"effects.gravity.acceleration": [6.0, 2.0, -5.0]})
-    softer = {f"segments.{i}.young_modulus": 0.8 * segment.young_modulus for i, segment in enumerate(scene.segments)}
-    length, model = sum(segment.length for segment in scene.segments), build_model(scene.replace(softer))
+    softer = {
+        f"segments.{i}.young_modulus": 0.8 * segment.young_modulus
+        for i, segment in enumerate(scene.segments)
+    }
+    length, model = (
+        sum(segment.length for segment in scene.segments),
+        build_model(scene.replace(softer)),
+    )
     most = 0.4 * np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     tensions = np.random.default_rng(5).uniform(0.0, 1.0, (10, len(scene.tendons))) * most
     places = np.array([0.6, 1.0]) * length
-    positions = [model.backbone_at(static_equilibrium(model, tension).q, places)[:, :3, 3] for tension in tensions]
-    positions = np.array(positions) + 1e-3 * length * np.random.default_rng(6).normal(size=(10, 2, 3))
-    return scene, tensions, positions, {f"m{i}": Marker(arc_length=place) for i, place in enumerate(places)}
+    positions = [
+        model.backbone_at(static_equilibrium(model, tension).q, places)[:, :3, 3]
+        for tension in tensions
+    ]
+    positions = np.array(positions) + 1e-3 * length * np.random.default_rng(6).normal(
+        size=(10, 2, 3)
+    )
+    return (
+        scene,
+        tensions,
+        positions,
+        {f"m{i}": Marker(arc_length=place) for i, place in enumerate(places)},
+    )
 
 
 def found_of(folder, scene, tensions, positions, markers, frame=None, columns=None):
-    header = ["hold", *(f"tension_{i}" for i in range(tensions.shape[1])), *(f"m{i}_{axis}" for i in range(2) for axis in "xyz")]
-    rows = [[f"h{k}", *map(repr, row.tolist())] for k, row in enumerate(np.hstack([tensions, positions.reshape(len(tensions), -1)]))]
+    header = [
+        "hold",
+        *(f"tension_{i}" for i in range(tensions.shape[1])),
+        *(f"m{i}_{axis}" for i in range(2) for axis in "xyz"),
+    ]
+    rows = [
+        [f"h{k}", *map(repr, row.tolist())]
+        for k, row in enumerate(np.hstack([tensions, positions.reshape(len(tensions), -1)]))
+    ]
     path = folder / "holds.csv"
     path.write_text("\n".join(",".join(row) for row in [header, *rows]))
     markers = MarkerSet(markers=markers, frame=frame or Frame(), columns=columns or {})
@@ -45,15 +70,34 @@ CASES = {
         {},
         "x, y, z of the data read as x, y, -z (a mirror image: the frame of the data is left-h",
     ),
-    "exchanged axes": (lambda u, p: (u, p[..., [2, 1, 0]]), {}, "x, y, z of the data read as z, y, x (a mirror image"),
-    "turned axes": (lambda u, p: (u, p[..., [1, 2, 0]]), {}, "x, y, z of the data read as z, x, y:"),
-    "mirrored in a frame": (lambda u, p: (u, (p - SHIFT) @ TURN.rotation * [1, -1, 1]), {"frame": TURN}, "read as x, -y, z (a mirror"),
+    "exchanged axes": (
+        lambda u, p: (u, p[..., [2, 1, 0]]),
+        {},
+        "x, y, z of the data read as z, y, x (a mirror image",
+    ),
+    "turned axes": (
+        lambda u, p: (u, p[..., [1, 2, 0]]),
+        {},
+        "x, y, z of the data read as z, x, y:",
+    ),
+    "mirrored in a frame": (
+        lambda u, p: (u, (p - SHIFT) @ TURN.rotation * [1, -1, 1]),
+        {"frame": TURN},
+        "read as x, -y, z (a mirror",
+    ),
     "kilograms": (lambda u, p: (u / 9.80665, p), {}, "commands in kg"),
 }
 
 
 @pytest.mark.parametrize(
-    "scene", ["three_tendon", *(pytest.param(name, marks=pytest.mark.slow) for name in ("four_tendon", "two_segment_six"))]
+    "scene",
+    [
+        "three_tendon",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("four_tendon", "two_segment_six")
+        ),
+    ],
 )
 @pytest.mark.parametrize("case", CASES)
 def test_data_that_are_misread_get_a_finding_that_names_it(tmp_path, scene, case):
@@ -66,17 +110,30 @@ def test_data_that_are_misread_get_a_finding_that_names_it(tmp_path, scene, case
     if text is None:
         assert not any("times better with" in finding for finding in found)
     else:
-        assert any(words in found[0] for words in ("times better with", "fit only with"))  # where the arm has no such holds
+        assert any(
+            words in found[0] for words in ("times better with", "fit only with")
+        )  # where the arm has no such holds
         assert text in found[0] and "known weight" not in " ".join(found)
 
 
 @pytest.fixture(scope="module")
 def motion():
-    """A hanging arm at the scene's numbers, and the rows of a motion of it that begins at rest: time, tensions, tip."""
-    scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [0.0, 9.81, 0.0], "integrator.step": 0.02})
+    """A hanging arm at the scene's numbers, and the rows of a motion of it that begins at rest:
+    time, tensions, tip."""
+    scene = load_scene("three_tendon").replace(
+        {"effects.gravity.acceleration": [0.0, 9.81, 0.0], "integrator.step": 0.02}
+    )
     model = build_model(scene.replace({"segments.0.damping": 9e3}))
-    tensions = np.repeat([[0.0, 0.0, 0.0], [2.0, 0.0, 0.5], [0.0, 1.0, 2.5], [1.0, 2.0, 0.0]], 15, axis=0)[13:]
-    ran = simulate(model, tensions[:-1], 0.02 * (len(tensions) - 1), 0.02, Simulation(model).reset_at_rest(tensions[0]))
+    tensions = np.repeat(
+        [[0.0, 0.0, 0.0], [2.0, 0.0, 0.5], [0.0, 1.0, 2.5], [1.0, 2.0, 0.0]], 15, axis=0
+    )[13:]
+    ran = simulate(
+        model,
+        tensions[:-1],
+        0.02 * (len(tensions) - 1),
+        0.02,
+        Simulation(model).reset_at_rest(tensions[0]),
+    )
     return scene, np.column_stack([ran.time, tensions, ran.tip_pose[:, :3, 3]])
 
 
@@ -104,12 +161,17 @@ def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
 
 def test_a_motion_that_cannot_be_simulated_says_what_to_look_at(motion, tmp_path):
     scene, rows = motion
-    weak = scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]})
+    weak = scene.replace(
+        {"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}
+    )
     with pytest.raises(NoHoldError) as raised:
         identify_damping(tmp_path, weak, rows)
     text = str(raised.value)
     assert "line 2: motion 'steps' cannot be simulated" in text
-    assert "Its samples are 0.02 s apart, if their unit is right. Look at units and signs of the commands" in text
+    assert (
+        "Its samples are 0.02 s apart, if their unit is right. Look at units and signs of the"
+        " commands" in text
+    )
 
 
 def test_stiffness_far_from_the_drawing_is_told(tmp_path):
@@ -117,6 +179,20 @@ def test_stiffness_far_from_the_drawing_is_told(tmp_path):
     scene = load_scene("three_tendon")
     model = build_model(scene)
     tensions = np.random.default_rng(5).uniform(0.0, 3.0, (6, 3))
-    positions = np.array([model.backbone_at(static_equilibrium(model, tension).q, [0.15, 0.3])[:, :3, 3] for tension in tensions])
-    found = found_of(tmp_path, scene, tensions / 9.80665, positions, {"m0": Marker(arc_length=0.15), "m1": Marker(arc_length=0.3)})
-    assert found.errors[0] < 1e-6 and any("9.8 times less than in the scene: is a unit wrong?" in finding for finding in found.findings)
+    positions = np.array(
+        [
+            model.backbone_at(static_equilibrium(model, tension).q, [0.15, 0.3])[:, :3, 3]
+            for tension in tensions
+        ]
+    )
+    found = found_of(
+        tmp_path,
+        scene,
+        tensions / 9.80665,
+        positions,
+        {"m0": Marker(arc_length=0.15), "m1": Marker(arc_length=0.3)},
+    )
+    assert found.errors[0] < 1e-6 and any(
+        "9.8 times less than in the scene: is a unit wrong?" in finding
+        for finding in found.findings
+    )

@@ -18,22 +18,39 @@ from soft_tendon_env.scene.file import load_scene
 def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_many(placed):
     scene = load_scene("two_segment_six")
     E, *offsets = read_parameters(["segments.*.young_modulus", "markers.*.offset"], scene, placed)
-    assert E.of_scene.keys == ("segments.0.young_modulus", "segments.1.young_modulus") and E.is_factor and E.prior is None
-    assert len(offsets) == 9 and (offsets[1].name, offsets[1].value) == ("markers.base.offset.1", 0.012)
+    assert (
+        E.of_scene.keys == ("segments.0.young_modulus", "segments.1.young_modulus")
+        and E.is_factor
+        and E.prior is None
+    )
+    assert len(offsets) == 9 and (offsets[1].name, offsets[1].value) == (
+        "markers.base.offset.1",
+        0.012,
+    )
     assert offsets[1].prior == pytest.approx(0.01)
 
 
 def test_entries_of_a_list_change_together_and_angles_by_differences(placed):
     elastic = {"stiffness": 3e3, "slack": [0.0, 0.0, 0.0], "displacement_limits": [-0.01, 0.03]}
-    changes = {"effects.tendon_elasticity": elastic, "tendons.1.routing": {"type": "surface", "angle": 10.0}}
+    changes = {
+        "effects.tendon_elasticity": elastic,
+        "tendons.1.routing": {"type": "surface", "angle": 10.0},
+    }
     asked = ["effects.tendon_elasticity.slack.0,2=-0.002..0.002", "tendons.1.routing.angle"]
     slack, angle = read_parameters(asked, load_scene("three_tendon").replace(changes), placed)
-    assert slack.of_scene.keys == ("effects.tendon_elasticity.slack.0", "effects.tendon_elasticity.slack.2")
+    assert slack.of_scene.keys == (
+        "effects.tendon_elasticity.slack.0",
+        "effects.tendon_elasticity.slack.2",
+    )
     assert not angle.is_factor and (angle.low, angle.high) == (-20.0, 40.0)
 
 
 def test_bounds_stop_where_the_scene_does(arm, placed):
-    (nu,) = read_parameters(["segments.0.poisson_ratio=0.1..0.7"], arm.replace({"segments.0.poisson_ratio": 0.4}), placed)
+    (nu,) = read_parameters(
+        ["segments.0.poisson_ratio=0.1..0.7"],
+        arm.replace({"segments.0.poisson_ratio": 0.4}),
+        placed,
+    )
     assert 0.4999999 < nu.high <= 0.5
 
 
@@ -41,11 +58,23 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
     "asked, message",
     [
         ("segments.0,7.density", "segments.7.density is no number of the scene"),
-        ("segments.*.young", "segments.*.young is no number of the scene: did you mean 'segments.*.young_modulus'?"),
-        ("markers.top.offset", "parameter 'markers.top.offset' is none of the measurement: did you mean 'markers.tip.offset.2'?"),
+        (
+            "segments.*.young",
+            "segments.*.young is no number of the scene: did you mean 'segments.*.young_modulus'?",
+        ),
+        (
+            "markers.top.offset",
+            (
+                "parameter 'markers.top.offset' is none of the measurement: did you mean"
+                " 'markers.tip.offset.2'?"
+            ),
+        ),
         ("segments.*.density=5..1", "should be KEY or KEY=LOW..HIGH with LOW < HIGH"),
         ("segments.*.density=1..2", "bounds should be of one sign around its number"),
-        ("effects.gravity.acceleration.1", "zero has no usual range, give effects.gravity.acceleration.1=LOW..HIGH"),
+        (
+            "effects.gravity.acceleration.1",
+            "zero has no usual range, give effects.gravity.acceleration.1=LOW..HIGH",
+        ),
         ("base.quaternion.1", "none of the measurement: did you mean 'base.rotation.1'?"),
     ],
 )
@@ -59,36 +88,79 @@ def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
     parameters = read_parameters(["base", "commands.*.gain", "commands.delay"], arm, placed)
     plants = Plants(arm, build_model(arm), placed, parameters)
     x = np.zeros(len(parameters))
-    x[:6] = [0.0, 0.0, 2.0, parameters[3].coordinate(5e-3), 0.0, 0.0]  # 6 degrees about z, 5 mm along x
+    x[:6] = [
+        0.0,
+        0.0,
+        2.0,
+        parameters[3].coordinate(5e-3),
+        0.0,
+        0.0,
+    ]  # 6 degrees about z, 5 mm along x
     x[6], x[-1] = np.log(1.1), 0.0
-    measurement, scene, R = plants.measurement(x), plants.scene_at(x, arm), Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix()
-    straight = plants.model.with_scene(scene).backbone_at(np.zeros(plants.model.coordinate_count), placed.arc_lengths)
+    measurement, scene, R = (
+        plants.measurement(x),
+        plants.scene_at(x, arm),
+        Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix(),
+    )
+    straight = plants.model.with_scene(scene).backbone_at(
+        np.zeros(plants.model.coordinate_count), placed.arc_lengths
+    )
     straight[:, :3, 3] -= scene.base.position
     inside = placed.arc_lengths[:, None] * [1.0, 0.0, 0.0] + placed.offsets
     assert np.allclose(measurement.positions(straight), inside @ R.T + [5e-3, 0.0, 0.0])
     assert np.allclose(measurement.gain, [1.1, 1.0, 1.0])
 
 
-@pytest.mark.cases("changes, moves", [({}, False), ({"effects.contact.obstacles": [{"type": "plane", "position": [0, 0, -0.1]}]}, True)])
-def test_the_place_of_the_base_changes_what_an_arm_does_among_obstacles_alone(arm, placed, changes, moves):
+@pytest.mark.cases(
+    "changes, moves",
+    [
+        ({}, False),
+        ({"effects.contact.obstacles": [{"type": "plane", "position": [0, 0, -0.1]}]}, True),
+    ],
+)
+def test_the_place_of_the_base_changes_what_an_arm_does_among_obstacles_alone(
+    arm, placed, changes, moves
+):
     scene = arm.replace(changes)
-    plants = Plants(scene, build_model(arm), placed, read_parameters(["base.position", "base.rotation", "markers.tip"], scene, placed))
+    plants = Plants(
+        scene,
+        build_model(arm),
+        placed,
+        read_parameters(["base.position", "base.rotation", "markers.tip"], scene, placed),
+    )
     assert plants.moves_arm == [moves] * 3 + [True] * 3 + [False] * 3
 
 
 def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():
-    elastic = {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}}
+    elastic = {
+        "effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}
+    }
     placed = MarkerSet(markers={"tip": Marker(arc_length=0.2)})
-    for changes, key, prior in ((elastic, "commands.1.offset", 2e-3), ({}, "commands.1.offset", 0.25), ({}, "base.position.2", 3.75e-3)):
+    for changes, key, prior in (
+        (elastic, "commands.1.offset", 2e-3),
+        ({}, "commands.1.offset", 0.25),
+        ({}, "base.position.2", 3.75e-3),
+    ):
         (parameter,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
-        assert parameter.prior == pytest.approx(prior) and parameter.high - parameter.value == pytest.approx(5.0 * prior)
+        assert parameter.prior == pytest.approx(
+            prior
+        ) and parameter.high - parameter.value == pytest.approx(5.0 * prior)
 
 
-def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environments_make_them_of(placed):
+def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environments_make_them_of(
+    placed,
+):
     elastic = {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}
     scene = load_scene("three_tendon").replace({"effects.tendon_elasticity": elastic})
     parameters = read_parameters(["commands.*.offset", "commands.0.gain"], scene, placed)
     low, high = np.array([-2e-3, -1e-3, -1e-3, 0.9]), np.array([1e-3, 1e-3, 4e-3, 1.2])
     spread = Intervals(low, high, np.ones(4, dtype=bool), [])
-    table = randomize(SimpleNamespace(scene=scene, parameters=parameters, value=0.5 * (low + high), intervals=spread))
-    assert table == {"tension_gain": [0.9, 1.2], "tension_offset": [pytest.approx(-0.25), pytest.approx(0.5)]}  # 5 N for 40 mm
+    table = randomize(
+        SimpleNamespace(
+            scene=scene, parameters=parameters, value=0.5 * (low + high), intervals=spread
+        )
+    )
+    assert table == {
+        "tension_gain": [0.9, 1.2],
+        "tension_offset": [pytest.approx(-0.25), pytest.approx(0.5)],
+    }  # 5 N for 40 mm

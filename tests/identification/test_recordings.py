@@ -1,32 +1,70 @@
-"""Recordings of real arms in the dialects that people have: what is read, and what cannot be used, in one line that says where."""
+"""Recordings of real arms in the dialects that people have: what is read, and what cannot be used,
+in one line that says where."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene
 from soft_tendon_env.identification import Marker, MarkerSet, load_markers
-from soft_tendon_env.identification.recordings import Recording, clusters, read_recordings, same_commands, split
+from soft_tendon_env.identification.recordings import (
+    Recording,
+    clusters,
+    read_recordings,
+    same_commands,
+    split,
+)
 
 HEADER = ["hold", "tension_0", "tension_1", "tension_2", "m_x", "m_y", "m_z"]
-NUMBERS = np.array([[0.5, 0.0, 1.25, 0.28, 0.031, -0.0045], [2.0, 1.5, 0.0, 0.251, -0.08, 0.06], [0.0, 0.0, 3.75, 0.2125, 0.0, 0.11]])
+NUMBERS = np.array(
+    [
+        [0.5, 0.0, 1.25, 0.28, 0.031, -0.0045],
+        [2.0, 1.5, 0.0, 0.251, -0.08, 0.06],
+        [0.0, 0.0, 3.75, 0.2125, 0.0, 0.11],
+    ]
+)
 MARKERS = MarkerSet(markers={"m": Marker(arc_length=0.3)})
 
 
 def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     found = read_recordings([holds], arm, placed)
-    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"] and not any(recording.period for recording in found)
+    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"] and not any(
+        recording.period for recording in found
+    )
     assert np.allclose([recording.command[0] for recording in found], tensions)
-    assert all(np.linalg.norm(recording.positions[0], axis=1) @ [1, 0, 0] < 0.12 < recording.positions[0, 2, 0] for recording in found)
+    assert all(
+        np.linalg.norm(recording.positions[0], axis=1) @ [1, 0, 0]
+        < 0.12
+        < recording.positions[0, 2, 0]
+        for recording in found
+    )
 
 
 @pytest.mark.cases(
     "text, message",
     [
-        ("[markers.a]\narc_length = 0.9", "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m"),
-        ("[markers.a]\narc_length = 90", "markers.a.arc_length is 90: it should be at most the rod's length, 0.3 m; is it in mm?"),
-        ("[markers.a]\narc_length = 0.1\noffset = [0, 0, 12]", "markers.a.offset is 12: it should be at most the rod's length"),
-        ("[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2", "columns.a_x.sign is 2: it should be 1 or -1"),
-        ("[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]", "should have length 1, not 1.414"),
+        (
+            "[markers.a]\narc_length = 0.9",
+            "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m",
+        ),
+        (
+            "[markers.a]\narc_length = 90",
+            (
+                "markers.a.arc_length is 90: it should be at most the rod's length, 0.3 m; is it"
+                " in mm?"
+            ),
+        ),
+        (
+            "[markers.a]\narc_length = 0.1\noffset = [0, 0, 12]",
+            "markers.a.offset is 12: it should be at most the rod's length",
+        ),
+        (
+            "[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2",
+            "columns.a_x.sign is 2: it should be 1 or -1",
+        ),
+        (
+            "[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]",
+            "should have length 1, not 1.414",
+        ),
     ],
 )
 def test_bad_markers_are_told(arm, tmp_path, text, message):
@@ -39,11 +77,20 @@ def test_bad_markers_are_told(arm, tmp_path, text, message):
 
 def test_a_share_or_a_column_is_held_out(arm, holds, placed):
     found = read_recordings([holds], arm, placed)
-    assert [len(part) for part in split(found)] == [12, 4] and [len(part) for part in split(found, "0")] == [16, 0]
+    assert [len(part) for part in split(found)] == [12, 4] and [
+        len(part) for part in split(found, "0")
+    ] == [16, 0]
     assert len(split(found, "tension_0")[1]) == 10
 
 
-@pytest.mark.cases("held_out, message", [("-1", "a share from 0"), ("weight", "no column of that name with numbers"), ("1.5", "a share")])
+@pytest.mark.cases(
+    "held_out, message",
+    [
+        ("-1", "a share from 0"),
+        ("weight", "no column of that name with numbers"),
+        ("1.5", "a share"),
+    ],
+)
 def test_bad_shares_are_told(arm, holds, placed, held_out, message):
     with pytest.raises(ValueError, match="held_out is") as raised:
         split(read_recordings([holds], arm, placed), held_out)
@@ -52,7 +99,10 @@ def test_bad_shares_are_told(arm, holds, placed, held_out, message):
 
 def recordings_of(*commands, period=0.0):
     """Recordings of commands, a motion for each list of them."""
-    return [Recording(f"{i}", "simulated", np.atleast_2d(command), np.full((1, 1, 3), i), period, {}) for i, command in enumerate(commands)]
+    return [
+        Recording(f"{i}", "simulated", np.atleast_2d(command), np.full((1, 1, 3), i), period, {})
+        for i, command in enumerate(commands)
+    ]
 
 
 @pytest.mark.cases(
@@ -72,7 +122,12 @@ def test_repeats_of_the_same_commands_are_found(commands, groups):
 @pytest.mark.cases("share, count", [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
     tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
-    parts = split(recordings_of(*(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))), share)
+    parts = split(
+        recordings_of(
+            *(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))
+        ),
+        share,
+    )
     seen, unseen = ({int(one.name) % 4 for one in part} for part in parts)
     assert len(parts[1]) == count and not seen & unseen
 
@@ -80,14 +135,24 @@ def test_repeats_stay_together_when_some_are_held_out(share, count):
 def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):
     path = tmp_path / "pulled.csv"
     path.write_text(holds.read_text().replace("tension_", "displacement_"))
-    driven = arm.replace({"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}})
-    with pytest.raises(ValueError, match="m: the scene's displacement_limits are -0.01 to 0.03 m; is it in cm or mm. .columns."):
+    driven = arm.replace(
+        {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}}
+    )
+    with pytest.raises(
+        ValueError,
+        match=(
+            "m: the scene's displacement_limits are -0.01 to 0.03 m; is it in cm or mm. .columns."
+        ),
+    ):
         read_recordings([path], driven, placed)
 
 
 def table(separator=",", mark=".", header=HEADER, numbers=NUMBERS, names=("a", "b", "c")):
     """Text of holds."""
-    lines = [[name, *(f"{value:.12g}".replace(".", mark) for value in row)] for name, row in zip(names, numbers, strict=True)]
+    lines = [
+        [name, *(f"{value:.12g}".replace(".", mark) for value in row)]
+        for name, row in zip(names, numbers, strict=True)
+    ]
     return "\n".join(separator.join(cells) for cells in [header, *lines]) + "\n"
 
 
@@ -117,13 +182,19 @@ def read(tmp_path, content, markers=MARKERS, scene="three_tendon"):
 def test_dialects_give_the_same_numbers(tmp_path, content):
     found = read(tmp_path, content)
     assert [one.name for one in found] == ["a", "b", "c"]
-    np.testing.assert_array_equal([[*one.command[0], *one.positions[0, 0]] for one in found], NUMBERS)
+    np.testing.assert_array_equal(
+        [[*one.command[0], *one.positions[0, 0]] for one in found], NUMBERS
+    )
 
 
 @pytest.mark.cases(
     "columns, factors, header",
     [
-        ({"m_*": {"unit": "mm"}, "tension_*": {"unit": "g"}}, [1e3 / 9.80665] * 3 + [1e3] * 3, HEADER),
+        (
+            {"m_*": {"unit": "mm"}, "tension_*": {"unit": "g"}},
+            [1e3 / 9.80665] * 3 + [1e3] * 3,
+            HEADER,
+        ),
         (
             {
                 "m_*": {"name": "pose.*", "unit": "cm"},
@@ -138,62 +209,135 @@ def test_dialects_give_the_same_numbers(tmp_path, content):
 def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
     markers = MarkerSet(markers=MARKERS.markers, columns=columns)
     found = read(tmp_path, table(header=header, numbers=NUMBERS * factors), markers)
-    np.testing.assert_allclose([[*recording.command[0], *recording.positions[0, 0]] for recording in found], NUMBERS, rtol=1e-11)
+    np.testing.assert_allclose(
+        [[*recording.command[0], *recording.positions[0, 0]] for recording in found],
+        NUMBERS,
+        rtol=1e-11,
+    )
     again = markers.with_offsets(markers.offsets)
     assert again.columns == markers.columns
 
 
 def test_rows_of_servos_in_mm_with_labels_are_holds_in_groups(tmp_path):
-    """As a laboratory wrote them: epoch seconds that name rows, servos in an order of their own, patterns of motion."""
+    """As a laboratory wrote them: epoch seconds that name rows, servos in an order of their own,
+    patterns of motion."""
     header = "timestamp,pattern_label,servo_7_mm,servo_2_mm,servo_5_mm,tip_x,tip_y,tip_z"
-    rows = [f"{1778538602.5 + 0.6 * i:.6f},rep1_dir{60 * (i // 2)}_pull,{-i},{0.5 * i},{2 * i},{i},-2.5,{299 - i}" for i in range(6)]
-    servos = {f"displacement_{i}": {"name": f"servo_{servo}_mm", "unit": "mm", "sign": sign} for i, servo, sign in [(0, 5, 1), (1, 7, -1)]}
-    columns = {**servos, "displacement_2": {"name": "servo_2_mm", "unit": "mm"}, "tip_*": {"unit": "mm"}, "hold": {"name": "timestamp"}}
-    driven = load_scene("three_tendon").replace({"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.02]}})
-    turned = {"markers": {"tip": {"arc_length": 0.3}}, "frame": {"quaternion": [0.5, 0.5, 0.5, 0.5]}}
-    markers = MarkerSet.parse({**turned, "columns": {**columns, "group": {"name": "pattern_label"}}}, "test")
+    rows = [
+        f"{1778538602.5 + 0.6 * i:.6f},rep1_dir{60 * (i // 2)}_pull,{-i},{0.5 * i},{2 * i},"
+        f"{i},-2.5,{299 - i}"
+        for i in range(6)
+    ]
+    servos = {
+        f"displacement_{i}": {"name": f"servo_{servo}_mm", "unit": "mm", "sign": sign}
+        for i, servo, sign in [(0, 5, 1), (1, 7, -1)]
+    }
+    columns = {
+        **servos,
+        "displacement_2": {"name": "servo_2_mm", "unit": "mm"},
+        "tip_*": {"unit": "mm"},
+        "hold": {"name": "timestamp"},
+    }
+    driven = load_scene("three_tendon").replace(
+        {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.02]}}
+    )
+    turned = {
+        "markers": {"tip": {"arc_length": 0.3}},
+        "frame": {"quaternion": [0.5, 0.5, 0.5, 0.5]},
+    }
+    markers = MarkerSet.parse(
+        {**turned, "columns": {**columns, "group": {"name": "pattern_label"}}}, "test"
+    )
     (tmp_path / "log.csv").write_text("\n".join([header, *rows]) + "\n")
     found = read_recordings([tmp_path / "log.csv"], driven, markers)
-    assert [one.name for one in found[:2]] == ["1778538602.500000", "1778538603.100000"] and not any(one.period for one in found)
-    np.testing.assert_allclose([one.command[0] for one in found], 1e-3 * np.outer(range(6), [2.0, 1.0, 0.5]), rtol=1e-12)
+    assert [one.name for one in found[:2]] == [
+        "1778538602.500000",
+        "1778538603.100000",
+    ] and not any(one.period for one in found)
+    np.testing.assert_allclose(
+        [one.command[0] for one in found], 1e-3 * np.outer(range(6), [2.0, 1.0, 0.5]), rtol=1e-12
+    )
     np.testing.assert_allclose(found[3].positions[0, 0], [0.296, 0.003, -0.0025], rtol=1e-12)
-    assert clusters(found).tolist() == [0, 0, 1, 1, 2, 2] and [len(part) for part in split(found, "0.34")] == [4, 2]
+    assert clusters(found).tolist() == [0, 0, 1, 1, 2, 2] and [
+        len(part) for part in split(found, "0.34")
+    ] == [4, 2]
 
 
 def motion(times, tensions=None):
     """Text of samples at times."""
-    tensions = np.tile(NUMBERS[:, :3], (len(times), 1))[: len(times)] if tensions is None else tensions
-    moving = np.array([0.28, 0.0, 0.0]) - 0.1 * np.arange(len(times))[:, None] / len(times) * [1.0, 0.2, -0.3]
-    rows = [[repr(time), *map(str, u), *map(str, p)] for time, u, p in zip(times, tensions, moving.tolist(), strict=True)]
+    tensions = (
+        np.tile(NUMBERS[:, :3], (len(times), 1))[: len(times)] if tensions is None else tensions
+    )
+    moving = np.array([0.28, 0.0, 0.0]) - 0.1 * np.arange(len(times))[:, None] / len(times) * [
+        1.0,
+        0.2,
+        -0.3,
+    ]
+    rows = [
+        [repr(time), *map(str, u), *map(str, p)]
+        for time, u, p in zip(times, tensions, moving.tolist(), strict=True)
+    ]
     return "\n".join(",".join(row) for row in [["time", *HEADER[1:]], *rows]) + "\n"
 
 
 @pytest.mark.cases(
     "content, message",
     [
-        (table(";", header=[*HEADER[:-1], "z"]), "line 1 (separated by ';'): there is no column m_z"),
-        (table(";", ",").replace("0,5", "0.5"), "numbers should have one decimal mark, and no others"),
+        (
+            table(";", header=[*HEADER[:-1], "z"]),
+            "line 1 (separated by ';'): there is no column m_z",
+        ),
+        (
+            table(";", ",").replace("0,5", "0.5"),
+            "numbers should have one decimal mark, and no others",
+        ),
         (
             table(numbers=NUMBERS * [1, 1, 1, 1e3, 1e3, 1e3]),
             '0.3 m; is it in mm? [columns] of the markers\' file says so: "m_*" = { unit = "mm" }',
         ),
-        (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "is the arm's length or the unit wrong? Positions are in m"),
-        (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),
-        (table().replace("0.031", "0.03l"), "line 2: m_y is '0.03l': it should be a finite number, or empty where there is none"),
-        (table(header=[*HEADER[:3], "tension_0", *HEADER[4:]]), "column tension_0 is there 2 times"),
+        (
+            table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]),
+            "is the arm's length or the unit wrong? Positions are in m",
+        ),
+        (
+            table().replace("0.5", "-0.5"),
+            "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N",
+        ),
+        (
+            table().replace("0.031", "0.03l"),
+            "line 2: m_y is '0.03l': it should be a finite number, or empty where there is none",
+        ),
+        (
+            table(header=[*HEADER[:3], "tension_0", *HEADER[4:]]),
+            "column tension_0 is there 2 times",
+        ),
         (
             table().replace("3.75", "306"),
-            "line 4: tension_2 is 306 N: the scene's tension_limits are 0 to 5 N; is it in mN or g? [columns] of",
+            (
+                "line 4: tension_2 is 306 N: the scene's tension_limits are 0 to 5 N; is it in mN"
+                " or g? [columns] of"
+            ),
         ),
-        (table(names="aab"), "line 3: hold 'a' has a second row: samples of a motion need a column time"),
+        (
+            table(names="aab"),
+            "line 3: hold 'a' has a second row: samples of a motion need a column time",
+        ),
         (table(names="aba"), "hold 'a' is there 2 times"),
         (table().encode("utf-16"), "log.csv cannot be read as text in UTF-8: "),
-        (motion([0.0, 0.01, 0.02, 0.02, 0.03]), "line 5: time is 0.02 s after 0.02 s: it should be a number, and grow"),
+        (
+            motion([0.0, 0.01, 0.02, 0.02, 0.03]),
+            "line 5: time is 0.02 s after 0.02 s: it should be a number, and grow",
+        ),
         (
             motion([0.0, 0.01, 0.02, 0.03, 0.06, 0.07]),
-            "line 6: time goes on by 0.03 s: it should in equal steps, which are 0.01 s in the middle; a row",
+            (
+                "line 6: time goes on by 0.03 s: it should in equal steps, which are 0.01 s in the"
+                " middle; a row"
+            ),
         ),
-        (motion([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40]), "line 2: samples are 20 s apart in time: is it in ms?"),
+        (
+            motion([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40]),
+            "line 2: samples are 20 s apart in time: is it in ms?",
+        ),
         (motion([0.0, 10.0, 20.0]), "line 2: samples are 10 s apart in time: is it in ms?"),
         (motion([0.0]), "line 2: a motion should have at least two samples"),
     ],
@@ -206,15 +350,25 @@ def test_what_cannot_be_read_is_told_with_its_place(tmp_path, content, message):
 
 @pytest.mark.cases(
     "period, begin, unit",
-    [(0.01, 1.7634e9, "s"), (20.0, 1.7634e12, "ms"), (5000, 1763400000000000, "us"), (4000000, 1763400000000000000, "ns")],
+    [
+        (0.01, 1.7634e9, "s"),
+        (20.0, 1.7634e12, "ms"),
+        (5000, 1763400000000000, "us"),
+        (4000000, 1763400000000000000, "ns"),
+    ],
 )
 def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
     times = [begin + period * (k + 0.1 * (k % 2)) for k in range(20)]  # with jitter
     markers = MarkerSet(markers=MARKERS.markers, columns={"time": {"unit": unit}})
     (found,) = read(tmp_path, motion(times), markers)
-    assert found.period == pytest.approx(period * {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit], rel=2e-3)
+    assert found.period == pytest.approx(
+        period * {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit], rel=2e-3
+    )
     if unit in ("us", "ns"):
-        with pytest.raises(ValueError, match=f'apart in time: is it in {unit}. .columns. .* time = . unit = "{unit}"'):
+        with pytest.raises(
+            ValueError,
+            match=f'apart in time: is it in {unit}. .columns. .* time = . unit = "{unit}"',
+        ):
             read(tmp_path, motion(times))
 
 

@@ -1,4 +1,5 @@
-"""Analytic policy gradient: learns as a class of Stable-Baselines3 does, and what gradients cannot pass is refused by name."""
+"""Analytic policy gradient: learns as a class of Stable-Baselines3 does, and what gradients cannot
+pass is refused by name."""
 
 from types import SimpleNamespace
 
@@ -9,17 +10,35 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings, TrackingCost, clip_rows, normalised
+from soft_tendon_env.learning.analytic_policy_gradient import (
+    APG,
+    APGSettings,
+    TrackingCost,
+    clip_rows,
+    normalised,
+)
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
-OBSERVED = ["tip_position", "tip_rotation", "tip_twist", "tendon_lengths", "target_error", "command"]
+OBSERVED = [
+    "tip_position",
+    "tip_rotation",
+    "tip_twist",
+    "tendon_lengths",
+    "target_error",
+    "command",
+]
 SMALL = {"policy_kwargs": {"net_arch": [32]}, "seed": 0}
 
 
 def envs(task="TipPose", rows=8, **options):
-    return make_sb3_vec_env(IDS[task], rows, threads=1, **{**FAST, "action": "increment", "max_episode_steps": 40, **options})
+    return make_sb3_vec_env(
+        IDS[task],
+        rows,
+        threads=1,
+        **{**FAST, "action": "increment", "max_episode_steps": 40, **options},
+    )
 
 
 @pytest.mark.slow
@@ -35,10 +54,18 @@ def test_errors_fall():
 
 @pytest.mark.parametrize("task, policy", [("TipPose", "MlpPolicy"), ("Reach", "MultiInputPolicy")])
 def test_observations_are_normalised_as_vec_normalize_does(task, policy):
-    env = VecNormalize(envs(task, 4, observation="measurable", sensors=1, history=1), norm_reward=False, clip_obs=2.0)
+    env = VecNormalize(
+        envs(task, 4, observation="measurable", sensors=1, history=1),
+        norm_reward=False,
+        clip_obs=2.0,
+    )
     agent = APG(policy, env, settings=APGSettings(n_steps=32), **SMALL).learn(512)
     seen = envs(task, 64, observation="measurable", sensors=1, history=1).reset()
-    tensors = {key: torch.as_tensor(value) for key, value in seen.items()} if task == "Reach" else torch.as_tensor(seen)
+    tensors = (
+        {key: torch.as_tensor(value) for key, value in seen.items()}
+        if task == "Reach"
+        else torch.as_tensor(seen)
+    )
     found, wanted = normalised(tensors, env), env.normalize_obs(seen)
     for key in found if task == "Reach" else [...]:
         np.testing.assert_allclose(found[key], wanted[key], atol=1e-6)
@@ -51,36 +78,62 @@ def test_observations_are_normalised_as_vec_normalize_does(task, policy):
 def test_a_policy_remembers_from_one_window_to_the_next_and_forgets_at_resets():
     env = envs(rows=4, observation=OBSERVED, max_episode_steps=12)
     small = {"policy_kwargs": {"net_arch": [32], "memory": 4}, "seed": 0}
-    agent = APG("MlpPolicy", env, settings=APGSettings(n_steps=8, max_row_gradient=2.0), **small).learn(32)
+    agent = APG(
+        "MlpPolicy", env, settings=APGSettings(n_steps=8, max_row_gradient=2.0), **small
+    ).learn(32)
     assert (agent._memory != 0.0).any(dim=1).all() and not agent._memory.requires_grad
     agent.learn(32, reset_num_timesteps=False)
     assert not agent._memory.any(), "all episodes have timed out"
 
 
 def test_a_memory_is_taught_what_was_drawn(tmp_path):
-    drawn = {"latency": [0.0, 0.04], "stiffness": [0.8, 1.2], "tension_gain": [0.9, 1.1], "payload": 0.001, "omit": 0.3}
+    drawn = {
+        "latency": [0.0, 0.04],
+        "stiffness": [0.8, 1.2],
+        "tension_gain": [0.9, 1.1],
+        "payload": 0.001,
+        "omit": 0.3,
+    }
     env = envs(rows=8, observation=OBSERVED, randomize=drawn)
     small = {"policy_kwargs": {"net_arch": [32], "memory": 4}, "seed": 0}
-    agent = APG("MlpPolicy", env, settings=APGSettings(n_steps=8, identification=1e3, cost=lambda found: 0.0 * found.action.sum()), **small)
+    agent = APG(
+        "MlpPolicy",
+        env,
+        settings=APGSettings(
+            n_steps=8, identification=1e3, cost=lambda found: 0.0 * found.action.sum()
+        ),
+        **small,
+    )
     shares = agent.rows.episodes.drawn_shares()
-    assert shares.shape == (8, 2 + agent.rows.episodes.model.tendon_count), "latency, stiffness and gains; a payload has no range"
+    assert shares.shape == (8, 2 + agent.rows.episodes.model.tendon_count), (
+        "latency, stiffness and gains; a payload has no range"
+    )
     memory = agent.policy.gate.weight.detach().clone()
     agent.learn(128)
     assert (agent.policy.gate.weight != memory).any()
     agent.save(tmp_path / "agent")
-    assert torch.equal(APG.load(tmp_path / "agent", env=env)._identifier.weight, agent._identifier.weight)
+    assert torch.equal(
+        APG.load(tmp_path / "agent", env=env)._identifier.weight, agent._identifier.weight
+    )
     with pytest.raises(ValueError, match="needs a policy with a memory"):
         APG("MlpPolicy", env, settings=APGSettings(identification=1.0), **SMALL)
 
 
 def test_numbers_that_are_drawn_are_shares_of_their_ranges():
-    env = envs(rows=16, randomize={"latency": [0.01, 0.04], "stiffness": [0.8, 1.2], "tension_offset": [-0.1, 0.1]})
+    env = envs(
+        rows=16,
+        randomize={"latency": [0.01, 0.04], "stiffness": [0.8, 1.2], "tension_offset": [-0.1, 0.1]},
+    )
     env.reset()
     episodes = env.env.episodes
     for row, shares in enumerate(episodes.drawn_shares()):
         found = episodes.drawn(row)["drawn"]
         modulus = found["segments.0.young_modulus"] / episodes.model.scene.segments[0].young_modulus
-        wanted = [(modulus - 0.8) / 0.4, *((found["tension_offset"] + 0.1) / 0.2), (found["latency"] - 0.01) / 0.03]
+        wanted = [
+            (modulus - 0.8) / 0.4,
+            *((found["tension_offset"] + 0.1) / 0.2),
+            (found["latency"] - 0.01) / 0.03,
+        ]
         np.testing.assert_allclose(shares, wanted, atol=1e-12)
 
 
@@ -90,12 +143,22 @@ def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
     np.testing.assert_allclose(clipped[2], [2.4, 3.2])
     np.testing.assert_array_equal(clipped[[0, 1, 3, 4]], gradient[[0, 1, 3, 4]])
     few = torch.tensor([[0.0], [0.0], [5.0]])
-    assert torch.equal(clip_rows(few, 2.0), few) and torch.equal(clip_rows(gradient, np.inf), gradient)
+    assert torch.equal(clip_rows(few, 2.0), few) and torch.equal(
+        clip_rows(gradient, np.inf), gradient
+    )
 
 
 def error_of(agent, options):
     """Root mean square position error [m] in the second half of episodes of other seeds."""
-    env, errors = gym.make_vec(IDS["TipPose"], num_envs=8, max_episode_steps=None, **{**FAST, "action": "increment", **options}), []
+    env, errors = (
+        gym.make_vec(
+            IDS["TipPose"],
+            num_envs=8,
+            max_episode_steps=None,
+            **{**FAST, "action": "increment", **options},
+        ),
+        [],
+    )
     observation, _ = env.reset(seed=1000)
     for _ in range(60):
         observation, *_, info = env.step(agent.predict(observation, deterministic=True)[0])
@@ -106,15 +169,26 @@ def error_of(agent, options):
 def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off():
     env = envs()
     env.reset()
-    cost = TrackingCost(env.env.episodes, APGSettings(position_scale=0.01, angle_scale=0.1, far_weight=0.0, smoothness=2.0))
+    cost = TrackingCost(
+        env.env.episodes,
+        APGSettings(position_scale=0.01, angle_scale=0.1, far_weight=0.0, smoothness=2.0),
+    )
 
     def of(position, angle, change):
         error, tip = torch.zeros(1, 1, 6), torch.zeros(1, 1, 3)
         error[..., 0], tip[..., 0] = angle, position
-        return float(cost(SimpleNamespace(error=error, position_error=tip, action_change=torch.full((1, 1, 3), change))))
+        return float(
+            cost(
+                SimpleNamespace(
+                    error=error, position_error=tip, action_change=torch.full((1, 1, 3), change)
+                )
+            )
+        )
 
     assert of(0.0, 0.0, 0.5) == pytest.approx(0.5)
-    assert of(1e-5, 0.0, 0.0) == pytest.approx(0.5 * 1e-6, rel=0.05) and of(0.0, 1e-3, 0.0) == pytest.approx(0.5e-4, rel=1e-2)
+    assert of(1e-5, 0.0, 0.0) == pytest.approx(0.5 * 1e-6, rel=0.05) and of(
+        0.0, 1e-3, 0.0
+    ) == pytest.approx(0.5e-4, rel=1e-2)
     assert of(10.0, 0.0, 0.0) == pytest.approx(np.log(1000.0), rel=1e-4)
 
 
@@ -122,7 +196,12 @@ def test_refusals():
     """Of environments that are no one's or whose gradients stop somewhere, each by name."""
     with pytest.raises(TypeError, match="make_sb3_vec_env"):
         APG("MlpPolicy", DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
-    stuck = {"scene": {"scene": "three_tendon", "effects.viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}}}
+    stuck = {
+        "scene": {
+            "scene": "three_tendon",
+            "effects.viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]},
+        }
+    }
     with pytest.raises(ValueError, match=r"effects\.viscoelastic_memory has internal states"):
         APG("MlpPolicy", envs(**stuck), **SMALL)
     with pytest.raises(ConfigurationError, match="rewards coordinate_error"):

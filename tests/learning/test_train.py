@@ -1,4 +1,5 @@
-"""Trainings as a user runs them: they learn, can be killed, repeated and resumed, and what they leave can be used."""
+"""Trainings as a user runs them: they learn, can be killed, repeated and resumed, and what they
+leave can be used."""
 
 import csv
 import json
@@ -29,7 +30,10 @@ RUNS = {
     "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
     "CrossQ": {"algorithm": "CrossQ", "hyperparameters": OFF_POLICY},
     "APG": {"algorithm": "APG", "hyperparameters": {"n_steps": 8}},
-    "DAgger": {"algorithm": "DAgger", "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16}},
+    "DAgger": {
+        "algorithm": "DAgger",
+        "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16},
+    },
     "running": {"task": "Reach", "normalise": {"observations": True}, "learning_rate": (1e-3, 0.0)},
 }
 
@@ -39,7 +43,10 @@ def curve(folder):
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("run", [pytest.param(run, marks=[pytest.mark.slow] * (run in ("TQC", "CrossQ"))) for run in RUNS])
+@pytest.mark.parametrize(
+    "run",
+    [pytest.param(run, marks=[pytest.mark.slow] * (run in ("TQC", "CrossQ"))) for run in RUNS],
+)
 def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path, run):
     chosen = training(**RUNS[run])
     train.train(chosen, tmp_path)
@@ -50,45 +57,83 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
         files = {path.name for path in (tmp_path / name).iterdir()}
         assert {"weights.pt", "config.json"} <= files
         assert ("statistics.npz" in files) == chosen.normalise.observations
-        assert ({"model.zip", "environment.pkl"} <= files) == (name == "last"), "which a training goes on from"
-        assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm not in ("APG", "PPO")), "or what a teacher said"
+        assert ({"model.zip", "environment.pkl"} <= files) == (name == "last"), (
+            "which a training goes on from"
+        )
+        assert ("replay_buffer.pkl" in files) == (
+            name == "last" and chosen.algorithm not in ("APG", "PPO")
+        ), "or what a teacher said"
         found = json.loads((tmp_path / name / "config.json").read_text())
         assert name == "last" or found["evaluated"]["steps"] == found["steps_done"]
         assert found["algorithm"] == chosen.algorithm and found["record"]["versions"]["torch"]
     path = str(tmp_path / "last")
     env = gym.make(IDS[chosen.task], max_episode_steps=20, **policy_options(path, chosen.task, {}))
-    summary = summarise(evaluate(load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip))
+    summary = summarise(
+        evaluate(load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip)
+    )
     error = next(iter(summary.errors))
-    assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
+    assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), (
+        "as the learning curve says"
+    )
 
 
 def test_episodes_of_arms_do_not_all_begin_together(training):
     env = train.make_training_env(training(arms=10, seconds=0.4))
     env.reset()
     ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
-    assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
+    assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, (
+        "one of ten every two of twenty steps"
+    )
 
 
 def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment(training):
-    parts = [training(seed=seed).arm_seed(done) for seed in range(5) for done in (0, 1_000_000, 2_999_990)]
+    parts = [
+        training(seed=seed).arm_seed(done)
+        for seed in range(5)
+        for done in (0, 1_000_000, 2_999_990)
+    ]
     seeds = {first + arm for first in parts for arm in range(64)}
-    assert len(seeds) == 64 * len(parts) and all(seed in SEEDS["training"] for seed in seeds), "no two purposes share any"
+    assert len(seeds) == 64 * len(parts) and all(seed in SEEDS["training"] for seed in seeds), (
+        "no two purposes share any"
+    )
     model = train.make_model(training(seed=3))
     model.learn(64)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
     plain.seed(training(seed=3).arm_seed())
-    np.testing.assert_array_equal(model.rollout_buffer.observations[::16], plain.reset())  # row after row
+    np.testing.assert_array_equal(
+        model.rollout_buffer.observations[::16], plain.reset()
+    )  # row after row
 
 
-@pytest.mark.parametrize("run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running"))])
+@pytest.mark.parametrize(
+    "run",
+    [
+        "PPO",
+        *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running")),
+    ],
+)
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path, run):
-    """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
+    """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for
+    bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
     evaluation = {"every": 64, "episodes": 1, "skip": 0.2}
-    chosen = training(**{**RUNS[run], "steps": 192, "options": options, "learning_rate": (1e-3, 0.0), "evaluation": evaluation})
+    chosen = training(
+        **{
+            **RUNS[run],
+            "steps": 192,
+            "options": options,
+            "learning_rate": (1e-3, 0.0),
+            "evaluation": evaluation,
+        }
+    )
 
     def part(watch):
-        return train.train(chosen, tmp_path / "parts", train.checkpoint_to_resume(tmp_path / "parts", chosen, resume=True), watch)
+        return train.train(
+            chosen,
+            tmp_path / "parts",
+            train.checkpoint_to_resume(tmp_path / "parts", chosen, resume=True),
+            watch,
+        )
 
     def stop(row):
         if row["steps"] >= 128:
@@ -106,8 +151,13 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path
 def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     path = tmp_path / "long.toml"
     path.write_text(tomli_w.dumps({**table, "steps": 100_000}))
-    out, command = tmp_path / "run", [sys.executable, "-m", "soft_tendon_env", "train", path, "--out", tmp_path / "run"]
-    process = subprocess.Popen(command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL)
+    out, command = (
+        tmp_path / "run",
+        [sys.executable, "-m", "soft_tendon_env", "train", path, "--out", tmp_path / "run"],
+    )
+    process = subprocess.Popen(
+        command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL
+    )
     try:
         until = time.monotonic() + 240.0
         while time.monotonic() < until and process.poll() is None and not (out / "last").exists():
@@ -120,7 +170,10 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     more = config.read_training(path, [f"steps={done + 128}"])
     train.train(more, out, train.checkpoint_to_resume(out, more, resume=True))
     rows = [row["steps"] for row in curve(out)]
-    assert rows == sorted(set(rows)) and rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
+    assert (
+        rows == sorted(set(rows))
+        and rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
+    )
 
 
 def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
@@ -145,11 +198,15 @@ def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
 
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_path):
     """Killed between the two renamings of a checkpoint, when the new one was complete."""
-    assert monitor.quality({"cost": 0.05, "typical": 0.03}) < monitor.quality({"cost": 0.1, "typical": 0.35}), "though a few diverged"
+    assert monitor.quality({"cost": 0.05, "typical": 0.03}) < monitor.quality(
+        {"cost": 0.1, "typical": 0.35}
+    ), "though a few diverged"
     path = tmp_path / "best" / "config.json"
     train.train(training(), tmp_path)
     found = json.loads(path.read_text())
-    assert monitor.quality(found["evaluated"]) == pytest.approx(min(map(monitor.quality, curve(tmp_path))), rel=1e-6)
+    assert monitor.quality(found["evaluated"]) == pytest.approx(
+        min(map(monitor.quality, curve(tmp_path))), rel=1e-6
+    )
     unbeatable = {**found, "evaluated": {**found["evaluated"], "cost": 1e-9}}
     path.write_text(json.dumps(unbeatable))
     more = training(steps=512)
@@ -168,15 +225,39 @@ def hyperparameters(**given):
     "changes, said",
     [
         ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
-        ({"options": {**SMALL, "observation": ["tip_postion"]}}, "options.observation names 'tip_postion': did you mean 'tip_position'?"),
-        ({"options": {**SMALL, "sensors": [5.0]}}, "options.sensors names 5: it should be at most the rod's length"),
+        (
+            {"options": {**SMALL, "observation": ["tip_postion"]}},
+            "options.observation names 'tip_postion': did you mean 'tip_position'?",
+        ),
+        (
+            {"options": {**SMALL, "sensors": [5.0]}},
+            "options.sensors names 5: it should be at most the rod's length",
+        ),
         (hyperparameters(gamma=2), "hyperparameters.gamma is 2: it should be a number from 0 to 1"),
-        (hyperparameters(gama=0.9), "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'?"),
-        (hyperparameters(learning_rate=0.1), "hyperparameters.learning_rate is an unknown key (given 0.1): "),
-        (hyperparameters(rollout_buffer_class="Buffer"), "hyperparameters.rollout_buffer_class is an unknown key (given 'Buffer'): "),
-        (hyperparameters(policy_kwargs=3), "hyperparameters.policy_kwargs is 3: it should be a table"),
-        (hyperparameters(policy_kwargs={"net_arc": [64]}), "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you"),
-        ({"algorithm": "APG", **hyperparameters(gamma=0.9)}, "hyperparameters.gamma is an unknown key"),
+        (
+            hyperparameters(gama=0.9),
+            "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'?",
+        ),
+        (
+            hyperparameters(learning_rate=0.1),
+            "hyperparameters.learning_rate is an unknown key (given 0.1): ",
+        ),
+        (
+            hyperparameters(rollout_buffer_class="Buffer"),
+            "hyperparameters.rollout_buffer_class is an unknown key (given 'Buffer'): ",
+        ),
+        (
+            hyperparameters(policy_kwargs=3),
+            "hyperparameters.policy_kwargs is 3: it should be a table",
+        ),
+        (
+            hyperparameters(policy_kwargs={"net_arc": [64]}),
+            "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you",
+        ),
+        (
+            {"algorithm": "APG", **hyperparameters(gamma=0.9)},
+            "hyperparameters.gamma is an unknown key",
+        ),
     ],
 )
 def test_mistakes_in_a_file_are_named(training, changes, said):
@@ -188,10 +269,22 @@ def test_mistakes_in_a_file_are_named(training, changes, said):
 @pytest.mark.cases(
     "changes, said",
     [
-        (hyperparameters(n_steps=10**15), "PPO cannot be made of these hyperparameters: MemoryError, there is too little memory"),
-        (hyperparameters(policy_kwargs={"activation_fn": "Tahn"}), "activation_fn is 'Tahn': it should be the name of an activation"),
-        (hyperparameters(policy_kwargs={"squash_output": True}), "PPO cannot be made of these .*squash_output=True is only available"),
-        ({**RUNS["DAgger"], "normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
+        (
+            hyperparameters(n_steps=10**15),
+            "PPO cannot be made of these hyperparameters: MemoryError, there is too little memory",
+        ),
+        (
+            hyperparameters(policy_kwargs={"activation_fn": "Tahn"}),
+            "activation_fn is 'Tahn': it should be the name of an activation",
+        ),
+        (
+            hyperparameters(policy_kwargs={"squash_output": True}),
+            "PPO cannot be made of these .*squash_output=True is only available",
+        ),
+        (
+            {**RUNS["DAgger"], "normalise": {"observations": True}},
+            "normalise.observations is true: DAgger has a scale of its own",
+        ),
     ],
 )
 def test_what_the_algorithm_refuses_is_told(training, changes, said):
@@ -202,22 +295,47 @@ def test_what_the_algorithm_refuses_is_told(training, changes, said):
 def test_arguments_go_before_the_file(table, tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(tomli_w.dumps(table))
-    changes = ["options.scene=paper", "hyperparameters.gamma=0.9", "learning_rate=[1e-3, 0.0]", "steps=5_000"]
+    changes = [
+        "options.scene=paper",
+        "hyperparameters.gamma=0.9",
+        "learning_rate=[1e-3, 0.0]",
+        "steps=5_000",
+    ]
     chosen = config.read_training(path, changes, seed=7)
-    assert (chosen.options["scene"], chosen.hyperparameters["gamma"], chosen.steps, chosen.seed) == ("paper", 0.9, 5000, 7)
-    assert [train.learning_rate(chosen)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 0.0])
+    assert (
+        chosen.options["scene"],
+        chosen.hyperparameters["gamma"],
+        chosen.steps,
+        chosen.seed,
+    ) == ("paper", 0.9, 5000, 7)
+    assert [train.learning_rate(chosen)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx(
+        [1e-3, 5e-4, 0.0]
+    )
     falls = chosen.model_copy(update={"learning_rate": (1e-3, 1e-5, "geometric")})
-    assert [train.learning_rate(falls)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 1e-4, 1e-5])
+    assert [train.learning_rate(falls)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx(
+        [1e-3, 1e-4, 1e-5]
+    )
 
 
 @pytest.mark.cases("path", [config.find_config(name) for name in config.config_names()])
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem
-    assert path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}") and path.stem.startswith(chosen.algorithm.lower())
-    assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], "or arms that whirl would change what all others see"
+    assert path.read_text().splitlines()[0].endswith(
+        f"soft-tendon train {path.stem}"
+    ) and path.stem.startswith(chosen.algorithm.lower())
+    assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], (
+        "or arms that whirl would change what all others see"
+    )
 
 
 def test_agents_for_all_settings_trained_on_the_same_arms_and_targets():
-    first, *others = [config.read_training(config.find_config(f"{algorithm}_tip_pose")).options for algorithm in ("apg", "ppo", "sac")]
-    assert all(first[key] == other[key] for key in ("scene", "target", "randomize", "fidelity") for other in others)
+    first, *others = [
+        config.read_training(config.find_config(f"{algorithm}_tip_pose")).options
+        for algorithm in ("apg", "ppo", "sac")
+    ]
+    assert all(
+        first[key] == other[key]
+        for key in ("scene", "target", "randomize", "fidelity")
+        for other in others
+    )

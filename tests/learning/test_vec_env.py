@@ -45,7 +45,10 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
     rows, rng, seen = 3, np.random.default_rng(0), set()
     ours = make_sb3_vec_env(id, rows, **options)
     theirs = DummyVecEnv([lambda: Monitor(gym.make(id, **options)) for _ in range(rows)])
-    assert (ours.observation_space, ours.action_space) == (theirs.observation_space, theirs.action_space)
+    assert (ours.observation_space, ours.action_space) == (
+        theirs.observation_space,
+        theirs.action_space,
+    )
     for seed in (5, None, 6):
         if seed is not None:
             assert ours.seed(seed) == theirs.seed(seed) == [seed, seed + 1, seed + 2]
@@ -54,7 +57,11 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
             action = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape)).astype(np.float32)
             result, expected = ours.step(action), theirs.step(action)
             assert same(timeless(result), timeless(expected))  # infos of plain values among them
-            seen |= {(info["diverged"], info["TimeLimit.truncated"]) for info in result[3] if "episode" in info}
+            seen |= {
+                (info["diverged"], info["TimeLimit.truncated"])
+                for info in result[3]
+                if "episode" in info
+            }
     assert seen == ends
 
 
@@ -65,18 +72,24 @@ def test_what_the_rows_share():
     (reward,) = env.env_method("compute_reward", *goals, [{}] * 3, indices=[0])
     assert reward.shape == (3,) and (reward > 0).all()
     assert len(env.env_method("compute_reward", *goals, None)) == 3
-    assert env.get_attr("render_mode") == [None] * 3 and len(env.get_attr("episodes", indices=1)) == 1
+    assert (
+        env.get_attr("render_mode") == [None] * 3 and len(env.get_attr("episodes", indices=1)) == 1
+    )
     assert env.get_attr("observation_space", [0, 2]) == [env.observation_space] * 2
     assert env.get_attr("action_space", 0) == [env.action_space]
     assert env.has_attr("compute_reward") and not env.has_attr("nothing")
-    assert not make_sb3_vec_env(TIP_POSE, 1, **FAST).has_attr("compute_reward")  # else it would pass for goal-conditioned
+    assert not make_sb3_vec_env(TIP_POSE, 1, **FAST).has_attr(
+        "compute_reward"
+    )  # else it would pass for goal-conditioned
     env.set_attr("label", 3)
     assert env.get_attr("label") == [3, 3, 3]
     with pytest.raises(ValueError, match="rows share 'label'"):
         env.set_attr("label", 4, indices=[0, 1])
     with pytest.raises(ValueError, match="'reset' acts on all rows"):
         env.env_method("reset", indices=0)
-    assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
+    assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(
+        gym.wrappers.TimeLimit, 0
+    ) == [False]
     assert env.spec.id == REACH
     env.close()
 

@@ -1,4 +1,5 @@
-"""Fields of a workspace over points and nodes, derivatives of the strain, and terms beside reference numbers."""
+"""Fields of a workspace over points and nodes, derivatives of the strain, and terms beside
+reference numbers."""
 
 import numpy as np
 import pytest
@@ -8,22 +9,30 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
 PAIRS = {
-    "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "elastic_force": "elastic_force",
-    "external_force": "gravity_force", "stiffness": "drive_stiffness", "tip_jacobian": "tip_jacobian",
-}  # fmt: skip
+    "mass": "mass",
+    "bias": "coriolis_bias",
+    "damping": "damping",
+    "actuation": "actuation",
+    "elastic_force": "elastic_force",
+    "external_force": "gravity_force",
+    "stiffness": "drive_stiffness",
+    "tip_jacobian": "tip_jacobian",
+}
 """Keys of the reference numbers, by the field of Terms."""
 
 
 @pytest.fixture(scope="session")
 def at_points():
     """at_points(model, field): a field over points as (..., points, 6), padding left out."""
-    return lambda model, field: model.grid.unpacked(field.reshape(-1, model.arm.rod.weight.size * 6))
+    return lambda model, field: model.grid.unpacked(
+        field.reshape(-1, model.arm.rod.weight.size * 6)
+    )
 
 
 @pytest.fixture(scope="session")
 def check_derivatives(workspace_at, at_points):
-    """check_derivatives(model, q, q_dot, rounding=0.0): Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central
-    differences; and the rate alone."""
+    """check_derivatives(model, q, q_dot, rounding=0.0): Phi = d xi / d q, xi_dot = Phi q_dot,
+    xi_bias = (d/dt Phi) q_dot, by central differences; and the rate alone."""
 
     def check(model, q, q_dot, rounding=0.0):
         unit, work = model.coordinate_scale(), workspace_at(model, q, q_dot)
@@ -32,9 +41,16 @@ def check_derivatives(workspace_at, at_points):
             step = 1e-4 * unit[j] * np.eye(q.size)[j]
             difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
             np.testing.assert_allclose(Phi[j], difference, atol=1e-6 * np.abs(Phi[j]).max())
-        np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
+        np.testing.assert_allclose(
+            xi_dot,
+            np.einsum("j,jmi->mi", q_dot, Phi),
+            rtol=1e-12,
+            atol=1e-13 * np.abs(xi_dot).max(),
+        )
         h = 1e-4 / np.abs(q_dot / unit).max()
-        ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
+        ahead, behind = (
+            at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1)
+        )
         expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
         atol = 1e-6 * np.abs(expected).max() + rounding * np.abs(xi_dot).max() / h
         np.testing.assert_allclose(at_points(model, work.xi_bias)[0], expected, atol=atol)
@@ -42,14 +58,17 @@ def check_derivatives(workspace_at, at_points):
         alone.xi[:] = model.packed_strain(q)
         assert strain_from_guess(model.arm, q, TOLERANCE, alone) == -1
         strain_rate(model.arm, q_dot, alone)
-        np.testing.assert_allclose(at_points(model, alone.xi_dot)[0], xi_dot, rtol=1e-10, atol=1e-11 * np.abs(xi_dot).max())
+        np.testing.assert_allclose(
+            at_points(model, alone.xi_dot)[0], xi_dot, rtol=1e-10, atol=1e-11 * np.abs(xi_dot).max()
+        )
 
     return check
 
 
 @pytest.fixture(scope="session")
 def check_terms():
-    """check_terms(found, expected, most): terms against reference numbers, to relative errors `most` by field, and the tip's pose."""
+    """check_terms(found, expected, most): terms against reference numbers, to relative errors
+    `most` by field, and the tip's pose."""
 
     def check(found, expected, most):
         for field, allowed in most.items():
@@ -57,7 +76,11 @@ def check_terms():
                 right = np.array(expected[PAIRS[field]])
                 error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
                 assert error < allowed, f"{field}: {error:.1e}"
-        np.testing.assert_allclose(found.tip_pose[:3, 3], expected["tip_position"], atol=most["tip_pose"])
-        np.testing.assert_allclose(found.tip_pose[:3, :3], expected["tip_rotation"], atol=most["tip_pose"])
+        np.testing.assert_allclose(
+            found.tip_pose[:3, 3], expected["tip_position"], atol=most["tip_pose"]
+        )
+        np.testing.assert_allclose(
+            found.tip_pose[:3, :3], expected["tip_rotation"], atol=most["tip_pose"]
+        )
 
     return check

@@ -1,4 +1,5 @@
-"""Derivatives of periods against differences of plain steps, of fourth order and with other steps."""
+"""Derivatives of periods against differences of plain steps, of fourth order and with other
+steps."""
 
 import warnings
 
@@ -10,7 +11,12 @@ from soft_tendon_env import ConfigurationError, Simulation, build_model, load_sc
 PERIOD, FOURTH_ORDER = 0.02, {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
 TENSION, WEIGHT = np.array([1.0, 3.0, 0.5]), {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 LOADED = {**WEIGHT, "effects.tip_load.mass": 0.005}
-EXPLICIT = {"strain": {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}}
+EXPLICIT = {
+    "strain": {
+        "type": "explicit",
+        "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}],
+    }
+}
 PUSH = {"force": [0.0, 0.2, 0.0], "at": 0.3, "signal": {"type": "sine", "frequency": 2.0}}
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.1}]}
 
@@ -18,17 +24,27 @@ MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_
 def build_quietly(changes, name="three_tendon"):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # passive fields that were made for other loads
-        return build_model(load_scene(name).replace(changes), "scene" if "strain" in changes else "fast")
+        return build_model(
+            load_scene(name).replace(changes), "scene" if "strain" in changes else "fast"
+        )
 
 
 def in_motion(model):
     """A simulation after four periods of random commands, and one more command."""
     least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
-    table = least + np.random.default_rng(0).uniform(0.05, 0.4, (5, least.size)) * (greatest - least)
+    table = least + np.random.default_rng(0).uniform(0.05, 0.4, (5, least.size)) * (
+        greatest - least
+    )
     simulation = Simulation(model)
     for command in table[:4]:
         simulation.step(command, PERIOD)
-    return put(simulation, simulation.state, simulation.state.q, simulation.state.q_dot, simulation.state.effects), table[4]
+    return put(
+        simulation,
+        simulation.state,
+        simulation.state.q,
+        simulation.state.q_dot,
+        simulation.state.effects,
+    ), table[4]
 
 
 def put(simulation, start, q, q_dot, effects):
@@ -37,24 +53,37 @@ def put(simulation, start, q, q_dot, effects):
 
 
 def end(model, start, *inputs):
-    """State, tip pose and body twist of the tip over the base after a plain step from inputs (q, q_dot, effects, command)."""
+    """State, tip pose and body twist of the tip over the base after a plain step from inputs (q,
+    q_dot, effects, command)."""
     simulation = put(Simulation(model), start, *inputs[:3])
     simulation.step(inputs[3], PERIOD)
     state = simulation.state
     numbers = np.concatenate([state.q, state.q_dot, state.effects])
-    return numbers, simulation.tip_pose, model.terms(state.q, state.q_dot).tip_jacobian @ state.q_dot
+    return (
+        numbers,
+        simulation.tip_pose,
+        model.terms(state.q, state.q_dot).tip_jacobian @ state.q_dot,
+    )
 
 
 def differences(evaluate, step):
-    """Derivatives of all that is evaluated so many steps off, that of the tip pose as a body twist."""
-    values, pose = [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()], evaluate(0.0)[1]
-    found = [sum(weight * reached[i] for weight, reached in values) for i in range(len(values[0][1]))]
+    """Derivatives of all that is evaluated so many steps off, that of the tip pose as a body
+    twist."""
+    values, pose = (
+        [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()],
+        evaluate(0.0)[1],
+    )
+    found = [
+        sum(weight * reached[i] for weight, reached in values) for i in range(len(values[0][1]))
+    ]
     moved = np.linalg.inv(pose) @ found[1]
     return [found[0], np.array([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:3, 3]]), *found[2:]]
 
 
 def assert_close(found, expected, tolerance=1e-5):
-    np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max() + 1e-11, rtol=0.0)
+    np.testing.assert_allclose(
+        found, expected, atol=tolerance * np.abs(expected).max() + 1e-11, rtol=0.0
+    )
 
 
 @pytest.mark.cases(
@@ -63,7 +92,10 @@ def assert_close(found, expected, tolerance=1e-5):
         ("three_tendon", {}),
         ("three_tendon", {**LOADED, "effects.disturbance.loads": [PUSH]}),
         ("three_tendon", {"effects.fluid": {"density": 1000.0, "current": [0.1, 0.3, 0.2]}}),
-        ("three_tendon", {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}}),
+        (
+            "three_tendon",
+            {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}},
+        ),
         ("three_tendon", MEMORY),
         ("three_tendon", EXPLICIT),
     ],
@@ -73,12 +105,16 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
     simulation, command = in_motion(model)
     start, found = simulation.state, simulation.linearize(command, PERIOD)
     here, scale = [start.q, start.q_dot, start.effects, command], model.coordinate_scale()
-    unit = np.concatenate([scale, 10.0 * scale, np.maximum(np.abs(start.effects), 1e-3), np.full(command.size, 10.0)])
+    unit = np.concatenate(
+        [scale, 10.0 * scale, np.maximum(np.abs(start.effects), 1e-3), np.full(command.size, 10.0)]
+    )
     inputs, borders, slopes = np.concatenate(here), np.cumsum([part.size for part in here]), []
     for i, size in enumerate(unit):
 
         def evaluate(change, i=i):
-            return end(model, start, *np.split(inputs + change * np.eye(inputs.size)[i], borders[:-1]))
+            return end(
+                model, start, *np.split(inputs + change * np.eye(inputs.size)[i], borders[:-1])
+            )
 
         slopes.append([size * slope for slope in differences(evaluate, 3e-4 * size)])
     states, tips, twists = (np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True))
@@ -93,20 +129,29 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
 
 
 def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
-    """A step after a linearisation leads, bit for bit, where that said, over more steps than a log has room for at first too."""
-    simulation, command = in_motion(build_model(load_scene("three_tendon").replace({"integrator.step": 0.001})))
+    """A step after a linearisation leads, bit for bit, where that said, over more steps than a log
+    has room for at first too."""
+    simulation, command = in_motion(
+        build_model(load_scene("three_tendon").replace({"integrator.step": 0.001}))
+    )
     following = simulation.linearize(command, 5 * PERIOD).next
     assert simulation.step(command, 5 * PERIOD).steps > 64
     for name in ("time", "q", "q_dot", "strain", "step"):
         assert np.array_equal(getattr(simulation.state, name), getattr(following, name))
-    assert_close(simulation.linearize(command, 0.0).state, np.eye(2 * simulation.model.coordinate_count))
+    assert_close(
+        simulation.linearize(command, 0.0).state, np.eye(2 * simulation.model.coordinate_count)
+    )
 
 
 @pytest.mark.cases(
     "changes, key, message",
     [
         ({}, "quadrature.intervals", "quadrature.intervals is no number of the scene"),
-        ({"effects.actuators.delay": 0.013}, "effects.actuators.delay", "effects.actuators.delay changes the number of internal states"),
+        (
+            {"effects.actuators.delay": 0.013},
+            "effects.actuators.delay",
+            "effects.actuators.delay changes the number of internal states",
+        ),
         ({}, "segments.0.poisson_ratio", r"segments\[0\].poisson_ratio is 0.9"),
     ],
 )

@@ -1,11 +1,19 @@
-"""From a scene to the rod's arrays and its coordinates: intervals and points, weights, sections; passive and Legendre fields."""
+"""From a scene to the rod's arrays and its coordinates: intervals and points, weights, sections;
+passive and Legendre fields."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.coordinates import actuation_columns, make_strain, mode_fields
-from soft_tendon_env.model.grid import STRAIGHT, at_points, make_grid, make_rod, newton_cotes, screw_matrices
+from soft_tendon_env.model.grid import (
+    STRAIGHT,
+    at_points,
+    make_grid,
+    make_rod,
+    newton_cotes,
+    screw_matrices,
+)
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.scene.strain import STRAINS, Modes
@@ -26,17 +34,23 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     assert start[0] == 0 and grid.start.size % LANES == 0
     np.testing.assert_allclose(start[1:], end[:-1], rtol=1e-15)
     np.testing.assert_allclose(end[-1], rod_length(scene), rtol=1e-15)
-    assert not grid.length[~grid.real].any() and grid.real.sum() == intervals * (grid.breakpoints.size - 1)
+    assert not grid.length[~grid.real].any() and grid.real.sum() == intervals * (
+        grid.breakpoints.size - 1
+    )
     for border in grid.breakpoints:
         assert not ((start < border - 1e-12) & (end > border + 1e-12)).any()
-    assert ((grid.points[grid.real] > start[:, None]) & (grid.points[grid.real] < end[:, None])).all()
+    assert (
+        (grid.points[grid.real] > start[:, None]) & (grid.points[grid.real] < end[:, None])
+    ).all()
     assert ((grid.points >= 0) & (grid.points <= rod_length(scene))).all()
 
 
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (make_rod(s, grid, STRAINS, at_points(s, grid)) for s in (scene, scene.replace(payload)))
+    bare, loaded = (
+        make_rod(s, grid, STRAINS, at_points(s, grid)) for s in (scene, scene.replace(payload))
+    )
     base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
     mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
     np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
@@ -48,7 +62,8 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
 @pytest.mark.cases("name", ("paper", "three_tendon"))
 @pytest.mark.cases("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):
-    """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get the last point's."""
+    """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get
+    the last point's."""
     _, grid = grid_of(name, 3)
     strain = np.random.default_rng(0).normal(size=(*lead, 2 * grid.real.sum(), 6))
     packed = grid.packed(strain)
@@ -70,20 +85,35 @@ def inner(left, right, scene, grid):
 
 
 def passive_fields(strain, grid):
-    return strain.passive.reshape(-1, grid.packs, 2, 6, LANES).transpose(0, 1, 4, 2, 3).reshape(-1, *grid.points.shape, 6)
+    return (
+        strain.passive.reshape(-1, grid.packs, 2, 6, LANES)
+        .transpose(0, 1, 4, 2, 3)
+        .reshape(-1, *grid.points.shape, 6)
+    )
 
 
-@pytest.mark.parametrize(("order", "span", "count"), ((0, "piece", 6), (2, "rod", 9), (3, "rod", 12)))
+@pytest.mark.parametrize(
+    ("order", "span", "count"), ((0, "piece", 6), (2, "rod", 9), (3, "rod", 12))
+)
 def test_orthogonal_passive_fields(order, span, count):
     """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
-    scene, grid = scene_and_grid("paper", **{"strain.passive": [{"strains": list(ANGULAR), "order": order, "span": span}]})
+    scene, grid = scene_and_grid(
+        "paper", **{"strain.passive": [{"strains": list(ANGULAR), "order": order, "span": span}]}
+    )
     here = at_points(scene, grid)
-    strain, actuation = make_strain(scene, grid, here), actuation_columns(here.geometry, here.curvature, STRAIGHT)
+    strain, actuation = (
+        make_strain(scene, grid, here),
+        actuation_columns(here.geometry, here.curvature, STRAIGHT),
+    )
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == count
-    np.testing.assert_allclose(inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11)
+    np.testing.assert_allclose(
+        inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11
+    )
     sizes = np.sqrt(np.diag(inner(actuation, actuation, scene, grid)))
-    np.testing.assert_allclose(inner(actuation, passive, scene, grid) / sizes[:, None], 0.0, atol=1e-11)
+    np.testing.assert_allclose(
+        inner(actuation, passive, scene, grid) / sizes[:, None], 0.0, atol=1e-11
+    )
 
 
 def test_passive_fields_that_the_tendons_span_are_dropped():
@@ -93,17 +123,23 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
     strain = make_strain(scene, grid, at_points(scene, grid))
     assert strain.size == 4
     field = passive_fields(strain, grid)[0][grid.real]
-    assert field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
+    assert (
+        field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
+    )
 
 
 def test_mode_fields_are_legendre_polynomials_on_their_span():
     scene, grid = scene_and_grid("paper")
     over_rod = mode_fields((Modes(strains=("stretch",), order=2, span="rod"),), grid)
     x = 2 * grid.points - 1
-    np.testing.assert_allclose(over_rod[:, ..., 3], [np.ones_like(x), x, (3 * x**2 - 1) / 2], atol=1e-15)
+    np.testing.assert_allclose(
+        over_rod[:, ..., 3], [np.ones_like(x), x, (3 * x**2 - 1) / 2], atol=1e-15
+    )
     assert not over_rod[..., [0, 1, 2, 4, 5]].any()
     by_piece = mode_fields((Modes(strains=("bend_y", "torsion"), order=1, span="piece"),), grid)
     assert len(by_piece) == 8  # piece, then strain, then order
     second_half = grid.points > 0.5
-    np.testing.assert_allclose(by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15)
+    np.testing.assert_allclose(
+        by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15
+    )
     np.testing.assert_array_equal(by_piece[4][..., 1], second_half)

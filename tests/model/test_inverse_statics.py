@@ -1,10 +1,16 @@
-"""Tensions for a tip pose: the paper's circle, round trips, least effort, limits, targets out of reach."""
+"""Tensions for a tip pose: the paper's circle, round trips, least effort, limits, targets out of
+reach."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env import load_scene, static_equilibrium, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env import (
+    load_scene,
+    static_equilibrium,
+    tension_for_tip_pose,
+    tension_for_tip_position,
+)
 from soft_tendon_env.model.build import build_model
 
 TILT = np.radians(37.8)
@@ -42,7 +48,9 @@ def test_the_circle_needs_pushes(paper, angle):
 def test_round_trip(name):
     model = build_model(load_scene(name))
     least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
-    for u in np.random.default_rng(5).uniform(least, least + 0.3 * (greatest - least), (2, least.size)):
+    for u in np.random.default_rng(5).uniform(
+        least, least + 0.3 * (greatest - least), (2, least.size)
+    ):
         wanted = static_equilibrium(model, u)
         found = tension_for_tip_pose(model, wanted.tip_pose)
         assert found.reachable
@@ -53,7 +61,9 @@ def test_round_trip(name):
 
 
 def test_what_is_out_of_reach_is_approached():
-    model = build_model(load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 2.0]}))
+    model = build_model(
+        load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 2.0]})
+    )
     for target in ([0.6, 0.0, 0.0], [0.0, 0.5, 0.2]):
         found = tension_for_tip_position(model, target)
         assert not found.reachable and "m and" in found.reason
@@ -65,10 +75,16 @@ def test_what_is_out_of_reach_is_approached():
 
 def test_a_start_next_to_the_strain_limit_is_answered():
     """The equilibrium exists, and its derivative grows without bound."""
-    model = build_model(load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 90.0]}))
+    model = build_model(
+        load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 90.0]})
+    )
     below, above = 44.0, 45.0
     while below < (middle := 0.5 * (below + above)) < above:
-        below, above = (middle, above) if static_equilibrium(model, [middle, 0.0, 0.0]).converged else (below, middle)
+        below, above = (
+            (middle, above)
+            if static_equilibrium(model, [middle, 0.0, 0.0]).converged
+            else (below, middle)
+        )
     for start in (below, below - 1e-7):
         found = tension_for_tip_position(model, [0.2, 0.1, 0.0], start=[start, 0.0, 0.0])
         assert not found.reachable and "the nearest tip found is" in found.reason

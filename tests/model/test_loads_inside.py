@@ -1,4 +1,5 @@
-"""Scenes whose loads are inside of the strain (paper III-B): statics, rest, motion, energy, rows, control laws; what stays outside."""
+"""Scenes whose loads are inside of the strain (paper III-B): statics, rest, motion, energy, rows,
+control laws; what stays outside."""
 
 import numpy as np
 import pytest
@@ -12,20 +13,29 @@ MOMENT = {"effects.tip_load.moment": [0.0, 0.02, 0.01]}
 PULL = np.linspace(0.0, 9.0, 10)
 HELD_STRAIGHT = {"effects.tip_load.force": [0.5, 0.0, 0.0]}
 BENT = np.array([10.0, 0.0, 0.0])
-"""[N] that turn the tip against the force that holds the arm straight, until the arm snaps out of its plane."""
+"""[N] that turn the tip against the force that holds the arm straight, until the arm snaps out of
+its plane."""
 
 
 @pytest.mark.parametrize("loaded", [slice(0, 3), slice(3, None)], ids=["some", "others"])
 def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
-    """With no coordinate beside the tensions, which are the coordinates at rest; at 48 intervals a piece."""
-    cases = [case for case in reference("statics") if any(case["gravity"]) or any(case["tip_wrench_world"])]
+    """With no coordinate beside the tensions, which are the coordinates at rest; at 48 intervals a
+    piece."""
+    cases = [
+        case
+        for case in reference("statics")
+        if any(case["gravity"]) or any(case["tip_wrench_world"])
+    ]
     assert len(cases) == 5 and any(any(case["tip_wrench_world"][:3]) for case in cases)
     for case in cases[loaded]:
         changes = {**INSIDE, "quadrature.intervals": 48}
         changes |= {"effects.gravity.acceleration": case["gravity"]} if any(case["gravity"]) else {}
         moment, force = np.split(np.array(case["tip_wrench_world"]), 2)
         if any(case["tip_wrench_world"]):
-            changes |= {"effects.tip_load.moment": moment.tolist(), "effects.tip_load.force": force.tolist()}
+            changes |= {
+                "effects.tip_load.moment": moment.tolist(),
+                "effects.tip_load.force": force.tolist(),
+            }
         found = static_equilibrium(build("paper", changes), case["tension"])
         assert found.converged and found.stable and found.residual < 1e-14
         np.testing.assert_array_equal(found.q, case["tension"])
@@ -45,15 +55,21 @@ def test_an_arm_at_rest_stays_there(changes, build):
 
 
 def test_tensions_that_buckle_a_loaded_arm_are_told(build):
-    """Where the branch of its strain ends, as far as the equilibria of an arm with the load outside and many coordinates go."""
+    """Where the branch of its strain ends, as far as the equilibria of an arm with the load outside
+    and many coordinates go."""
     model = build("three_tendon", {**INSIDE, **HELD_STRAIGHT})
     found = static_equilibrium(model, BENT)
     assert not found.converged and "buckles" in found.reason and found.stable
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 5, "span": "rod"}]
-    outside = static_equilibrium(build("three_tendon", {**HELD_STRAIGHT, "strain.passive": passive}), BENT)
+    outside = static_equilibrium(
+        build("three_tendon", {**HELD_STRAIGHT, "strain.passive": passive}), BENT
+    )
     full = static_equilibrium(model, 0.99 * found.load * BENT)
     assert full.converged and full.stable and not outside.converged
-    with pytest.raises(StrainLimitError, match="no strain balances these coordinates and loads beyond .* the arm buckles"):
+    with pytest.raises(
+        StrainLimitError,
+        match="no strain balances these coordinates and loads beyond .* the arm buckles",
+    ):
         model.tip_pose(BENT)
 
 

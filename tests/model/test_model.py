@@ -1,4 +1,5 @@
-"""Model: what its methods refuse, where the strain ends, strains at any place, and a mass matrix that is singular."""
+"""Model: what its methods refuse, where the strain ends, strains at any place, and a mass matrix
+that is singular."""
 
 import numpy as np
 import pytest
@@ -39,20 +40,35 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     points, strain = model.strain(q)
     np.testing.assert_allclose(model.strain_at(q, points)[0], strain, atol=1e-12)
     start, end = model.grid.start[1], model.grid.start[2]
-    ends, middle = model.strain_at(q, [start, np.nextafter(end, 0.0)])[0], model.strain_at(q, [(start + end) / 2])[0]
+    ends, middle = (
+        model.strain_at(q, [start, np.nextafter(end, 0.0)])[0],
+        model.strain_at(q, [(start + end) / 2])[0],
+    )
     np.testing.assert_allclose(ends.mean(axis=0), middle[0], atol=1e-12)  # linear in between
     places, h = [0.0, 0.4 * model.length, model.length], 1e-6
     found, Phi = model.strain_at(q, places)
-    difference = (model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]) / (2 * h)
+    difference = (
+        model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]
+    ) / (2 * h)
     assert found.shape == (3, 6) and Phi.shape == (3, 6, q.size) and np.abs(difference).max() > 1.0
     np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * np.abs(difference).max())
     assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
 
 
 def test_a_singular_mass_matrix_is_warned_of():
-    """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
-    strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+    """The only node with mass is the tip, which the linear fields do not turn: they have no
+    inertia, not even on the diagonal."""
+    strain = {
+        "type": "explicit",
+        "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}],
+    }
     scene = load_scene("three_tendon").replace({"strain": strain, "quadrature.intervals": 1})
-    with pytest.warns(UserWarning, match="6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is singular"):
+    with pytest.warns(
+        UserWarning,
+        match=(
+            "6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is"
+            " singular"
+        ),
+    ):
         model = build_model(scene)
     assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0

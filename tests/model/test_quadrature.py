@@ -1,4 +1,5 @@
-"""How many intervals a scene needs: the estimate against the tip's true error, what is too coarse, and how that is told."""
+"""How many intervals a scene needs: the estimate against the tip's true error, what is too coarse,
+and how that is told."""
 
 import warnings
 
@@ -15,37 +16,52 @@ ANGULAR = ["torsion", "bend_y", "bend_z"]
 def helices(turns):
     """Three tendons around the axis."""
     rate = 2 * np.pi * turns / 0.3
-    routings = ({"type": "helix", "radius": 0.008, "angular_rate": rate, "phase": 120.0 * i} for i in range(3))
+    routings = (
+        {"type": "helix", "radius": 0.008, "angular_rate": rate, "phase": 120.0 * i}
+        for i in range(3)
+    )
     return three_tendon(**{f"tendons__{i}__routing": routing for i, routing in enumerate(routings)})
 
 
 def three_tendon(**changes):
-    return load_scene("three_tendon").replace({key.replace("__", "."): value for key, value in changes.items()})
+    return load_scene("three_tendon").replace(
+        {key.replace("__", "."): value for key, value in changes.items()}
+    )
 
 
 def corners(scene, count=40):
     """Tendons slack or at their limits: each alone, all, and at random."""
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     chosen = np.random.default_rng(1).random((count, greatest.size)) < 0.5
-    return greatest * np.unique(np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen]), axis=0)
+    return greatest * np.unique(
+        np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen]), axis=0
+    )
 
 
 def true_error(scene, intervals, fine=64):
-    """Largest displacement of the tip at rest by this quadrature, against a fine one, as a share of the length."""
-    coarse, exact = (build_model(scene.replace({"quadrature.intervals": count})) for count in (intervals, fine))
+    """Largest displacement of the tip at rest by this quadrature, against a fine one, as a share of
+    the length."""
+    coarse, exact = (
+        build_model(scene.replace({"quadrature.intervals": count})) for count in (intervals, fine)
+    )
     largest = 0.0
     for tension in corners(scene):
         near = static_equilibrium(exact, tension)
         found = static_equilibrium(coarse, tension, near.q)
         assert near.converged and found.converged
-        largest = max(largest, float(np.linalg.norm(found.tip_pose[:3, 3] - near.tip_pose[:3, 3])) / coarse.length)
+        largest = max(
+            largest,
+            float(np.linalg.norm(found.tip_pose[:3, 3] - near.tip_pose[:3, 3])) / coarse.length,
+        )
     return largest
 
 
 def test_least_and_tolerance_are_kept():
     """The error is of fourth order in the number of intervals."""
     assert QuadratureTest(three_tendon()).search(4).intervals == 4
-    scenes = [helices(3).replace({"quadrature.tolerance": tolerance}) for tolerance in (1e-2, 1e-4, 1e-6)]
+    scenes = [
+        helices(3).replace({"quadrature.tolerance": tolerance}) for tolerance in (1e-2, 1e-4, 1e-6)
+    ]
     counts = [QuadratureTest(scene).search(4).intervals for scene in scenes]
     np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
 
@@ -65,17 +81,28 @@ KINDS = {
 @pytest.mark.cases("intervals", [4, 8])
 @pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
-    estimate, true = QuadratureTest(scene).error_estimate(intervals).error, true_error(scene, intervals)
+    estimate, true = (
+        QuadratureTest(scene).error_estimate(intervals).error,
+        true_error(scene, intervals),
+    )
     assert true < estimate < 2.0 * true
 
 
 def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
-    disc = {"type": "table", "arc_length": [0.0, 0.13, 0.14, 0.16, 0.17, 0.3], "radius": [0.01, 0.01, 0.02, 0.02, 0.01, 0.01]}
+    disc = {
+        "type": "table",
+        "arc_length": [0.0, 0.13, 0.14, 0.16, 0.17, 0.3],
+        "radius": [0.01, 0.01, 0.02, 0.02, 0.01, 0.01],
+    }
     scene = three_tendon(segments__0__radius=disc, quadrature__tolerance=1.0)
-    assert "the moment of the rod's mass is off by" in QuadratureTest(scene).error_estimate(6).problem
+    assert (
+        "the moment of the rod's mass is off by" in QuadratureTest(scene).error_estimate(6).problem
+    )
     counts = QuadratureTest(scene).search(scene.quadrature.least).intervals, 400
-    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)
+    mass, exact = (
+        build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts
+    )
     assert abs(mass / exact - 1.0) < 0.02
 
 
@@ -83,9 +110,18 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     with pytest.warns(QuadratureWarning) as caught:
         build_model(scene)
-    enough, estimate = QuadratureTest(scene).search(6).intervals, QuadratureTest(scene).error_estimate(6)
-    off = f"the tip is off by about {100 * estimate.error:.2g} % of the length, {300 * estimate.error:.2g} mm"
-    assert f"with 6 intervals per piece {off}, under tensions [0, 8, 0] N; {enough} would do" in str(caught[0].message)
+    enough, estimate = (
+        QuadratureTest(scene).search(6).intervals,
+        QuadratureTest(scene).error_estimate(6),
+    )
+    off = (
+        f"the tip is off by about {100 * estimate.error:.2g} % of the length,"
+        f" {300 * estimate.error:.2g} mm"
+    )
+    assert (
+        f"with 6 intervals per piece {off}, under tensions [0, 8, 0] N; {enough} would do"
+        in str(caught[0].message)
+    )
     with warnings.catch_warnings(action="error", category=QuadratureWarning):
         build_model(scene.replace({"quadrature.intervals": enough}))
 
@@ -95,7 +131,11 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     [
         ({"strain__strains": ["torsion"]}, "gives no coordinates"),
         (
-            {"strain__include_loads": True, "effects__gravity__acceleration": [-9.81, 0.0, 0.0], "effects__tip_load__mass": 0.5},
+            {
+                "strain__include_loads": True,
+                "effects__gravity__acceleration": [-9.81, 0.0, 0.0],
+                "effects__tip_load__mass": 0.5,
+            },
             "does not hold the loads",
         ),
     ],

@@ -1,4 +1,5 @@
-"""Bad input of models, simulations and states is named and changes nothing; commands beyond their limits get a word."""
+"""Bad input of models, simulations and states is named and changes nothing; commands beyond their
+limits get a word."""
 
 import dataclasses
 import warnings
@@ -13,7 +14,10 @@ from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_act
 OK, BAD = np.zeros(10), np.full(10, float("nan"))
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
 SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
-BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]} for bend in ("bend_y", "bend_z"))
+BEND_Y, BEND_Z = (
+    {"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]}
+    for bend in ("bend_y", "bend_z")
+)
 LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
 WAYS = {
     "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
@@ -34,7 +38,13 @@ def moving(build):
 
 def numbers(simulation):
     state = simulation.state
-    return (state.time, state.step, state.q.tobytes(), state.q_dot.tobytes(), state.strain.tobytes())
+    return (
+        state.time,
+        state.step,
+        state.q.tobytes(),
+        state.q_dot.tobytes(),
+        state.strain.tobytes(),
+    )
 
 
 def set_state(simulation, **changes):
@@ -52,19 +62,34 @@ def set_state(simulation, **changes):
         (lambda s: s.step(OK, 1e12), "duration should be at most"),
         (lambda s: set_state(s, q=BAD), "state.q should be finite"),
         (lambda s: set_state(s, strain=BAD), "state.strain should have shape"),
-        (lambda s: set_state(s, q=s.state.q + 1.0), "state.strain"),  # the strain is that of other coordinates
+        (
+            lambda s: set_state(s, q=s.state.q + 1.0),
+            "state.strain",
+        ),  # the strain is that of other coordinates
         (lambda s: set_state(s, step=0.0), "state.step"),
         (lambda s: ste.simulate(s.model, OK, 0.35, 0.1, s.state), "duration should be a multiple"),
         (lambda s: ste.simulate(s.model, OK, 1.0, -0.1, s.state), "sample_period"),
-        (lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1), "command should have shape (10, 10)"),
-        (lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1), "command(0.55)[0]"),
+        (
+            lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1),
+            "command should have shape (10, 10)",
+        ),
+        (
+            lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1),
+            "command(0.55)[0]",
+        ),
         (lambda s: ste.simulate(s.model, OK, 1.0, 0.1, initial=3), "state should be a State"),
         (lambda s: ste.Simulation(s.model.scene), "model should be a Model"),
         (lambda s: ste.build_model(s.model.scene, fidelity="exact"), "fidelity"),
-        (lambda s: ste.load_scene(3), "name_or_path should be the name of a shipped scene or the path of a TOML file, not"),
+        (
+            lambda s: ste.load_scene(3),
+            "name_or_path should be the name of a shipped scene or the path of a TOML file, not",
+        ),
         (lambda s: ste.save_scene(3, "never.toml"), "scene should be a Scene"),
         (lambda s: s.model.scene.replace({3: 1}), "changes has the key 3: keys should be strings"),
-        (lambda s: s.model.scene.replace({"integrator.tolerance": 1e-16}), "integrator.tolerance is 1e-16: it should be at least"),
+        (
+            lambda s: s.model.scene.replace({"integrator.tolerance": 1e-16}),
+            "integrator.tolerance is 1e-16: it should be at least",
+        ),
     ],
 )
 def test_bad_input_is_named_and_changes_nothing(moving, call, message):
@@ -82,7 +107,14 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
         ({"strain": BEND_Y}, {"strain": BEND_Z}, "state.strain"),
         (MEMORY, {}, "this state is of viscoelastic_memory:96"),
         ({}, MEMORY, "this state is of no effects with states"),
-        (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
+        (
+            MEMORY,
+            SLOWER,
+            (
+                "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation"
+                " times [0.05] s"
+            ),
+        ),
     ],
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, message):
@@ -92,7 +124,10 @@ def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, messag
     before = numbers(arm)
     stranger.state.save(tmp_path / "state.npz")
     for state in (stranger.state, ste.State.load(tmp_path / "state.npz")):
-        for call in (lambda s=state: setattr(arm, "state", s), lambda s=state: ste.simulate(arm.model, np.zeros(4), 0.1, 0.1, s)):
+        for call in (
+            lambda s=state: setattr(arm, "state", s),
+            lambda s=state: ste.simulate(arm.model, np.zeros(4), 0.1, 0.1, s),
+        ):
             with pytest.raises(ValueError) as caught:
                 call()
             assert message in str(caught.value) and numbers(arm) == before
@@ -106,7 +141,11 @@ def test_files_that_hold_no_state_are_refused(moving, tmp_path):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=str(path)):
             ste.State.load(path)
-    for changes in ({"q": np.array([None, "q"])}, {"time": np.zeros(3)}, {"step": np.array("soon")}):
+    for changes in (
+        {"q": np.array([None, "q"])},
+        {"time": np.zeros(3)},
+        {"step": np.array("soon")},
+    ):
         np.savez(path, **{**dataclasses.asdict(moving.state), **changes})
         with pytest.raises(ValueError, match="holds no state"):
             ste.State.load(path)
@@ -125,7 +164,9 @@ def test_what_goes_beyond_is_said_once(build, name):
     assert said(way, model, [5.0 * (1.0 + 1e-12), 0.0, 2.0]) == []
     for command in ([0.0, 5.2, 0.0], [0.0, -0.1, 6.0]):
         (text,) = said(way, model, command)
-        assert text.startswith("tendons[1] goes beyond its tension_limits, 0 to 5 N: computed as asked")
+        assert text.startswith(
+            "tendons[1] goes beyond its tension_limits, 0 to 5 N: computed as asked"
+        )
     with erring_actuators():
         assert said(way, model, [0.0, 5.2, 0.0]) == []
     assert len(said(way, model, [0.0, 5.2, 0.0])) == 1

@@ -1,4 +1,5 @@
-"""Rollouts of plans: the motion is the simulation's, and the Jacobians are its derivatives, as far as implicit steps give them."""
+"""Rollouts of plans: the motion is the simulation's, and the Jacobians are its derivatives, as far
+as implicit steps give them."""
 
 import numpy as np
 import pytest
@@ -7,7 +8,12 @@ from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 
 PERIOD = 0.02
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-EXPLICIT = {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}}
+EXPLICIT = {
+    "strain": {
+        "type": "explicit",
+        "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}],
+    }
+}
 ARMS = {
     "statics": ("three_tendon", {}),
     "under gravity": ("three_tendon", GRAVITY),
@@ -36,14 +42,22 @@ def after(simulation, q, q_dot, tension):
 def differences(model, q, q_dot, tension):
     """Jacobians (2 n, 2 n), (2 n, n_a) of `after` by central differences."""
     simulation, n = Simulation(model), q.size
-    x, scale = np.concatenate([q, q_dot, tension]), np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)])
+    x, scale = (
+        np.concatenate([q, q_dot, tension]),
+        np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)]),
+    )
     steps = 1e-4 * np.diag(scale)
-    columns = [after(simulation, *np.split(x + s, [n, 2 * n])) - after(simulation, *np.split(x - s, [n, 2 * n])) for s in steps]
+    columns = [
+        after(simulation, *np.split(x + s, [n, 2 * n]))
+        - after(simulation, *np.split(x - s, [n, 2 * n]))
+        for s in steps
+    ]
     return np.split(np.stack(columns, axis=1) / (2.0 * np.diag(steps)), [2 * n], axis=1)
 
 
 def off(model, found, wanted, inputs=None):
-    """Relative error of a Jacobian of coordinates and rates in `coordinate_scale`s, by these or by inputs in units of their own."""
+    """Relative error of a Jacobian of coordinates and rates in `coordinate_scale`s, by these or by
+    inputs in units of their own."""
     scale = np.tile(model.coordinate_scale(), 2)
     by = scale if inputs is None else inputs
     found, wanted = (matrix * by / scale[:, None] for matrix in (found, wanted))
@@ -59,7 +73,11 @@ def test_the_motion_is_the_simulation_s_which_stays_where_it_is(moving):
         np.testing.assert_allclose(found.q[k], moving.state.q, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(found.q_dot[k], moving.state.q_dot, rtol=1e-5, atol=1e-7)
         np.testing.assert_allclose(found.tip_pose[k], moving.tip_pose, atol=1e-8)
-        np.testing.assert_allclose(found.tip_jacobian[k], moving.model.terms(found.q[k], found.q_dot[k]).tip_jacobian, atol=1e-6)
+        np.testing.assert_allclose(
+            found.tip_jacobian[k],
+            moving.model.terms(found.q[k], found.q_dot[k]).tip_jacobian,
+            atol=1e-6,
+        )
         for command, seconds in zip(commands[min(k, 2)], parts, strict=True):
             moving.step(command, seconds)
 
@@ -77,7 +95,10 @@ def test_the_jacobians_are_near_those_of_the_simulation(moving):
     [
         ({"commands": [[0.0] * 2]}, r"commands should have shape \(any, 3\)"),
         ({"duration": 0.0}, "duration should be a positive number of seconds"),
-        ({"duration": [0.03, -0.01], "commands": np.zeros((2, 2, 3))}, "duration should be a number of seconds, at least 0"),
+        (
+            {"duration": [0.03, -0.01], "commands": np.zeros((2, 2, 3))},
+            "duration should be a number of seconds, at least 0",
+        ),
         ({"forces": np.zeros((2, 1))}, r"forces should have shape \(3, any\)"),
     ],
 )

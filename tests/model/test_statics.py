@@ -1,4 +1,5 @@
-"""Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of the strain, honest failure."""
+"""Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of
+the strain, honest failure."""
 
 import numpy as np
 import pytest
@@ -10,10 +11,14 @@ from soft_tendon_env.scene.file import load_scene, scene_names
 
 
 def model_of(name, **changes):
-    return build_model(load_scene(name).replace({key.replace("__", "."): value for key, value in changes.items()}))
+    return build_model(
+        load_scene(name).replace({key.replace("__", "."): value for key, value in changes.items()})
+    )
 
 
-@pytest.mark.cases("name", sorted({*scene_names()} - {"paper_among_obstacles"}))  # where friction holds, many states are at rest
+@pytest.mark.cases(
+    "name", sorted({*scene_names()} - {"paper_among_obstacles"})
+)  # where friction holds, many states are at rest
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
@@ -27,8 +32,12 @@ def test_every_scene_balances_the_forces(name):
 
 
 def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
-    """Torsion gives way where the pushes' moment arms outweigh its stiffness, G J = P sum y^2 + z^2."""
-    model = model_of("three_tendon", strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]})
+    """Torsion gives way where the pushes' moment arms outweigh its stiffness, G J = P sum y^2 +
+    z^2."""
+    model = model_of(
+        "three_tendon",
+        strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]},
+    )
     limit = 5e5 / 3 * np.pi * 0.01**4 / 2 / (3 * 0.008**2)
     assert static_equilibrium(model, np.full(3, -0.99 * limit)).converged
     found = static_equilibrium(model, np.full(3, -1.01 * limit))
@@ -38,7 +47,11 @@ def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
 
 def test_the_paper_arm_agrees_with_shooting(reference):
     model = model_of("paper", quadrature__intervals=48)
-    cases = [case for case in reference("statics") if not any(case["gravity"]) and not any(case["tip_wrench_world"])]
+    cases = [
+        case
+        for case in reference("statics")
+        if not any(case["gravity"]) and not any(case["tip_wrench_world"])
+    ]
     assert len(cases) >= 10
     for case in cases:
         tip = static_equilibrium(model, case["tension"]).tip_pose
@@ -46,17 +59,30 @@ def test_the_paper_arm_agrees_with_shooting(reference):
 
 
 HELICES = [
-    {"routing": {"type": "helix", "radius": 0.008, "angular_rate": 12.0, "phase": phase}, "tension_limits": [0.0, 30.0]}
+    {
+        "routing": {"type": "helix", "radius": 0.008, "angular_rate": 12.0, "phase": phase},
+        "tension_limits": [0.0, 30.0],
+    }
     for phase in (0.0, 90.0, 180.0, 270.0)
 ]
 
 
 @pytest.mark.filterwarnings("ignore::soft_tendon_env.model.statics.RedundancyWarning")
 def test_what_redundant_tendons_leave_out_is_told():
-    """Four helices: one of four combinations of tensions strains the bent arm alone. With all of them the rod rests as full physics."""
+    """Four helices: one of four combinations of tensions strains the bent arm alone. With all of
+    them the rod rests as full physics."""
     helices = load_scene("four_tendon").replace({"tendons": HELICES, "quadrature.intervals": 32})
-    modes = [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 8, "span": "rod"}]
-    model, explicit = build_model(helices), build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}}))
+    modes = [
+        {
+            "strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
+            "order": 8,
+            "span": "rod",
+        }
+    ]
+    model, explicit = (
+        build_model(helices),
+        build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}})),
+    )
     assert model.coordinate_count == 3
     for u in ([30.0, 0.0, 0.0, 0.0], [20.0, 0.0, 5.0, 0.0]):
         found, exact = static_equilibrium(model, u), static_equilibrium(explicit, u)
@@ -69,7 +95,8 @@ def test_what_redundant_tendons_leave_out_is_told():
 @pytest.mark.cases("name", ["paper", "paper_16dof"])
 @pytest.mark.cases("step", [0.01, 0.5])
 def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, changes, step):
-    """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to be given up."""
+    """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to
+    be given up."""
     model = model_of(name, **changes)
     u = np.random.default_rng(0).uniform(0.0, 10.0, model.tendon_count)
     near = ChordSolver(model, static_equilibrium(model, u).q, u)

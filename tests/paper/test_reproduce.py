@@ -39,7 +39,11 @@ def test_models_and_shapes(reproduced):
         laws = numbers["shape_error"][name]
         assert 0.0 < laws["feedback"]["rms"] < 0.6 * laws["feedforward"]["rms"]
     assert all(is_picture(out / f"figure_{figure}.png") for figure in (2, 3, 4))
-    rows = [line.split("|") for line in printed.splitlines() if line.startswith("| 2(") or line.startswith("| 3(")]
+    rows = [
+        line.split("|")
+        for line in printed.splitlines()
+        if line.startswith("| 2(") or line.startswith("| 3(")
+    ]
     assert len(rows) == 4
     assert {row[-2].strip() for row in rows if row[1].strip().startswith("2(")} == {"yes"}
 
@@ -48,12 +52,21 @@ def test_models_and_shapes(reproduced):
 def test_tip_converges_to_the_circle(reproduced):
     out, numbers, printed = reproduced
     holds = {(claim["figure"], claim["paper"]): claim["holds"] for claim in numbers["claims"]}
-    for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, sampled" for of in ACTUATED)):
+    for name in (
+        "fully actuated",
+        "underactuated",
+        "underactuated, as printed",
+        *(f"{of}, sampled" for of in ACTUATED),
+    ):
         own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
-        assert own["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
+        assert own["start_mm"] == pytest.approx(255.0, abs=0.1), (
+            "mm from the straight arm to the circle"
+        )
         lasting = own["below_1_mm_from_s"] is not None
         assert holds[figure, f"tip error stays below 1 mm, {name}"] == lasting
-        assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
+        assert lasting == (not name.startswith("underactuated") or "sampled" in name), (
+            "(39) asks for forces that tensions cannot make"
+        )
     assert "breaks down" in printed
     assert is_picture(out / "figure_5.png") and is_picture(out / "figure_6.png")
 
@@ -61,10 +74,14 @@ def test_tip_converges_to_the_circle(reproduced):
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
 def test_the_sampled_controller_stays_below_a_millimetre(scene):
     motion = track(scene, tip.CIRCLE, 2.0)
-    assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
+    assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx(
+        [0.0, 2.0]
+    )
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
     angle = 2.0 * np.pi * motion.time / 4.0
-    circle = np.stack([np.full_like(angle, 0.95), 0.25 * np.cos(angle), 0.25 * np.sin(angle)], axis=1)
+    circle = np.stack(
+        [np.full_like(angle, 0.95), 0.25 * np.cos(angle), 0.25 * np.sin(angle)], axis=1
+    )
     error = np.linalg.norm(motion.tip - circle, axis=1)
     assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
     assert error[0] > 0.2 and error[motion.time >= 1.0].max() < 1e-3
@@ -73,10 +90,17 @@ def test_the_sampled_controller_stays_below_a_millimetre(scene):
 def test_what_is_missed_is_said():
     numbers = {"until_s": 8.0, "late_rms_mm": 1.2, "late_largest_mm": 1.8}
     standing = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": math.inf})
-    assert not standing.holds and "steady-state error: later 1.2 mm rms, at most 1.8 mm" in standing.measured
+    assert (
+        not standing.holds
+        and "steady-state error: later 1.2 mm rms, at most 1.8 mm" in standing.measured
+    )
     assert "**NO, missed**" in claims_table([standing])
     good = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": 0.74})
-    assert good.holds and good.measured.startswith("from 0.74 s; later") and "steady" not in good.measured
+    assert (
+        good.holds
+        and good.measured.startswith("from 0.74 s; later")
+        and "steady" not in good.measured
+    )
     assert "NO" not in claims_table([good])
     broken = {"until_s": 0.02}
     claim = tip.staying_below("6(c)", "name", broken)

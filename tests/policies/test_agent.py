@@ -25,13 +25,17 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
 def make(task="TipPose", **options):
-    return gym.make(IDS[task], **{**SMALL, "action": "tension", **options})  # as agents have it whose files do not say it
+    return gym.make(
+        IDS[task], **{**SMALL, "action": "tension", **options}
+    )  # as agents have it whose files do not say it
 
 
 def write_agent(folder, network, normalization=None, **config):
     folder.mkdir(exist_ok=True)
     agent.save_agent(folder, network, normalization)
-    (folder / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": SMALL, **config}))
+    (folder / "config.json").write_text(
+        json.dumps({"algorithm": "PPO", "options": SMALL, **config})
+    )
     return folder
 
 
@@ -41,7 +45,9 @@ def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
     trained = algorithm("MlpPolicy", make(), device="cpu", seed=0)
     env = make()
     observation, _ = env.reset(seed=0)
-    loaded = agent.load_agent(str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env)
+    loaded = agent.load_agent(
+        str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env
+    )
     action, _ = loaded.predict(observation, None, np.ones(1, bool), deterministic=True)
     np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
 
@@ -49,15 +55,26 @@ def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
 @pytest.mark.parametrize("task", ["TipPose", "Reach"])
 def test_an_agent_sees_through_its_statistics(tmp_path, task):
     statistics = VecNormalize(DummyVecEnv([lambda: make(task)]), clip_obs=3.0)
-    trained = SAC("MultiInputPolicy" if task == "Reach" else "MlpPolicy", statistics, learning_starts=40, seed=0, device="cpu").learn(60)
+    trained = SAC(
+        "MultiInputPolicy" if task == "Reach" else "MlpPolicy",
+        statistics,
+        learning_starts=40,
+        seed=0,
+        device="cpu",
+    ).learn(60)
     env = make(task)
     observation, _ = env.reset(seed=0)
     config = {"algorithm": "SAC", "normalise": {"observations": True}}
     folder = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
     action, _ = agent.load_agent(str(folder), env).predict(observation)
-    np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
+    np.testing.assert_array_equal(
+        action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0]
+    )
     (folder / "statistics.npz").unlink()
-    with pytest.raises(FileNotFoundError, match="should have statistics.npz: the agent sees observations through it"):
+    with pytest.raises(
+        FileNotFoundError,
+        match="should have statistics.npz: the agent sees observations through it",
+    ):
         agent.load_agent(str(folder), env)
 
 
@@ -65,7 +82,9 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
 def trained():
     """A network of PPO that has hardly learned, and the statistics that it sees through."""
     statistics = VecNormalize(DummyVecEnv([make]))
-    model = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
+    model = PPO(
+        "MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu"
+    ).learn(64)
     return model.policy, normalization_of(statistics)
 
 
@@ -93,14 +112,25 @@ BIAS = "action_net.bias"
 
 
 def weights(change):
-    return lambda folder, network, normalization: torch.save(change(dict(network.state_dict())), folder / "weights.pt")
+    return lambda folder, network, normalization: torch.save(
+        change(dict(network.state_dict())), folder / "weights.pt"
+    )
 
 
 def arrays(**changes):
     def write(folder, network, normalization):
         moments = normalization.moments[""]
-        values = {"mean": moments.mean, "variance": moments.variance, "clip": np.float64(10.0), "epsilon": np.float64(1e-8), **changes}
-        np.savez(folder / "statistics.npz", **{key: value for key, value in values.items() if value is not None})
+        values = {
+            "mean": moments.mean,
+            "variance": moments.variance,
+            "clip": np.float64(10.0),
+            "epsilon": np.float64(1e-8),
+            **changes,
+        }
+        np.savez(
+            folder / "statistics.npz",
+            **{key: value for key, value in values.items() if value is not None},
+        )
 
     return write
 
@@ -116,22 +146,37 @@ def table(**changes):
 @pytest.mark.cases(
     "spoil, said",
     [
-        (weights(lambda found: {**found, BIAS: torch.nan * found[BIAS]}), "weights.pt has weights that are not finite"),
+        (
+            weights(lambda found: {**found, BIAS: torch.nan * found[BIAS]}),
+            "weights.pt has weights that are not finite",
+        ),
         (
             weights(lambda found: found.pop(BIAS) is None or found),
             "weights.pt: the weights are not of a PPO policy for this env.*action_net",
         ),
         (weights(list), "weights.pt holds no weights alone"),
-        (arrays(mean=np.zeros(3), variance=np.ones(3)), r"statistics.npz is of observations \(3,\), this environment has"),
+        (
+            arrays(mean=np.zeros(3), variance=np.ones(3)),
+            r"statistics.npz is of observations \(3,\), this environment has",
+        ),
         (arrays(mean=None), "statistics.npz should have mean, variance, clip and epsilon alone"),
         (arrays(clip=None), "statistics.npz is no .npz file of mean, variance, clip and epsilon"),
         (arrays(clip=np.float64(np.nan)), "statistics.npz should have .* alone: finite numbers"),
         (arrays(variance=-np.ones(48)), "statistics.npz should have .* variances of at least 0"),
-        (table(algorithm="PPOO"), "config.json: algorithm is 'PPOO': it should be an algorithm: did you mean 'PPO'"),
+        (
+            table(algorithm="PPOO"),
+            "config.json: algorithm is 'PPOO': it should be an algorithm: did you mean 'PPO'",
+        ),
         (table(algorithm="SAC"), "weights.pt: the weights are not of a SAC policy"),
         (table(residual="tracking"), "config.json: residual is an unknown key"),
-        (table(hyperparameters={"policy_kwargs": {"net_archs": [7]}}), "policies of PPO have no argument net_archs"),
-        (table(hyperparameters={"policy_kwargs": {"activation_fn": "os.system"}}), "activation_fn is 'os.system'"),
+        (
+            table(hyperparameters={"policy_kwargs": {"net_archs": [7]}}),
+            "policies of PPO have no argument net_archs",
+        ),
+        (
+            table(hyperparameters={"policy_kwargs": {"activation_fn": "os.system"}}),
+            "activation_fn is 'os.system'",
+        ),
     ],
 )
 def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, said):
@@ -149,14 +194,22 @@ def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
 
 def untrained_agent(folder, **config):
     """The folder of an agent of PPO that has learned nothing."""
-    network = PPO("MlpPolicy", make(**config["options"]), n_steps=8, batch_size=4, seed=0, device="cpu").policy
-    return str(write_agent(folder, network, **{**config, "options": {**SMALL, **config["options"]}}))
+    network = PPO(
+        "MlpPolicy", make(**config["options"]), n_steps=8, batch_size=4, seed=0, device="cpu"
+    ).policy
+    return str(
+        write_agent(folder, network, **{**config, "options": {**SMALL, **config["options"]}})
+    )
 
 
 @pytest.fixture
 def ppo(tmp_path):
     options = {"action": "increment"}
-    return untrained_agent(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
+    return untrained_agent(
+        tmp_path / "ppo",
+        options=options,
+        layout=agent.layout_of(make(**options).unwrapped.episodes),
+    )
 
 
 @pytest.mark.cases(
@@ -167,9 +220,21 @@ def ppo(tmp_path):
         ("TipPose", {"preview": [0.02, 0.04]}, "was trained with preview = "),
         ("TipPose", {"action": "tension"}, "was trained with action = "),
         ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),
-        ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained on an arm with other segments"),
-        ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with other effects"),
-        ("TipPose", {"control_period": 0.01}, "was trained with control_period = 0.02, this environment has 0.01"),
+        (
+            "TipPose",
+            {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}},
+            "was trained on an arm with other segments",
+        ),
+        (
+            "TipPose",
+            {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}},
+            "with other effects",
+        ),
+        (
+            "TipPose",
+            {"control_period": 0.01},
+            "was trained with control_period = 0.02, this environment has 0.01",
+        ),
     ],
 )
 def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
@@ -190,18 +255,37 @@ def gravity(acceleration):
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),
-        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, LOOKS, None),  # whether it is drawn or not there
-        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, {**LOOKS, "scene": gravity(-9.81)}, "trained with scene = "),
-        ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
+        (
+            "TipPose",
+            {**LOOKS, "scene": gravity(0.0), **DRAWN},
+            LOOKS,
+            None,
+        ),  # whether it is drawn or not there
+        (
+            "TipPose",
+            {**LOOKS, "scene": gravity(0.0), **DRAWN},
+            {**LOOKS, "scene": gravity(-9.81)},
+            "trained with scene = ",
+        ),
+        (
+            "TipPose",
+            LOOKS,
+            {**LOOKS, "fidelity": "standard"},
+            "trained with fidelity = 'fast', judged with",
+        ),
         ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
         ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
     ],
 )
-def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, task, trained, judged, said):
+def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(
+    tmp_path, task, trained, judged, said
+):
     usual = {"action": "increment", "preview": [0.1, 0.2]}
     folder = untrained_agent(tmp_path / "own", task=task, options={**usual, **trained})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", agent.TrainingWarning)
         load_policy(folder, make(**usual, **judged))
     texts = [str(warning.message) for warning in found if warning.category is agent.TrainingWarning]
-    assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)
+    assert len(texts) == (said is not None) and all(
+        f"{said}" in text and "policy_options()" in text for text in texts
+    )

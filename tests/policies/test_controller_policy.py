@@ -1,4 +1,5 @@
-"""Controllers as agents: they are told what is, what they decide is done, rows know nothing of each other."""
+"""Controllers as agents: they are told what is, what they decide is done, rows know nothing of each
+other."""
 
 from types import SimpleNamespace
 
@@ -18,14 +19,23 @@ SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}
 
 
 class Probe:
-    """A controller that keeps the inputs and memories it is given, asks for tensions that depend on all of them, and counts."""
+    """A controller that keeps the inputs and memories it is given, asks for tensions that depend on
+    all of them, and counts."""
 
     def __init__(self):
         self.weights, self.seen = np.arange(1.0, 4.0), []
 
     def act(self, now, memory=None):
         self.seen.append((now, memory))
-        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
+        told = (
+            now.q,
+            now.q_dot,
+            now.tip_pose,
+            now.tension,
+            now.reference.tip_pose,
+            now.reference.tip_position,
+            now.reference.q,
+        )
         phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
         return ControllerOutput(0.5 + 1.5 * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
 
@@ -37,11 +47,23 @@ def probed(env):
 
 
 def short(kind, id, **options):
-    """Episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or "sb3"."""
-    options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "action": "tension", "preview": PREVIEW, **options}
+    """Episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or
+    "sb3"."""
+    options = {
+        "max_episode_steps": 6,
+        "scene": "three_tendon",
+        "fidelity": "fast",
+        "action": "tension",
+        "preview": PREVIEW,
+        **options,
+    }
     if kind == "single":
         return gym.make(id, **options)
-    return gym.make_vec(id, num_envs=3, **options) if kind == "vector" else make_sb3_vec_env(id, 3, **options)
+    return (
+        gym.make_vec(id, num_envs=3, **options)
+        if kind == "vector"
+        else make_sb3_vec_env(id, 3, **options)
+    )
 
 
 def begun(env):
@@ -62,7 +84,9 @@ def assert_told(now, env, row, seconds):
     np.testing.assert_allclose(now.tip_pose[:3, :3] @ now.tip_pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_array_equal(now.tip_pose[3], [0.0, 0.0, 0.0, 1.0])
     wanted, task = episodes.trajectories.at(row, seconds + now.reference.ahead), episodes.task
-    np.testing.assert_allclose(now.reference.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12)
+    np.testing.assert_allclose(
+        now.reference.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12
+    )
     expected = {
         "TipPose": {"tip_pose": wanted.tip_pose},
         "Shape": {"q": wanted.q},
@@ -118,7 +142,9 @@ def test_a_state_that_is_never_given_back_is_warned_of_once():
     observation = begun(env)
     for _ in range(STATELESS_CALLS - 1):
         policy.predict(observation)
-    with pytest.warns(UserWarning, match="without the state of Probe.*action, state = policy.predict") as told:
+    with pytest.warns(
+        UserWarning, match="without the state of Probe.*action, state = policy.predict"
+    ) as told:
         for _ in range(3):
             policy.predict(observation)
     assert len(told) == 1 and told[0].filename == __file__
@@ -127,32 +153,73 @@ def test_a_state_that_is_never_given_back_is_warned_of_once():
 def test_observations_that_say_too_little_are_refused():
     _, probe = probed(short("single", IDS["TipPose"]))
     blind = short("single", IDS["TipPose"], observation=("tip_position", "coordinates"))
-    with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
+    with pytest.raises(
+        ConfigurationError,
+        match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs",
+    ):
         probed(blind)
     with pytest.raises(ConfigurationError, match="lacks strain"):
-        ControllerPolicy(probe, short("single", IDS["TipPose"]), estimator=SimpleNamespace(needs=("strain", "strain_rate"), history=0))
+        ControllerPolicy(
+            probe,
+            short("single", IDS["TipPose"]),
+            estimator=SimpleNamespace(needs=("strain", "strain_rate"), history=0),
+        )
 
 
 @pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])
 def test_preview_times_increase(preview):
-    with pytest.raises(ConfigurationError, match=r"it should be times that increase by at least a control period"):
+    with pytest.raises(
+        ConfigurationError, match=r"it should be times that increase by at least a control period"
+    ):
         probed(short("single", IDS["TipPose"], preview=preview))
 
 
 @pytest.mark.cases(
     "task, controller, latency, preview, told",
     [
-        ("TipPose", "predictive", 0.0, (0.02, 0.04), "0.02, 0.04] s, and it is needed at every control period up to 0.14 s"),
-        ("TipPose", "long_horizon_predictive", 0.0, (0.5,), "up to 0.5 s: make the environment with observation_options"),
-        ("TipPose", "robust_predictive", 0.03, (0.02, 0.04, 0.06, 0.08, 0.12, 0.14, 0.16, 0.18), "up to 0.18 s"),
+        (
+            "TipPose",
+            "predictive",
+            0.0,
+            (0.02, 0.04),
+            "0.02, 0.04] s, and it is needed at every control period up to 0.14 s",
+        ),
+        (
+            "TipPose",
+            "long_horizon_predictive",
+            0.0,
+            (0.5,),
+            "up to 0.5 s: make the environment with observation_options",
+        ),
+        (
+            "TipPose",
+            "robust_predictive",
+            0.03,
+            (0.02, 0.04, 0.06, 0.08, 0.12, 0.14, 0.16, 0.18),
+            "up to 0.18 s",
+        ),
         ("Shape", "feedforward", 0.0, (0.02,), "it is needed at every control period up to 0.04 s"),
-        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.08), "it is needed at every control period up to 0.1 s"),
+        (
+            "TipPose",
+            "tracking",
+            0.05,
+            (0.02, 0.04, 0.08),
+            "it is needed at every control period up to 0.1 s",
+        ),
         ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.1), None),
-        ("TipPose", "tracking", 0.0, (0.1, 0.2), None),  # goes straight in between, which feedback makes up for
+        (
+            "TipPose",
+            "tracking",
+            0.0,
+            (0.1, 0.2),
+            None,
+        ),  # goes straight in between, which feedback makes up for
         ("Reach", "predictive", 0.0, (0.02,), None),  # goals do not move
     ],
 )
-def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(task, controller, latency, preview, told):
+def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(
+    task, controller, latency, preview, told
+):
     env = short("single", IDS[task], preview=preview)
     if told is None:
         make_policy(controller, env, latency=latency)

@@ -1,4 +1,5 @@
-"""Controllers that estimate what they are not told: by name, in every information regime, with models of other fidelity than the arm's."""
+"""Controllers that estimate what they are not told: by name, in every information regime, with
+models of other fidelity than the arm's."""
 
 import gymnasium as gym
 import pytest
@@ -15,7 +16,9 @@ STEADY = {"target": {"type": "random", "knot_period": 1.5}}
 def made(name, task="TipPose", regime=None, seconds=2.0, **options):
     """An environment on the paper's arm and the policy of a name."""
     more = () if regime is None else (regime,)
-    given = PolicyName.parse(name, task).options({**STEADY, "fidelity": "standard", **options}, *more)
+    given = PolicyName.parse(name, task).options(
+        {**STEADY, "fidelity": "standard", **options}, *more
+    )
     env = gym.make(IDS[task], max_episode_steps=round(seconds / 0.02), **given)
     return env, load_policy(name, env)
 
@@ -27,7 +30,9 @@ def position_error(env, policy, seed=0, skip=1.0):
 
 
 @pytest.mark.parametrize("regime", REGIMES)
-@pytest.mark.parametrize("name, most", [("filtered:predictive@fast", 1e-3), ("filtered:tracking@fast", 2e-3)])
+@pytest.mark.parametrize(
+    "name, most", [("filtered:predictive@fast", 1e-3), ("filtered:tracking@fast", 2e-3)]
+)
 def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     env, policy = made(name, regime=regime)
     assert policy.estimator.model.coordinate_count < env.unwrapped.episodes.model.coordinate_count
@@ -36,7 +41,9 @@ def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
 
 @pytest.mark.parametrize("latency", [pytest.param(0.0, marks=pytest.mark.slow), 0.055])
 def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
-    env, policy = made("adaptive:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0)
+    env, policy = made(
+        "adaptive:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
+    )
     assert position_error(env, policy) < 2e-3
     observation, _ = env.reset(seed=3)
     state = None
@@ -49,7 +56,14 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
 @pytest.mark.slow
 def test_errors_of_the_arm_are_allowed_for():
     """Stiffness and damping that are wrong, payload, gains and noise together."""
-    wrong = {"stiffness": 1.2, "damping": 0.6, "payload": 0.02, "tension_gain": [0.9, 1.1], "latency": 0.015, "noise": NOISE}
+    wrong = {
+        "stiffness": 1.2,
+        "damping": 0.6,
+        "payload": 0.02,
+        "tension_gain": [0.9, 1.1],
+        "latency": 0.015,
+        "noise": NOISE,
+    }
     env, policy = made("adaptive:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
     assert position_error(env, policy) < 4e-3
 
@@ -62,12 +76,25 @@ def test_an_unknown_latency_is_made_up_for_where_goals_jump():
 def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
     scene = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, 0.0]}
     loads = {"payload": 0.05, "effects": {"gravity.acceleration": [0.0, 0.0, -5.0]}}
-    assert position_error(*made("filtered:predictive@fast", regime="sensors", scene=scene, randomize=loads)) < 6e-3
+    assert (
+        position_error(
+            *made("filtered:predictive@fast", regime="sensors", scene=scene, randomize=loads)
+        )
+        < 6e-3
+    )
 
 
-@pytest.mark.cases("more, options", [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})])
+@pytest.mark.cases(
+    "more, options",
+    [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
+)
 def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, options):
-    scene = {"scene": "three_tendon", "quadrature.intervals": 4, "effects.gravity.acceleration": [0.0, 0.0, -3.0], **more}
+    scene = {
+        "scene": "three_tendon",
+        "quadrature.intervals": 4,
+        "effects.gravity.acceleration": [0.0, 0.0, -3.0],
+        **more,
+    }
     env, policy = made("filtered:tracking", scene=scene, **{"fidelity": "scene", **options})
     (observation, _), state, scale = env.reset(seed=0), None, env.unwrapped.model.coordinate_scale()
     for _ in range(10):

@@ -16,7 +16,10 @@ def here(tmp_path, monkeypatch):
         (tmp_path / folder).mkdir(parents=True)
     for file in ("agent_1/weights.pt", "run/config.json", "run/best/weights.pt"):
         (tmp_path / file).touch()
-    (tmp_path / "best.toml").write_text('policy = "adaptive:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" = 0.002 }\n')
+    (tmp_path / "best.toml").write_text(
+        'policy = "adaptive:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" ='
+        " 0.002 }\n"
+    )
     (tmp_path / "odd.toml").write_text('policy = "tracking"\nparameters = { effort = 0.01 }\n')
 
 
@@ -26,7 +29,11 @@ def here(tmp_path, monkeypatch):
         ("tracking", Controller, {"name": "tracking", "estimator": None, "belief": None}),
         ("adaptive:tracking", Controller, {"name": "tracking", "estimator": "adaptive"}),
         ("filtered:tracking@fast", Controller, {"estimator": "kalman", "belief": "fast"}),
-        ("best.toml", Controller, {"name": "predictive", "parameters": {"effort": 0.01, "estimator.force": 0.002}}),
+        (
+            "best.toml",
+            Controller,
+            {"name": "predictive", "parameters": {"effort": 0.01, "estimator.force": 0.002}},
+        ),
         ("agent", Agent, {}),
         ("dagger", Agent, {}),
         ("agent_1", Agent, {}),
@@ -42,15 +49,27 @@ def test_every_name_is_one_of_three(here, text, kind, known):
 @pytest.mark.cases(
     "text, said",
     [
-        ("run", f"policy is 'run', no policy: it should be the folder of an agent .of a training: run/best., {AGENTS}"),
+        (
+            "run",
+            (
+                "policy is 'run', no policy: it should be the folder of an agent .of a training:"
+                f" run/best., {AGENTS}"
+            ),
+        ),
         ("nobody", "policy is 'nobody', no policy: .* or a controller of TipPose"),
-        ("nothing:there", "policy is 'nothing:there': it should be module:name of what makes a policy; No module"),
+        (
+            "nothing:there",
+            "policy is 'nothing:there': it should be module:name of what makes a policy; No module",
+        ),
         ("os:nothing", "should be module:name of what makes a policy"),
         ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
         *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "seeds", "nobody")),
         (
             "run/model.zip",
-            r"policy is 'run/model.zip': a file of .* mine:agent:\s.*\s+def agent.env.: return PPO.load.'run/model.zip'",
+            (
+                r"policy is 'run/model.zip': a file of .* mine:agent:\s.*\s+def agent.env.: return"
+                r" PPO.load.'run/model.zip'"
+            ),
         ),
         ("odd.toml", "parameters has 'effort', which tracking has not: valid: damping"),
     ],

@@ -1,4 +1,5 @@
-"""A policy that remembers: its memory goes with the state, row by row, and begins anew with an episode."""
+"""A policy that remembers: its memory goes with the state, row by row, and begins anew with an
+episode."""
 
 import gymnasium as gym
 import numpy as np
@@ -63,7 +64,10 @@ def test_a_state_of_other_rows_is_refused(policy, seen):
 
 @pytest.mark.cases("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
 def test_sizes_that_cannot_be_are_refused(given):
-    with pytest.raises(ValueError, match="they should be at least 0, and posture less than the size of an observation, 6"):
+    with pytest.raises(
+        ValueError,
+        match="they should be at least 0, and posture less than the size of an observation, 6",
+    ):
         new_network("APG", given, *SPACES)
 
 

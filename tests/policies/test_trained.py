@@ -19,16 +19,26 @@ BARS = {
     "Reach": {"position_error": 0.003},
 }
 SEEDS = sorted(TRAINED.glob("*/*/seed_*"))
-SHIPPED = sorted((path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt"))
+SHIPPED = sorted(
+    (path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt")
+)
 
 
 @pytest.mark.parametrize(
     "name, task",
-    [pytest.param(*agent, marks=[] if agent == (shipped_as("agent", "TipPose"), "TipPose") else pytest.mark.slow) for agent in SHIPPED],
+    [
+        pytest.param(
+            *agent,
+            marks=[] if agent == (shipped_as("agent", "TipPose"), "TipPose") else pytest.mark.slow,
+        )
+        for agent in SHIPPED
+    ],
 )
 def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
     options = policy_options(name, task, {})
-    assert [effect in str(options) for effect in ("fluid", "contact")] == [name.endswith(scene) for scene in ("water", "obstacles")]
+    assert [effect in str(options) for effect in ("fluid", "contact")] == [
+        name.endswith(scene) for scene in ("water", "obstacles")
+    ]
     policy = load_agent(name, gym.make(IDS[task], **options))
     envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)
     summary = summarise(evaluate_rows(policy, envs, EVALUATION_SEEDS))

@@ -1,4 +1,5 @@
-"""Policies of one's own as entrants: what they do to their environment or observations has no effect, and errors name them."""
+"""Policies of one's own as entrants: what they do to their environment or observations has no
+effect, and errors name them."""
 
 import sys
 
@@ -13,7 +14,11 @@ from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.names import policy_environment
 from soft_tendon_env.scene.file import load_scene
 
-ARM = {"scene": "three_tendon", "fidelity": "fast", "randomize": {"stiffness": 1.2, "noise": {"position": 1e-3}}}
+ARM = {
+    "scene": "three_tendon",
+    "fidelity": "fast",
+    "randomize": {"stiffness": 1.2, "noise": {"position": 1e-3}},
+}
 SEEDS = [3, 5]
 
 
@@ -28,7 +33,12 @@ class Honest:
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         self.cheat(observation)
-        return self.act(0.3 * np.tile(np.eye(self.size)[0], (*observation.shape[:-1], 1)).astype(np.float32)), None
+        return (
+            self.act(
+                0.3 * np.tile(np.eye(self.size)[0], (*observation.shape[:-1], 1)).astype(np.float32)
+            ),
+            None,
+        )
 
 
 def by_environment(self, observation):
@@ -39,7 +49,8 @@ def by_environment(self, observation):
 
 
 def scores_of(monkeypatch, rows=False, mine=None, **members):
-    """Records of the episodes of what makes a policy, by default an Honest with other members, less the time of an action."""
+    """Records of the episodes of what makes a policy, by default an Honest with other members, less
+    the time of an action."""
     module = type(sys)("policies_of_mine")
     module.mine = mine or type("Mine", (Honest,), members)
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -50,7 +61,10 @@ def scores_of(monkeypatch, rows=False, mine=None, **members):
     else:
         env = gym.make(IDS["TipPose"], max_episode_steps=10, **options)
         scores = evaluate(load_policy("policies_of_mine:mine", env), env, SEEDS, 0.1)
-    return [{key: value for key, value in vars(score).items() if key != "action_time"} for score in scores]
+    return [
+        {key: value for key, value in vars(score).items() if key != "action_time"}
+        for score in scores
+    ]
 
 
 @pytest.mark.parametrize("rows", [False, True])
@@ -61,13 +75,32 @@ def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat
 
 @pytest.mark.parametrize("rows", [False, True])
 def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows):
-    options = {**ARM, "target": "hold", "history": 1, "control_period": 0.04, "tension_limits": (0.0, 2.0)}
-    env = gym.make_vec(IDS["TipPose"], num_envs=2, **options) if rows else gym.make(IDS["TipPose"], **options)
+    options = {
+        **ARM,
+        "target": "hold",
+        "history": 1,
+        "control_period": 0.04,
+        "tension_limits": (0.0, 2.0),
+    }
+    env = (
+        gym.make_vec(IDS["TipPose"], num_envs=2, **options)
+        if rows
+        else gym.make(IDS["TipPose"], **options)
+    )
     known = policy_environment(env)
     one, other = episodes_of(known), episodes_of(env)
-    assert known.observation_space == env.observation_space and known.action_space == env.action_space
-    assert one.period == 0.04 and np.array_equal(one.limits, other.limits) and one.model.scene == other.model.scene
-    assert one.options.randomize.noise == other.options.randomize.noise and not one.options.randomize.numbers
+    assert (
+        known.observation_space == env.observation_space and known.action_space == env.action_space
+    )
+    assert (
+        one.period == 0.04
+        and np.array_equal(one.limits, other.limits)
+        and one.model.scene == other.model.scene
+    )
+    assert (
+        one.options.randomize.noise == other.options.randomize.noise
+        and not one.options.randomize.numbers
+    )
     assert one.options.target is None
     told = load_scene("three_tendon").replace({"segments.0.young_modulus": 1e6})
     assert episodes_of(policy_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
@@ -78,9 +111,21 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     [
         ({"act": lambda self, action: action + np.nan}, "action"),
         ({"act": lambda self, action: action[..., :2]}, "action"),
-        ({"options": {"control_period": 0.005}}, "whose options have control_period: it may set observation, preview, h"),
-        ({"options": {"history": -1}}, "options of policies_of_mine:mine: history is -1: it should be greater than or equal to 0"),
-        ({"action_space": gym.spaces.Box(0, 1, (7,))}, r"mine', made for the action_space Box.0.0, 1.0, .7,., float32.: the environment's"),
+        (
+            {"options": {"control_period": 0.005}},
+            "whose options have control_period: it may set observation, preview, h",
+        ),
+        (
+            {"options": {"history": -1}},
+            (
+                "options of policies_of_mine:mine: history is -1: it should be greater than or"
+                " equal to 0"
+            ),
+        ),
+        (
+            {"action_space": gym.spaces.Box(0, 1, (7,))},
+            r"mine', made for the action_space Box.0.0, 1.0, .7,., float32.: the environment's",
+        ),
         ({"mine": lambda env: None}, "mine should make an object with predict, not None"),
     ],
 )

@@ -37,9 +37,15 @@ def rollout(model):
             tension=rng.uniform(0.0, 20.0, (samples, model.tendon_count)),
             tip_pose=tip,
             target_pose=np.tile(tip[-1], (samples, 1, 1)),
-            target_backbone=np.tile(backbones(model, strain[-1:], model.grid.breakpoints)[..., :3, 3], (samples, 1, 1)),
+            target_backbone=np.tile(
+                backbones(model, strain[-1:], model.grid.breakpoints)[..., :3, 3], (samples, 1, 1)
+            ),
             action=rng.uniform(-1.0, 1.0, (samples, 2)),
-            scalars={"position_error": rng.random(samples), "reward": rng.random(samples), "substeps": np.arange(float(samples))},
+            scalars={
+                "position_error": rng.random(samples),
+                "reward": rng.random(samples),
+                "substeps": np.arange(float(samples)),
+            },
             title=f"episode {seed}",
         )
 

@@ -20,7 +20,8 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 @pytest.fixture
 def sent(tmp_path, monkeypatch):
-    """sent(): for every viewer that was connected, {entity: rows of numbers}, once its environment is closed."""
+    """sent(): for every viewer that was connected, {entity: rows of numbers}, once its environment
+    is closed."""
     files = []
 
     def save(recording, url):
@@ -72,6 +73,8 @@ def test_without_a_display_the_error_says_so(port, monkeypatch):
     monkeypatch.setattr(live, "PORT", port)
     for name in live.DISPLAYS:
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(Error, match='needs a display, and none of DISPLAY, .* is set: use render_mode="rgb_array"') as raised:
+    with pytest.raises(
+        Error, match='needs a display, and none of DISPLAY, .* is set: use render_mode="rgb_array"'
+    ) as raised:
         gym.make(IDS["TipPose"], render_mode="human", **SMALL)
     assert "\n" not in str(raised.value)

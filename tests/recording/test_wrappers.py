@@ -1,4 +1,5 @@
-"""Wrappers hand the right samples to the file, which only remembers them here, and episodes are collected as they happened."""
+"""Wrappers hand the right samples to the file, which only remembers them here, and episodes are
+collected as they happened."""
 
 import gymnasium as gym
 import numpy as np
@@ -46,7 +47,11 @@ def make():
 
 
 def rows_of(mode, rows=(0, 1)):
-    return VectorRecordRollout(gym.make_vec(IDS["TipPose"], num_envs=2, autoreset_mode=mode, **SMALL), "unused.rrd", rows=rows)
+    return VectorRecordRollout(
+        gym.make_vec(IDS["TipPose"], num_envs=2, autoreset_mode=mode, **SMALL),
+        "unused.rrd",
+        rows=rows,
+    )
 
 
 def play(env, episodes):
@@ -66,11 +71,17 @@ def test_every_episode_is_recorded_from_reset_to_end(file):
     assert file.samples() == [6, 6]
     for episode, (arm, rollout, continues) in enumerate(file.written):
         tension, error = zip(*seen[6 * episode : 6 * episode + 6], strict=True)
-        assert arm == "arm" and not continues and rollout.title == f"episode {episode}, target random, seed {episode}"
+        assert (
+            arm == "arm"
+            and not continues
+            and rollout.title == f"episode {episode}, target random, seed {episode}"
+        )
         np.testing.assert_array_equal(rollout.tension, tension)
         np.testing.assert_array_equal(rollout.scalars["position_error"], error)
         np.testing.assert_array_equal(rollout.action, [[np.nan] * 3] + [ACTION] * 5)
-        assert np.isnan(rollout.scalars["reward"][0]) and (rollout.scalars["reward"][1:] > 0.0).all()
+        assert (
+            np.isnan(rollout.scalars["reward"][0]) and (rollout.scalars["reward"][1:] > 0.0).all()
+        )
 
 
 def test_parts_are_written_during_the_episode(file):
@@ -91,9 +102,12 @@ def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(file):
     assert file.samples() == [2, 3] and file.closed
 
 
-@pytest.mark.parametrize("mode, samples", [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])])
+@pytest.mark.parametrize(
+    "mode, samples", [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])]
+)
 def test_rows_are_recorded_in_every_mode(mode, samples, file):
-    """The step of a reset belongs to no episode; what ends and is reset in one step lacks its last sample."""
+    """The step of a reset belongs to no episode; what ends and is reset in one step lacks its last
+    sample."""
     env = rows_of(mode)
     env.reset(seed=7)
     for step in range(13 if mode != "disabled" else 12):
@@ -103,7 +117,9 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
     env.close()
     assert file.samples("row_0") == file.samples("row_1") == samples
     first = {arm: rollout for arm, rollout, _ in reversed(file.written)}
-    assert [first[f"row_{row}"].title for row in range(2)] == [f"episode 0, target random, seed {7 + row}" for row in range(2)]
+    assert [first[f"row_{row}"].title for row in range(2)] == [
+        f"episode 0, target random, seed {7 + row}" for row in range(2)
+    ]
     np.testing.assert_array_equal(first["row_1"].action[1:], np.tile(-ACTION, (samples[0] - 1, 1)))
 
 
@@ -128,6 +144,10 @@ def test_an_episode_is_collected_as_it_happened(env):
             assert rollout.scalars["reward"][sample] == reward
         assert rollout.scalars["backbone_error"][sample] == info["backbone_error"]
         np.testing.assert_array_equal(rollout.strain[sample], again.state.strain)
-        np.testing.assert_array_equal(rollout.tip_pose[sample], again.episodes.arms.reading.tip_pose[0])
-        np.testing.assert_array_equal(rollout.target_backbone[sample], again.episodes.target_backbone[0])
+        np.testing.assert_array_equal(
+            rollout.tip_pose[sample], again.episodes.arms.reading.tip_pose[0]
+        )
+        np.testing.assert_array_equal(
+            rollout.target_backbone[sample], again.episodes.target_backbone[0]
+        )
         np.testing.assert_array_equal(rollout.tension[sample], again.episodes.tension[0])

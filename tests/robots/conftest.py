@@ -12,16 +12,23 @@ POSE[0, 3] = 0.3
 
 
 class Arm:
-    """A motionless arm of three tendons, in stepped time unless told otherwise, that keeps what it was sent, and when.
+    """A motionless arm of three tendons, in stepped time unless told otherwise, that keeps what it
+    was sent, and when.
 
-    faults: functions by the name of a method, called before it with its count; what they raise, it raises.
+    faults: functions by the name of a method, called before it with its count; what they raise, it
+    raises.
     """
 
     command_unit, senses = "N", ("tip_pose", "tendon_length")
 
     def __init__(self, real_time=False, **faults):
         self.clock = Clock(real_time)
-        self.faults, self.counts, self.sent, self.closed = faults, {"read": 0, "write": 0}, [], False
+        self.faults, self.counts, self.sent, self.closed = (
+            faults,
+            {"read": 0, "write": 0},
+            [],
+            False,
+        )
 
     def _fault(self, name):
         self.counts[name] += 1
@@ -53,7 +60,8 @@ def arm_of_test():
 
 @pytest.fixture(scope="session")
 def columns_of_log():
-    """columns_of_log(path): numbers of a log by the names of its columns, without the row at rest."""
+    """columns_of_log(path): numbers of a log by the names of its columns, without the row at
+    rest."""
     return lambda path: np.genfromtxt(path, delimiter=",", names=True)[1:]
 
 
@@ -77,14 +85,28 @@ def pulling():
 
 @pytest.fixture
 def drawing():
-    """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm` senses, unless options say otherwise.
+    """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm`
+    senses, unless options say otherwise.
 
     Everything is compiled, as after a rehearsal.
     """
 
     def make(task="TipPose", **options):
-        observed = ("tip_position", "tip_rotation", "tendon_lengths", "target_error", "preview", "last_action", "command")
-        usual = {"scene": "three_tendon", "fidelity": "fast", "action": "tension", "observation": observed}
+        observed = (
+            "tip_position",
+            "tip_rotation",
+            "tendon_lengths",
+            "target_error",
+            "preview",
+            "last_action",
+            "command",
+        )
+        usual = {
+            "scene": "three_tendon",
+            "fidelity": "fast",
+            "action": "tension",
+            "observation": observed,
+        }
         env = gym.make(f"TendonRod-{task}-v1", **{**usual, **options})
         env.reset(seed=0)
         env.step(np.zeros(3))

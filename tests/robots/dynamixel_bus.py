@@ -1,7 +1,7 @@
 """Stand-in for Dynamixel motors on a serial port: Protocol 2.0, byte by byte, on a pseudo-terminal.
 
-Frames are FF FF FD 00, id, length (2), instruction, parameters, CRC-16 (polynomial 0x8005), little-endian; see the Robotis e-Manual,
-"Protocol 2.0". The tables of registers are the X series'.
+Frames are FF FF FD 00, id, length (2), instruction, parameters, CRC-16 (polynomial 0x8005),
+little-endian; see the Robotis e-Manual, "Protocol 2.0". The tables of registers are the X series'.
 """
 
 import contextlib
@@ -45,7 +45,11 @@ class Motor:
     @property
     def has_stopped(self):
         """Whether the bus was silent for as long as the watchdog waits."""
-        return 0.02 * self.table[WATCHDOG] < time.perf_counter() - self.heard if self.table[WATCHDOG] else False
+        return (
+            0.02 * self.table[WATCHDOG] < time.perf_counter() - self.heard
+            if self.table[WATCHDOG]
+            else False
+        )
 
     @property
     def goal_current(self):
@@ -53,7 +57,8 @@ class Motor:
 
 
 class Bus:
-    """Motors by their ids, on a pseudo-terminal with the name `port`. `silent`: ids that do not answer any more."""
+    """Motors by their ids, on a pseudo-terminal with the name `port`. `silent`: ids that do not
+    answer any more."""
 
     def __init__(self, positions):
         self.motors = {number: Motor(position) for number, position in positions.items()}
@@ -108,5 +113,7 @@ class Bus:
     def _answer(self, number, data):
         if number == EVERYBODY or number in self.silent or number not in self.motors:
             return
-        frame = HEADER + bytes([number]) + struct.pack("<H", len(data) + 4) + bytes([STATUS, 0]) + data
+        frame = (
+            HEADER + bytes([number]) + struct.pack("<H", len(data) + 4) + bytes([STATUS, 0]) + data
+        )
         os.write(self._master, frame + struct.pack("<H", crc(frame)))

@@ -1,4 +1,5 @@
-"""Dynamixel motors, byte by byte: newtons become steps of the registers, motors that are lost are an error and go slack."""
+"""Dynamixel motors, byte by byte: newtons become steps of the registers, motors that are lost are
+an error and go slack."""
 
 import time
 
@@ -18,19 +19,28 @@ UNIT = 0.00269 * 1.8 / 0.01  # [N] of a step of current
 
 @pytest.fixture
 def bus(monkeypatch):
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 200)  # [ms], of a busy machine that runs the motors too
+    monkeypatch.setattr(
+        "dynamixel_sdk.port_handler.LATENCY_TIMER", 200
+    )  # [ms], of a busy machine that runs the motors too
     return bus_module.Bus({1: 2048, 2: -500, 5: 100_000})
 
 
 @pytest.fixture
 def connect(bus):
-    """connect(**arguments): the robot on the bus, whose motors bear longer silence than a busy machine may make."""
-    return lambda **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments})
+    """connect(**arguments): the robot on the bus, whose motors bear longer silence than a busy
+    machine may make."""
+    return lambda **arguments: DynamixelRobot(
+        bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments}
+    )
 
 
 def test_tensions_are_currents(bus, connect):
     robot = connect()
-    assert robot.command_unit == "N" and [motor.table[11] for motor in bus.motors.values()] == [0, 0, 0]
+    assert robot.command_unit == "N" and [motor.table[11] for motor in bus.motors.values()] == [
+        0,
+        0,
+        0,
+    ]
     sent = robot.write(np.array([3.0, 0.2, 5.0]))
     measured = robot.read()
     assert [motor.goal_current for motor in bus.motors.values()] == [6, 0, -10]
@@ -38,7 +48,9 @@ def test_tensions_are_currents(bus, connect):
     np.testing.assert_allclose(measured.tension, sent)
     np.testing.assert_allclose(measured.tendon_length, 0.0)
     assert robot.senses == ("tension", "tendon_length")
-    assert (robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193) and robot.read().time > measured.time
+    assert (
+        robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193
+    ) and robot.read().time > measured.time
     robot.close()
     assert_limp(bus)
 
@@ -68,10 +80,18 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling):
     robot = connect(tip_pose=lambda: np.eye(4))
     env = RobotEnv(drawing(), robot, settle=0.0, patience=250)
     report = run_policy(pulling(lambda count: lose(bus) if count == 5 else None), env, 3.0)
-    assert "failed: " in report.stop.cause and not report.finished and report.stop.slack == bool(bus.silent)
+    assert (
+        "failed: " in report.stop.cause
+        and not report.finished
+        and report.stop.slack == bool(bus.silent)
+    )
     if report.stop.slack:
         assert_limp(bus)
-        assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
+        assert [motor.goal_current for motor in bus.motors.values()] == [
+            0,
+            0,
+            0,
+        ]  # the one that cannot answer hears it still
 
 
 @pytest.mark.cases("arguments", [{"radius": 0.0}, {"watchdog": 5.0}, {"radius": [1.0, 2.0]}])

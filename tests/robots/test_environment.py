@@ -1,4 +1,5 @@
-"""A robot has the environment's spaces, a simulated one moves as the arm of an environment, and episodes begin at rest."""
+"""A robot has the environment's spaces, a simulated one moves as the arm of an environment, and
+episodes begin at rest."""
 
 import copy
 import pickle
@@ -11,7 +12,10 @@ from soft_tendon_env.robots import Measurement, RobotEnv, RobotStopped, Simulate
 from soft_tendon_env.robots.environment import REST_SPEED, speed_of
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [-0.01, 0.02]}}
+ELASTIC = {
+    "scene": "three_tendon",
+    "effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [-0.01, 0.02]},
+}
 LATE = {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.02, "delay": 0.04}}
 LENGTH = 0.3
 
@@ -31,19 +35,38 @@ def play_episode(env, seed=3, steps=40):
 @pytest.mark.cases(
     "scene, drawn, task",
     [
-        ("three_tendon", {"stiffness": 0.8, "payload": 0.01, "tension_gain": 1.1, "latency": 0.033}, "TipPose"),
+        (
+            "three_tendon",
+            {"stiffness": 0.8, "payload": 0.01, "tension_gain": 1.1, "latency": 0.033},
+            "TipPose",
+        ),
         (ELASTIC, {"latency": 0.02}, "TipPose"),
         (LATE, {"latency": 0.02}, "Reach"),
     ],
 )
 def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task):
-    options = {"scene": scene, "fidelity": "fast", "observation": "measurable", "sensors": 3, "history": 2}
+    options = {
+        "scene": scene,
+        "fidelity": "fast",
+        "observation": "measurable",
+        "sensors": 3,
+        "history": 2,
+    }
     alike = gym.make(f"TendonRod-{task}-v0", **options, randomize=drawn)
-    robot = SimulatedRobot(scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False)
+    robot = SimulatedRobot(
+        scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False
+    )
     real = RobotEnv(gym.make(f"TendonRod-{task}-v0", **options), robot, settle=0.0)
-    assert real.observation_space == alike.observation_space and real.action_space == alike.action_space
-    for (expected, error), (found, distance) in zip(play_episode(alike), play_episode(real), strict=True):
-        expected, found = (flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found))
+    assert (
+        real.observation_space == alike.observation_space
+        and real.action_space == alike.action_space
+    )
+    for (expected, error), (found, distance) in zip(
+        play_episode(alike), play_episode(real), strict=True
+    ):
+        expected, found = (
+            flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found)
+        )
         np.testing.assert_allclose(found, expected, atol=1e-6)
         assert distance == pytest.approx(error, abs=1e-9)
     assert real.stopped.slack and not real.stopped.failures
@@ -52,8 +75,12 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
 def test_lengths_and_strains_count_from_the_arm_at_rest(arm_of_test, drawing):
     env = RobotEnv(drawing(), arm_of_test())  # whose lengths are 0.1, 0.2, 0.3 m, from anywhere
     observation, _ = env.reset(seed=0)
-    np.testing.assert_allclose(env.unwrapped.episodes.layout.values(observation[None])["tendon_lengths"], 0.0, atol=1e-12)
-    rest = env.unwrapped.episodes.model.tendon_lengths(np.zeros(env.unwrapped.episodes.model.coordinate_count))
+    np.testing.assert_allclose(
+        env.unwrapped.episodes.layout.values(observation[None])["tendon_lengths"], 0.0, atol=1e-12
+    )
+    rest = env.unwrapped.episodes.model.tendon_lengths(
+        np.zeros(env.unwrapped.episodes.model.coordinate_count)
+    )
     np.testing.assert_allclose(env.zero["tendon_length"], rest - [0.1, 0.2, 0.3], atol=1e-9)
     env.close()
 
@@ -66,7 +93,12 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
     first, _ = env.reset(seed=0)
     env.stop("somebody pressed the button")
     observation, reward, terminated, truncated, info = env.step(np.ones(3))
-    assert (reward, terminated, truncated, info["stopped"]) == (0.0, False, True, "somebody pressed the button")
+    assert (reward, terminated, truncated, info["stopped"]) == (
+        0.0,
+        False,
+        True,
+        "somebody pressed the button",
+    )
     assert (observation == first).all() and arm.is_slack
     env.reset(seed=0)
     assert not env.step(np.ones(3))[3] and not arm.is_slack
@@ -78,10 +110,21 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
 @pytest.mark.cases(
     "options, changes, message",
     [
-        ({"observation": "full"}, {}, "without q (coordinates), q_dot (rates), tip_twist (tip_twist), which is observed: take it out"),
+        (
+            {"observation": "full"},
+            {},
+            (
+                "without q (coordinates), q_dot (rates), tip_twist (tip_twist), which is observed:"
+                " take it out"
+            ),
+        ),
         ({}, {"senses": ("tendon_length",)}, "without tip_pose (the errors of the task)"),
         ({}, {"command_unit": "m"}, "which takes 'm', and the scene's arm takes 'N'"),
-        ({"randomize": {"stiffness": 0.9}}, {}, "the option randomize should have no more than the noise"),
+        (
+            {"randomize": {"stiffness": 0.9}},
+            {},
+            "the option randomize should have no more than the noise",
+        ),
         ({"tip_speed_limit": 3.0}, {}, "without tip_twist (the option tip_speed_limit)"),
     ],
 )
@@ -100,7 +143,10 @@ def test_robots_begin_at_rest_and_are_not_copied(arm_of_test, drawing):
     with pytest.raises(ConfigurationError, match="should have no state: robots begin at rest"):
         env.reset(options={"state": env.unwrapped.state})
     for copied in (copy.deepcopy, pickle.dumps):
-        with pytest.raises(TypeError, match="an environment whose arm is a robot cannot be copied: there is one robot"):
+        with pytest.raises(
+            TypeError,
+            match="an environment whose arm is a robot cannot be copied: there is one robot",
+        ):
             copied(env)
     env.close()
 
@@ -111,7 +157,9 @@ def noise(deviation):
 
 
 def swing(amplitude, frequency=1.0):
-    return lambda time: np.array([0.0, amplitude * LENGTH * np.sin(2.0 * np.pi * frequency * time), 0.0])
+    return lambda time: np.array(
+        [0.0, amplitude * LENGTH * np.sin(2.0 * np.pi * frequency * time), 0.0]
+    )
 
 
 def both(*motions):
@@ -153,8 +201,16 @@ def test_rest_is_found_in_noise(motion, rest, seconds, arm_of_test, drawing):
     "motion, rest, message",
     [
         (swing(0.01), REST_SPEED, r"its tip moves at 0\.0132 m/s, 60 s after the first command"),
-        (both(swing(0.01), noise(2e-3)), REST_SPEED, r"at rest it is at most 0\.0015 m/s\. Allow more"),
-        (lambda time: np.array([0.0, 0.01 * LENGTH * time, 0.0]), REST_SPEED, r"moves at 0\.00299 m/s"),
+        (
+            both(swing(0.01), noise(2e-3)),
+            REST_SPEED,
+            r"at rest it is at most 0\.0015 m/s\. Allow more",
+        ),
+        (
+            lambda time: np.array([0.0, 0.01 * LENGTH * time, 0.0]),
+            REST_SPEED,
+            r"moves at 0\.00299 m/s",
+        ),
     ],
 )
 def test_an_arm_that_does_not_rest_is_let_go(motion, rest, message, arm_of_test, drawing):
@@ -181,14 +237,19 @@ def test_a_slow_rate_is_no_rest_before_the_pretension(arm_of_test, drawing):
     arm = arm_of_test()
     env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.1, rate=0.1)
     env.reset(seed=0)
-    assert arm.clock.now() == pytest.approx(7.2, abs=0.05) and arm.sent[-1][1] == pytest.approx([0.5, 0.5, 0.5])
+    assert arm.clock.now() == pytest.approx(7.2, abs=0.05) and arm.sent[-1][1] == pytest.approx(
+        [0.5, 0.5, 0.5]
+    )
     env.close()
 
 
 def test_motion_is_told_from_noise():
     """A drift has its own speed, a swing 2 pi f A / sqrt(2)."""
     time = 0.01 * np.arange(400)
-    for motion, expected in ((0.3 * time, 0.3), (0.02 * np.sin(4.0 * np.pi * time), 0.08 * np.pi / np.sqrt(2.0))):
+    for motion, expected in (
+        (0.3 * time, 0.3),
+        (0.02 * np.sin(4.0 * np.pi * time), 0.08 * np.pi / np.sqrt(2.0)),
+    ):
         position = np.stack([motion, 0.0 * time, np.full_like(time, 7.0)], axis=1)
         assert speed_of(position, 0.01) == pytest.approx(expected, rel=0.01)
         noisy = position + np.random.default_rng(1).normal(scale=1e-3, size=position.shape)

@@ -1,4 +1,5 @@
-"""`soft-tendon run`: a log and a report of a run, what stops it is said in one line; logs are read as written, none is lost."""
+"""`soft-tendon run`: a log and a report of a run, what stops it is said in one line; logs are read
+as written, none is lost."""
 
 import re
 import signal
@@ -54,27 +55,76 @@ class Interrupted(SimulatedRobot):
 
 def test_a_run_leaves_a_log_and_prints_its_errors(tmp_path, capsys):
     out = tmp_path / "a" / "run.csv"
-    main(["run", "filtered:tracking", *ARM, *STEPPED, "--seconds", "1", "--skip", "0.4", "--settle", "0.2", "--out", str(out)])
+    main(
+        [
+            "run",
+            "filtered:tracking",
+            *ARM,
+            *STEPPED,
+            "--seconds",
+            "1",
+            "--skip",
+            "0.4",
+            "--settle",
+            "0.2",
+            "--out",
+            str(out),
+        ]
+    )
     said = capsys.readouterr().out
-    assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M) and re.search(r"^angle error: [\d.]+ deg", said, re.M)
-    assert f"written: {out}\n" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
+    assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M) and re.search(
+        r"^angle error: [\d.]+ deg", said, re.M
+    )
+    assert (
+        f"written: {out}\n" in said
+        and "50 periods, 0 overruns" in said
+        and "the run ended: tendons slack after" in said
+    )
     assert out.read_text().count("\n") - 2 == 50
 
 
 def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     out = tmp_path / "run.csv"
     with pytest.raises(SystemExit) as exit:
-        main(["run", "filtered:tracking", *ARM, "--robot", f"{__name__}:Deaf", "--seconds", "1", "--out", str(out)])
-    assert "the robot was stopped: reading failed: ConnectionError, the arm is deaf" in str(exit.value.code)
+        main(
+            [
+                "run",
+                "filtered:tracking",
+                *ARM,
+                "--robot",
+                f"{__name__}:Deaf",
+                "--seconds",
+                "1",
+                "--out",
+                str(out),
+            ]
+        )
+    assert "the robot was stopped: reading failed: ConnectionError, the arm is deaf" in str(
+        exit.value.code
+    )
     said = capsys.readouterr().out
-    assert "position error" not in said and f"written: {out}\n" not in said and not out.exists()  # there was none
+    assert (
+        "position error" not in said and f"written: {out}\n" not in said and not out.exists()
+    )  # there was none
 
 
 def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
     out, robot = tmp_path / "run.csv", ["--robot", f"{__name__}:Interrupted", "--robot-options"]
     options = ["scene=three_tendon", "fidelity=fast", "sensors=3", "real_time=false"]
     with pytest.raises(SystemExit) as exit:
-        main(["run", "filtered:tracking", *ARM, *robot, *options, "--seconds", "9", "--out", str(out)])
+        main(
+            [
+                "run",
+                "filtered:tracking",
+                *ARM,
+                *robot,
+                *options,
+                "--seconds",
+                "9",
+                "--out",
+                str(out),
+            ]
+        )
     said = capsys.readouterr()
     assert exit.value.code == 130 and "\nstopped" in said.err and out.read_text().count("\n") > 20
     assert re.search(rf"written: {out}\ninterrupted: tendons slack after \d+ ms\n\n$", said.out)
@@ -90,9 +140,20 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
 @pytest.mark.cases(
     "name, options, message",
     [
-        ("no_module:Arm", {}, "robot is 'no_module:Arm' with the options {}: it should be MODULE:CLASS; No module named"),
+        (
+            "no_module:Arm",
+            {},
+            (
+                "robot is 'no_module:Arm' with the options {}: it should be MODULE:CLASS; No module"
+                " named"
+            ),
+        ),
         ("json:JSONDecoder", {}, "JSONDecoder should have read"),
-        (SIMULATED, {"preview": [0.1]}, "preview is an unknown key: valid: control_period, fidelity"),
+        (
+            SIMULATED,
+            {"preview": [0.1]},
+            "preview is an unknown key: valid: control_period, fidelity",
+        ),
         (SIMULATED, {"model_error": "stiffness-20%"}, "model_error is an unknown key"),
     ],
 )
@@ -107,20 +168,33 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
     env = gym.make("TendonRod-TipPose-v0", **options, randomize={"noise": NOISE})
     policy = load_policy("filtered:tracking", env)
     rehearse(policy, env)
-    robot = SimulatedRobot(**SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False)
+    robot = SimulatedRobot(
+        **SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False
+    )
     report = run_policy(policy, RobotEnv(env, robot, log=path, settle=0.2), 0.5, seed=4)
     log = columns_of_log(path)
-    names = {"tip_x", "tip_qw", "tip_wx", "tendon_length_2", "strain_2_shear_z", "strain_rate_0_torsion"}
+    names = {
+        "tip_x",
+        "tip_qw",
+        "tip_wx",
+        "tendon_length_2",
+        "strain_2_shear_z",
+        "strain_rate_0_torsion",
+    }
     assert report.finished and {*log.dtype.names} >= names
     (motion,) = read_recordings([path], load_scene("three_tendon"), TIP)
     assert motion.name == "first" and motion.period == pytest.approx(0.02)
-    assert (motion.command[1:, 0] == log["tension_0"]).all() and (motion.positions[1:, 0, 0] == log["tip_x"]).all()
+    assert (motion.command[1:, 0] == log["tension_0"]).all() and (
+        motion.positions[1:, 0, 0] == log["tip_x"]
+    ).all()
 
 
 def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_out(tmp_path):
     path, random = tmp_path / "new" / "run.csv", np.random.default_rng(0)
     env = gym.make("TendonRod-Reach-v0", **SMALL, observation=["tip_position", "tendon_lengths"])
-    env = RobotEnv(env, SimulatedRobot(**SMALL, real_time=False, randomize={"noise": NOISE}), log=path)
+    env = RobotEnv(
+        env, SimulatedRobot(**SMALL, real_time=False, randomize={"noise": NOISE}), log=path
+    )
     for length in (6, 1, 9):
         env.reset(seed=0)
         for action in random.uniform(-1.0, 0.5, (length, 3)):
@@ -130,7 +204,9 @@ def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_o
     text = path.read_text()
     header, *rows = (line.split(",") for line in text.splitlines())
     first = [dict(zip(header, row, strict=True)) for row in rows[:2]]
-    times, measured_times, tips = ([float(row[name]) for row in first] for name in ("time", "measured_time", "tip_x"))
+    times, measured_times, tips = (
+        [float(row[name]) for row in first] for name in ("time", "measured_time", "tip_x")
+    )
     assert times == [-0.02, 0.0] and np.diff(measured_times) == pytest.approx(0.02)
     assert 1e-6 < abs(tips[1] - tips[0]) < 0.01  # the noise differs
     path.write_text(text[:-2])
@@ -152,14 +228,18 @@ def test_no_log_is_overwritten(arm_of_test, drawing, tmp_path):
     env.close()
     text = path.read_text()
     path.with_name("run_2.csv").touch()
-    with pytest.raises(FileExistsError, match=r"no log is overwritten: give another name, such as .*/run_3\.csv"):
+    with pytest.raises(
+        FileExistsError, match=r"no log is overwritten: give another name, such as .*/run_3\.csv"
+    ):
         RobotEnv(drawing(), arm_of_test(), log=path)
     with pytest.raises(ValueError, match=r"it should be a file \*.csv"):
         RobotEnv(drawing(), arm_of_test(), log=tmp_path / "run.txt")
     assert path.read_text() == text
 
 
-def test_a_full_disk_stops_the_run_and_keeps_the_rows(arm_of_test, drawing, pulling, tmp_path, monkeypatch):
+def test_a_full_disk_stops_the_run_and_keeps_the_rows(
+    arm_of_test, drawing, pulling, tmp_path, monkeypatch
+):
     arm, path = arm_of_test(), tmp_path / "run.csv"
     env = RobotEnv(drawing(), arm, log=path)
     write = env._log._writer.writerows
@@ -172,5 +252,9 @@ def test_a_full_disk_stops_the_run_and_keeps_the_rows(arm_of_test, drawing, pull
 
     monkeypatch.setattr(env._log, "_writer", Full())
     report = run_policy(pulling(), env, 1.0)
-    assert report.stop.cause == f"the log {path} cannot be written: No space left on device" and report.stop.slack and arm.is_slack
+    assert (
+        report.stop.cause == f"the log {path} cannot be written: No space left on device"
+        and report.stop.slack
+        and arm.is_slack
+    )
     assert len(path.read_text().splitlines()) >= 10

@@ -1,4 +1,5 @@
-"""Files of passive fields: saved and read, which of them fit a scene, what is refused and what is warned of."""
+"""Files of passive fields: saved and read, which of them fit a scene, what is refused and what is
+warned of."""
 
 import dataclasses
 import json
@@ -11,7 +12,12 @@ import tomli_w
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
-from soft_tendon_env.scene.passive_fields import FidelityWarning, fields_of, find_fields, read_fields
+from soft_tendon_env.scene.passive_fields import (
+    FidelityWarning,
+    fields_of,
+    find_fields,
+    read_fields,
+)
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -25,13 +31,19 @@ def shipped():
 
 
 def naming(path, count=3, **more):
-    return ARM.replace({"strain.passive": {"type": "snapshots", "fields": count, "file": str(path), **more}})
+    return ARM.replace(
+        {"strain.passive": {"type": "snapshots", "fields": count, "file": str(path), **more}}
+    )
 
 
 def test_saved_fields_read_back_equal(shipped, tmp_path):
     shipped.save(path := tmp_path / "arm.fields.json")
     again = read_fields(path)
-    assert again.digest == shipped.digest and again.errors == dict(shipped.errors) and again.effects == shipped.effects
+    assert (
+        again.digest == shipped.digest
+        and again.errors == dict(shipped.errors)
+        and again.effects == shipped.effects
+    )
     np.testing.assert_array_equal(again.coefficients, shipped.coefficients)
     assert [file.name for file in tmp_path.iterdir()] == ["arm.fields.json"]
 
@@ -67,9 +79,21 @@ def test_mistakes_name_their_key(passive, message):
     "change, message",
     [
         (lambda table: {}, r"strain\.passive\.file is .*odd\.fields\.json"),
-        (lambda table: {**table, "coefficients": table["coefficients"][:2]}, "its coefficients should be finite and of shape"),
-        (lambda table: {**table, "arm": {**table["arm"], "strains": ["bend_y"]}}, "of an arm of other segments"),
-        (lambda table: {**table, **{name: table[name][:2] for name in ("coefficients", "singular_values")}}, "there are 2 of this arm"),
+        (
+            lambda table: {**table, "coefficients": table["coefficients"][:2]},
+            "its coefficients should be finite and of shape",
+        ),
+        (
+            lambda table: {**table, "arm": {**table["arm"], "strains": ["bend_y"]}},
+            "of an arm of other segments",
+        ),
+        (
+            lambda table: {
+                **table,
+                **{name: table[name][:2] for name in ("coefficients", "singular_values")},
+            },
+            "there are 2 of this arm",
+        ),
     ],
 )
 def test_changed_files_are_refused(shipped, tmp_path, change, message):
@@ -84,7 +108,9 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
     other = dataclasses.replace(shipped, coefficients=2.0 * shipped.coefficients)
     assert fields_of(naming(path, digest=shipped.digest)).digest == shipped.digest
     other.save(path)
-    with pytest.raises(ConfigurationError, match=rf"digest is '{shipped.digest}', but .* has '{other.digest}'"):
+    with pytest.raises(
+        ConfigurationError, match=rf"digest is '{shipped.digest}', but .* has '{other.digest}'"
+    ):
         fields_of(naming(path, digest=shipped.digest))
 
 
@@ -102,7 +128,10 @@ def test_what_fields_were_not_made_for_is_warned_of(changes, words):
         fields_of(scene)
 
 
-@pytest.mark.cases("changes", ({}, {"segments.0.density": 900.0}, {"tendons.0.tension_limits": [0.0, 5.0]}, GRAVITY))
+@pytest.mark.cases(
+    "changes",
+    ({}, {"segments.0.density": 900.0}, {"tendons.0.tension_limits": [0.0, 5.0]}, GRAVITY),
+)
 def test_what_they_were_made_for_is_not(changes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -111,4 +140,8 @@ def test_what_they_were_made_for_is_not(changes):
 
 def test_loaded_scenes_get_fields_made_under_loads(shipped):
     loaded = find_fields(ARM.replace(GRAVITY))
-    assert shipped.effects == Effects() and loaded.effects.gravity is not None and loaded.digest != shipped.digest
+    assert (
+        shipped.effects == Effects()
+        and loaded.effects.gravity is not None
+        and loaded.digest != shipped.digest
+    )

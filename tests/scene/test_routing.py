@@ -1,4 +1,5 @@
-"""Tendon routings and tapers: slopes against differences, the formulas of each, and what they refuse."""
+"""Tendon routings and tapers: slopes against differences, the formulas of each, and what they
+refuse."""
 
 import numpy as np
 import pytest
@@ -21,7 +22,11 @@ ROUTINGS = {
     "converging": ConvergingRouting(start_offset=(0.02, 0.0), end_offset=(0.01, 0.01)),
     "surface": SurfaceRouting(fraction=0.8, angle=40.0),
     "helix": HelixRouting(radius=0.01, angular_rate=-12.0, phase=25.0),
-    "table": TableRouting(arc_length=(0.0, 0.2, 0.3, 0.4, 0.6), y=(0.01, 0.02, 0.0, -0.01, 0.0), z=(0.0, 0.0, 0.01, 0.02, 0.01)),
+    "table": TableRouting(
+        arc_length=(0.0, 0.2, 0.3, 0.4, 0.6),
+        y=(0.01, 0.02, 0.0, -0.01, 0.0),
+        z=(0.0, 0.0, 0.01, 0.02, 0.01),
+    ),
 }
 
 
@@ -35,34 +40,58 @@ def test_slope_is_the_derivative_of_the_offset(routing):
     x, h = np.linspace(0.11, 0.49, 41), 1e-6
     offset, slope = evaluate(routing, x)
     assert offset.shape == slope.shape == (41, 2)
-    np.testing.assert_allclose(slope, (evaluate(routing, x + h)[0] - evaluate(routing, x - h)[0]) / (2 * h), atol=1e-8)
+    np.testing.assert_allclose(
+        slope, (evaluate(routing, x + h)[0] - evaluate(routing, x - h)[0]) / (2 * h), atol=1e-8
+    )
 
 
 @pytest.mark.cases("profile", [LinearTaper(base=0.03, tip=0.02), RADII])
 def test_slope_is_the_derivative_of_the_radius(profile):
     s, h = np.linspace(0.011, 0.389, 50), 1e-6
     ahead, behind = (profile.size_and_slope(s + d, LENGTH)[0] for d in (h, -h))
-    np.testing.assert_allclose(profile.size_and_slope(s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7)
+    np.testing.assert_allclose(
+        profile.size_and_slope(s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7
+    )
 
 
 def test_radii_meet_their_points_and_never_overshoot():
-    np.testing.assert_allclose(RADII.size_and_slope(np.array(RADII.arc_length), LENGTH)[0], RADII.size, rtol=1e-14)
+    np.testing.assert_allclose(
+        RADII.size_and_slope(np.array(RADII.arc_length), LENGTH)[0], RADII.size, rtol=1e-14
+    )
     radius, _ = RADII.size_and_slope(np.linspace(0, LENGTH, 500), LENGTH)
     assert radius.min() >= 0.01 and radius.max() <= 0.02
 
 
 def test_misfits_say_what_is_wrong():
-    assert "should cover the tendon, 0.1 to 0.7, but its arc_length runs from 0 to 0.6" in ROUTINGS["table"].misfit((0.1, 0.7))
+    assert "should cover the tendon, 0.1 to 0.7, but its arc_length runs from 0 to 0.6" in ROUTINGS[
+        "table"
+    ].misfit((0.1, 0.7))
 
 
 @pytest.mark.cases(
     "kind, columns, message",
     [
-        (TaperTable, {"arc_length": (0.0,), "radius": (0.1,)}, r"arc_length is \[0.0\]: it should have at least 2 items, not 1"),
+        (
+            TaperTable,
+            {"arc_length": (0.0,), "radius": (0.1,)},
+            r"arc_length is \[0.0\]: it should have at least 2 items, not 1",
+        ),
         (TaperTable, {"arc_length": (0.2, 0.1), "radius": (0.1, 0.1)}, "it should increase"),
-        (TaperTable, {"arc_length": (0.0, 0.2), "radius": (0.1, 0.0)}, r"radius\[1\] is 0.0: it should be greater than 0"),
-        (TableRouting, {"arc_length": (0.0, 0.2, 0.1, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4}, "arc_length is .*: it should increase"),
-        (TableRouting, {"arc_length": (0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0, 0.0)}, "z is .*: it should have one entry per arc"),
+        (
+            TaperTable,
+            {"arc_length": (0.0, 0.2), "radius": (0.1, 0.0)},
+            r"radius\[1\] is 0.0: it should be greater than 0",
+        ),
+        (
+            TableRouting,
+            {"arc_length": (0.0, 0.2, 0.1, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4},
+            "arc_length is .*: it should increase",
+        ),
+        (
+            TableRouting,
+            {"arc_length": (0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0, 0.0)},
+            "z is .*: it should have one entry per arc",
+        ),
     ],
 )
 def test_tables_refuse(kind, columns, message):

@@ -1,4 +1,5 @@
-"""Configurations, lengths, tables and arguments: errors name the source, the key, the value and what is allowed."""
+"""Configurations, lengths, tables and arguments: errors name the source, the key, the value and
+what is allowed."""
 
 from typing import Annotated, Literal
 
@@ -7,7 +8,13 @@ import pytest
 from pydantic import Field
 
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, override, parsed_changes, read_toml
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    override,
+    parsed_changes,
+    read_toml,
+)
 from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import Positive, TimeStep, is_length, length_text, read_length
 
@@ -31,7 +38,9 @@ class Square(Configuration):
 class Part(Configuration):
     """A part."""
 
-    sections: tuple[Annotated[Round | Square, Field(discriminator="type")], ...] = Field(min_length=1)
+    sections: tuple[Annotated[Round | Square, Field(discriminator="type")], ...] = Field(
+        min_length=1
+    )
     name: str = "part"
     count: int = Field(default=3, ge=1)
     gains: tuple[float, float] = (1.0, 2.0)
@@ -47,7 +56,13 @@ def test_numbers_arrays_and_paths_are_taken_as_they_come():
 @pytest.mark.cases(
     "changes, said",
     [
-        ({"cont": 2}, "arm.toml: cont is an unknown key (given 2): did you mean 'count'? valid: count, gains, "),
+        (
+            {"cont": 2},
+            (
+                "arm.toml: cont is an unknown key (given 2): did you mean 'count'? valid: count,"
+                " gains, "
+            ),
+        ),
         ({"count": 0}, "arm.toml: count is 0: it should be greater than or equal to 1"),
         ({"count": 2.0}, "arm.toml: count is 2.0: it should be a valid integer"),
         ({"name": 3}, "arm.toml: name is 3: it should be a valid string"),
@@ -58,12 +73,21 @@ def test_numbers_arrays_and_paths_are_taken_as_they_come():
         ({"gains[0]": True}, "arm.toml: gains[0] is True: it should be a valid number"),
         ({"step": 1e-9}, "arm.toml: step is 1e-09: it should be 1e-07 to 1e+20 s"),
         ({"sections": []}, "arm.toml: sections is []: it should have at least 1 item"),
-        ({"sections.*.radius": 0.0}, "arm.toml: sections[0].radius is 0.0: it should be greater than 0"),
+        (
+            {"sections.*.radius": 0.0},
+            "arm.toml: sections[0].radius is 0.0: it should be greater than 0",
+        ),
         ({"sections.0.type": "square"}, "arm.toml: sections[0].side is missing: it is required"),
-        ({"sections.0.type": "squar"}, "arm.toml: sections[0].type is 'squar': did you mean 'square'? valid: round, square"),
+        (
+            {"sections.0.type": "squar"},
+            "arm.toml: sections[0].type is 'squar': did you mean 'square'? valid: round, square",
+        ),
         ({"sections.0": {"radius": 1}}, "arm.toml: sections[0].type is missing: it is required"),
         ({"sections.0": 5}, "arm.toml: sections[0] is 5: it should be a table"),
-        ({"sections.1.radius": 1}, "sections.1.radius cannot be set: '1' is no position in sections; valid: 0 to 0"),
+        (
+            {"sections.1.radius": 1},
+            "sections.1.radius cannot be set: '1' is no position in sections; valid: 0 to 0",
+        ),
         ({"name.first": 1}, "name.first cannot be set: name is 'part', not a table"),
     ],
 )
@@ -76,14 +100,23 @@ def test_what_is_refused(changes, said):
 
 
 def test_changes_are_values_of_toml_or_texts():
-    assert parsed_changes(["a.b=[1, 2.5]", "c = fast", 'd="x=y"', "e=true"]) == {"a.b": [1, 2.5], "c": "fast", "d": "x=y", "e": True}
+    assert parsed_changes(["a.b=[1, 2.5]", "c = fast", 'd="x=y"', "e=true"]) == {
+        "a.b": [1, 2.5],
+        "c": "fast",
+        "d": "x=y",
+        "e": True,
+    }
     override(table := {"a": {"b": 1}}, parsed_changes(['a."b.c"=2']))
     assert table == {"a": {"b": 1, "b.c": 2}}
 
 
 @pytest.mark.cases(
     "content, said",
-    [(None, "cannot be read: No such file"), (b"a = ", "is not valid TOML"), (b"a = '\xff'", "is not valid TOML: .*start")],
+    [
+        (None, "cannot be read: No such file"),
+        (b"a = ", "is not valid TOML"),
+        (b"a = '\xff'", "is not valid TOML: .*start"),
+    ],
 )
 def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
     path = tmp_path / "arm.toml"
@@ -94,10 +127,20 @@ def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
 
 
 @pytest.mark.cases(
-    "text, metres", [("1mm", 1e-3), ("0.05 cm", 5e-4), ("2e-1mm", 2e-4), (" 3 m ", 3.0), ("50um", 5e-5), ("1.25mm", 1.25e-3)]
+    "text, metres",
+    [
+        ("1mm", 1e-3),
+        ("0.05 cm", 5e-4),
+        ("2e-1mm", 2e-4),
+        (" 3 m ", 3.0),
+        ("50um", 5e-5),
+        ("1.25mm", 1.25e-3),
+    ],
 )
 def test_lengths_are_read_and_what_is_written_reads_back(text, metres):
-    assert is_length(text) and read_length(text) == pytest.approx(metres) == read_length(length_text(metres))
+    assert is_length(text) and read_length(text) == pytest.approx(metres) == read_length(
+        length_text(metres)
+    )
 
 
 @pytest.mark.cases("text", ("1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", ""))
@@ -111,22 +154,34 @@ def test_dialects(tmp_path, text):
     path = tmp_path / "table.csv"
     path.write_text(text)
     where, header, ((row, cells),) = table = read_table(path)
-    assert header == ["a", "b"] and cells == ["1", "2"] and table.numbers([("b", 0.001)]) == [[0.002]]
-    line = text.splitlines().index(next(line for line in text.splitlines() if line.startswith("a"))) + 1
+    assert (
+        header == ["a", "b"] and cells == ["1", "2"] and table.numbers([("b", 0.001)]) == [[0.002]]
+    )
+    line = (
+        text.splitlines().index(next(line for line in text.splitlines() if line.startswith("a")))
+        + 1
+    )
     assert where.startswith(f"{path}, line {line} ") and row == f"{path}, line {line + 1}"
 
 
-@pytest.mark.cases("text, said", [("a,b\n1\n", "line 2: there are 1 cells"), ('a,b\n1,2\n"1,2\n', "line 3 cannot be read")])
+@pytest.mark.cases(
+    "text, said",
+    [("a,b\n1\n", "line 2: there are 1 cells"), ('a,b\n1,2\n"1,2\n', "line 3 cannot be read")],
+)
 def test_tables_that_cannot_be_read_are_refused(tmp_path, text, said):
     (tmp_path / "table.csv").write_text(text)
     with pytest.raises(ValueError, match=said):
         read_table(tmp_path / "table.csv")
 
 
-@pytest.mark.cases("value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4)))
+@pytest.mark.cases(
+    "value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4))
+)
 def test_numbers_of_any_kind_become_float64(value):
     found = checked_array("q", value, (3,))
-    assert found.dtype == np.float64 and found.flags.c_contiguous and found.tolist() == [1.0, 2.0, 3.0]
+    assert (
+        found.dtype == np.float64 and found.flags.c_contiguous and found.tolist() == [1.0, 2.0, 3.0]
+    )
 
 
 def test_the_result_is_a_copy_and_contiguous():
@@ -137,22 +192,73 @@ def test_the_result_is_a_copy_and_contiguous():
 
 
 def test_numbers_become_floats_and_counts_of_numpy_are_taken():
-    assert type(checked_number("step", np.float32(2), 0.0, "a positive number")) is float and checked_count("points", np.int32(3), 1) == 3
+    assert (
+        type(checked_number("step", np.float32(2), 0.0, "a positive number")) is float
+        and checked_count("points", np.int32(3), 1) == 3
+    )
 
 
 @pytest.mark.cases(
     "check, value, allowed, error, message",
     [
         (checked_array, [1.0, 2.0], [(3,)], ValueError, r"q should have shape \(3,\), not \(2,\)"),
-        (checked_array, [1.0], [(None, 2)], ValueError, r"q should have shape \(any, 2\), not \(1,\)"),
-        (checked_array, [[1.0], [2.0, 3.0]], [(2,)], ValueError, r"q should have shape \(2,\), but its rows are not alike"),
-        (checked_array, [0.0, np.nan, np.nan], [(3,)], ValueError, r"q should be finite, but q\[1\] is nan"),
-        (checked_array, [[0.0, 1.0], [0.0, -np.inf]], [(2, 2)], ValueError, r"q should be finite, but q\[1, 1\] is -inf"),
-        (checked_array, ["1"], [(1,)], TypeError, r"q should be an array of numbers of shape \(1,\), not list of <U1"),
-        (checked_array, [True], [(1,)], TypeError, r"q should be an array of numbers of shape \(1,\), not list of bool"),
-        (checked_array, None, [(2,)], TypeError, r"q should be an array of numbers of shape \(2,\), not NoneType of object"),
+        (
+            checked_array,
+            [1.0],
+            [(None, 2)],
+            ValueError,
+            r"q should have shape \(any, 2\), not \(1,\)",
+        ),
+        (
+            checked_array,
+            [[1.0], [2.0, 3.0]],
+            [(2,)],
+            ValueError,
+            r"q should have shape \(2,\), but its rows are not alike",
+        ),
+        (
+            checked_array,
+            [0.0, np.nan, np.nan],
+            [(3,)],
+            ValueError,
+            r"q should be finite, but q\[1\] is nan",
+        ),
+        (
+            checked_array,
+            [[0.0, 1.0], [0.0, -np.inf]],
+            [(2, 2)],
+            ValueError,
+            r"q should be finite, but q\[1, 1\] is -inf",
+        ),
+        (
+            checked_array,
+            ["1"],
+            [(1,)],
+            TypeError,
+            r"q should be an array of numbers of shape \(1,\), not list of <U1",
+        ),
+        (
+            checked_array,
+            [True],
+            [(1,)],
+            TypeError,
+            r"q should be an array of numbers of shape \(1,\), not list of bool",
+        ),
+        (
+            checked_array,
+            None,
+            [(2,)],
+            TypeError,
+            r"q should be an array of numbers of shape \(2,\), not NoneType of object",
+        ),
         (checked_number, -1.0, [0.0, "at least 0"], ValueError, "q should be at least 0, not -1.0"),
-        (checked_number, np.nan, [0.0, "at least 0"], ValueError, "q should be at least 0, not nan"),
+        (
+            checked_number,
+            np.nan,
+            [0.0, "at least 0"],
+            ValueError,
+            "q should be at least 0, not nan",
+        ),
         (checked_number, "1", [0.0, "at least 0"], TypeError, "q should be at least 0, not str"),
         (checked_number, True, [0.0, "at least 0"], TypeError, "q should be at least 0, not bool"),
         (checked_count, 0, [1], ValueError, "q should be a whole number of at least 1, not 0"),

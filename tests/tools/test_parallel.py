@@ -15,14 +15,26 @@ def square(x):
     return x * x, os.getpid(), {pool["num_threads"] for pool in threadpool_info()}
 
 
-@pytest.mark.parametrize("options", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
+@pytest.mark.parametrize(
+    "options", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}]
+)
 def test_results_come_in_order_from_as_many_processes(options):
     told = []
     with threadpool_limits(2):
-        results = run_all(square, range(6), label="squares", done=lambda place, result: told.append((place, result)), **options)
+        results = run_all(
+            square,
+            range(6),
+            label="squares",
+            done=lambda place, result: told.append((place, result)),
+            **options,
+        )
     values, processes, threads = zip(*results, strict=True)
-    assert values == (0, 1, 4, 9, 16, 25) and sorted(told) == list(enumerate(results)), "as soon as it is there"
-    assert (os.getpid() not in processes) == (options == {"workers": 2}) and set.union(*threads) == {1}, "as digits of sums depend on it"
+    assert values == (0, 1, 4, 9, 16, 25) and sorted(told) == list(enumerate(results)), (
+        "as soon as it is there"
+    )
+    assert (os.getpid() not in processes) == (options == {"workers": 2}) and set.union(
+        *threads
+    ) == {1}, "as digits of sums depend on it"
 
 
 def has_module(run):
@@ -48,14 +60,29 @@ def test_a_cluster_that_is_not_there_is_told():
 
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_results_one_by_one():
-    cluster = pytest.importorskip("ray.cluster_utils").Cluster(initialize_head=True, head_node_args={"num_cpus": 2})
+    cluster = pytest.importorskip("ray.cluster_utils").Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 2}
+    )
     told = []
     try:
-        results = run_all(square, range(6), 2, "squares", cluster=cluster.address, done=lambda place, result: told.append(place))
+        results = run_all(
+            square,
+            range(6),
+            2,
+            "squares",
+            cluster=cluster.address,
+            done=lambda place, result: told.append(place),
+        )
         with pytest.raises(ValueError, match="x is -1"):
             run_all(square, [1, -1, 2], 2, "squares", cluster=cluster.address)
-        ((_, alone, _),) = run_all(square, [3], 1, "squares", cluster=cluster.address)  # after an error, and by one worker
+        ((_, alone, _),) = run_all(
+            square, [3], 1, "squares", cluster=cluster.address
+        )  # after an error, and by one worker
     finally:
         cluster.shutdown()
     values, processes, _ = zip(*results, strict=True)
-    assert values == (0, 1, 4, 9, 16, 25) and os.getpid() not in (*processes, alone) and sorted(told) == [*range(6)]
+    assert (
+        values == (0, 1, 4, 9, 16, 25)
+        and os.getpid() not in (*processes, alone)
+        and sorted(told) == [*range(6)]
+    )

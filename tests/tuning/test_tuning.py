@@ -1,4 +1,5 @@
-"""Tuning: studies find least costs, go on, are pruned and shared; controllers and trainings leave files that can be used."""
+"""Tuning: studies find least costs, go on, are pruned and shared; controllers and trainings leave
+files that can be used."""
 
 import csv
 import re
@@ -15,10 +16,20 @@ from soft_tendon_env.learning.config import config_names, find_config, read_trai
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.messages import UserError
-from soft_tendon_env.tuning.search import ControllerSearch, Parameter, Search, TrainingSearch, read_search
+from soft_tendon_env.tuning.search import (
+    ControllerSearch,
+    Parameter,
+    Search,
+    TrainingSearch,
+    read_search,
+)
 from soft_tendon_env.tuning.study import DONE, open_study, run_trial, tune
 
-SPACE = {"a": {"low": 0.1, "high": 10.0, "log": True}, "b": {"low": 1, "high": 100}, "c": {"choices": [[1, 2], "x"]}}
+SPACE = {
+    "a": {"low": 0.1, "high": 10.0, "log": True},
+    "b": {"low": 1, "high": 100},
+    "c": {"choices": [[1, 2], "x"]},
+}
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
 CONTROLLER = {
     "policy": "filtered:tracking@fast",
@@ -27,16 +38,28 @@ CONTROLLER = {
     "seconds": 0.2,
     "skip": 0.0,
     "options": ARM,
-    "search": {"settling_time": {"low": 0.1, "high": 0.8, "log": True}, "estimator.force": {"low": 5e-4, "high": 2e-2}},
+    "search": {
+        "settling_time": {"low": 0.1, "high": 0.8, "log": True},
+        "estimator.force": {"low": 5e-4, "high": 2e-2},
+    },
 }
-SHORT = {"steps": 128, "arms": 4, "seconds": 0.4, "options.scene": "three_tendon", "evaluation": {"every": 64, "episodes": 2, "skip": 0.2}}
+SHORT = {
+    "steps": 128,
+    "arms": 4,
+    "seconds": 0.4,
+    "options.scene": "three_tendon",
+    "evaluation": {"every": 64, "episodes": 2, "skip": 0.2},
+}
 SHORT |= {"hyperparameters.batch_size": 128}
 NETWORK = "hyperparameters.policy_kwargs.net_arch"
 TRAINING = {
     "training": "ppo_tip_pose_nominal",
     "set": SHORT,
     "episodes": 2,
-    "search": {"learning_rate[0]": {"low": 1e-4, "high": 1e-2, "log": True}, NETWORK: {"choices": [[8], [16, 16]]}},
+    "search": {
+        "learning_rate[0]": {"low": 1e-4, "high": 1e-2, "log": True},
+        NETWORK: {"choices": [[8], [16, 16]]},
+    },
 }
 
 
@@ -49,7 +72,9 @@ class Bowl(Search):
     def cost(self, values, folder, report):
         if self.fails:
             raise UserError("the weights are no longer finite")
-        cost = np.log(values["a"] / 0.5) ** 2 + np.log(values["b"] / 30.0) ** 2 + (values["c"] != "x")
+        cost = (
+            np.log(values["a"] / 0.5) ** 2 + np.log(values["b"] / 30.0) ** 2 + (values["c"] != "x")
+        )
         for _ in range(2):
             report(cost)
         return cost
@@ -67,24 +92,40 @@ def test_the_search_finds_the_least_cost(tmp_path):
     best, trials = tune(search, tmp_path, workers=1), done(search, tmp_path)
     found = best.user_attrs["values"]
     assert len(trials) == 40 and any(trial.state.name == "PRUNED" for trial in trials)
-    assert found["c"] == "x" and found["a"] == pytest.approx(0.5, rel=0.6) and found["b"] == pytest.approx(30, rel=0.6)
+    assert (
+        found["c"] == "x"
+        and found["a"] == pytest.approx(0.5, rel=0.6)
+        and found["b"] == pytest.approx(30, rel=0.6)
+    )
     assert tomllib.loads((tmp_path / "best.toml").read_text()) == found
-    rows = [float(row["cost"]) for row in csv.DictReader(open(tmp_path / "trials.csv")) if row["state"] == "complete"]
+    rows = [
+        float(row["cost"])
+        for row in csv.DictReader(open(tmp_path / "trials.csv"))
+        if row["state"] == "complete"
+    ]
     assert min(rows) == best.value < trials[0].value
 
 
 def test_a_study_goes_on_and_repeats_itself(tmp_path):
-    """In two folders: another search is refused, and a machine that comes late finds nothing to do."""
+    """In two folders: another search is refused, and a machine that comes late finds nothing to
+    do."""
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         for trials in (6, 12):
             tune(Bowl(trials=trials), tmp_path / name, workers=1)
     run_trial(Bowl(trials=12), tmp_path / "one")
     one, other = (done(Bowl(trials=12), tmp_path / name) for name in ("one", "other"))
-    assert len(one) == len(other) == 12 and [trial.params for trial in one] == [trial.params for trial in other]
-    with pytest.raises(ValueError, match="one has another search, seed was 0 and is 1: give another --out"):
+    assert len(one) == len(other) == 12 and [trial.params for trial in one] == [
+        trial.params for trial in other
+    ]
+    with pytest.raises(
+        ValueError, match="one has another search, seed was 0 and is 1: give another --out"
+    ):
         open_study(Bowl(trials=6, seed=1), tmp_path / "one")
-    with pytest.raises(UserError, match="none of 3 trials was successful, the first: .*the weights are no longer finite"):
+    with pytest.raises(
+        UserError,
+        match="none of 3 trials was successful, the first: .*the weights are no longer finite",
+    ):
         tune(Bowl(trials=3, fails=True), tmp_path, workers=1)
 
 
@@ -92,18 +133,44 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
     "kind, changes, message",
     [
         (ControllerSearch, {"search": {}}, "search is {}: it should have at least 1 item"),
-        (ControllerSearch, {"search": {"settling_time": {"low": 1.0}}}, "settling_time is no range: it should have low < high"),
-        (ControllerSearch, {"search": {"settling_time": {"low": 1.0, "high": 0.5}}}, "settling_time is no range: "),
-        (ControllerSearch, {"search": {"settling_time": {"low": 0.0, "high": 0.5, "log": True}}}, "settling_time is no range: "),
-        (ControllerSearch, {"search": {"settling": {"low": 0.1, "high": 1.0}}}, "search.settling is no parameter.*'settling_time'"),
+        (
+            ControllerSearch,
+            {"search": {"settling_time": {"low": 1.0}}},
+            "settling_time is no range: it should have low < high",
+        ),
+        (
+            ControllerSearch,
+            {"search": {"settling_time": {"low": 1.0, "high": 0.5}}},
+            "settling_time is no range: ",
+        ),
+        (
+            ControllerSearch,
+            {"search": {"settling_time": {"low": 0.0, "high": 0.5, "log": True}}},
+            "settling_time is no range: ",
+        ),
+        (
+            ControllerSearch,
+            {"search": {"settling": {"low": 0.1, "high": 1.0}}},
+            "search.settling is no parameter.*'settling_time'",
+        ),
         (ControllerSearch, {"policy": "agent"}, "policy is 'agent': it should be a controller"),
-        (TrainingSearch, {"training": "ppo"}, "training is neither the path of a .toml file nor a training"),
-        (TrainingSearch, {"search": {"hyperparameters.gama": {"low": 0.1, "high": 0.9}}}, "gama is an unknown key"),
+        (
+            TrainingSearch,
+            {"training": "ppo"},
+            "training is neither the path of a .toml file nor a training",
+        ),
+        (
+            TrainingSearch,
+            {"search": {"hyperparameters.gama": {"low": 0.1, "high": 0.9}}},
+            "gama is an unknown key",
+        ),
     ],
 )
 def test_mistakes_of_a_search_are_one_line(kind, changes, message):
     with pytest.raises(ConfigurationError) as caught:
-        kind.parse({**(CONTROLLER if kind is ControllerSearch else TRAINING), **changes}, "file.toml")
+        kind.parse(
+            {**(CONTROLLER if kind is ControllerSearch else TRAINING), **changes}, "file.toml"
+        )
     assert re.search(message, str(caught.value).splitlines()[0]), str(caught.value)
 
 
@@ -121,7 +188,10 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
         best = PolicyName.parse(str(out / "best.toml"), "TipPose")
         assert best.parameters.keys() == CONTROLLER["search"].keys() and best.estimator == "kalman"
     else:
-        assert read_training(out / "best.toml").steps == 128 and (out / "trial_0" / "best" / "weights.pt").exists()
+        assert (
+            read_training(out / "best.toml").steps == 128
+            and (out / "trial_0" / "best" / "weights.pt").exists()
+        )
         assert not (Path(out) / "trial_0" / "last").exists(), "nothing goes on from it"
 
 

@@ -1,13 +1,17 @@
-"""Contact of the arm with obstacles: its configuration, forces between samples of the arm and obstacles, and the collision check.
+"""Contact of the arm with obstacles: its configuration, forces between samples of the arm and
+obstacles, and the collision check.
 
-By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
-behind. With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
-p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
+By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the
+node before it, and likewise on the one behind. With d = radius - signed distance of a sample's
+middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot), p = k d^2 / 2 e up
+to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
 
-Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s = STICTION_SPEED: what it holds creeps, with a
-share s of mu N at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
+Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s =
+STICTION_SPEED: what it holds creeps, with a share s of mu N at v_s s / sqrt(1 - s^2). The implicit
+step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
 
-Steps end where a contact begins; those that went through something, or too deep into it, are tried again at half of their length.
+Steps end where a contact begins; those that went through something, or too deep into it, are tried
+again at half of their length.
 """
 
 import math
@@ -18,32 +22,75 @@ from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
-from soft_tendon_env.effects.contact.obstacles import AnyObstacle, body_at, distance, place_in, read_distances, triple
-from soft_tendon_env.effects.contact.samples import ends_of, make_samples, motion_at, motion_of, nodes_with, pose_of, position_of, sample_at
+from soft_tendon_env.effects.contact.obstacles import (
+    AnyObstacle,
+    body_at,
+    distance,
+    place_in,
+    read_distances,
+    triple,
+)
+from soft_tendon_env.effects.contact.samples import (
+    ends_of,
+    make_samples,
+    motion_at,
+    motion_of,
+    nodes_with,
+    pose_of,
+    position_of,
+    sample_at,
+)
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
+from soft_tendon_env.mechanics.algebra.lie import (
+    cross,
+    dot,
+    minus,
+    plus,
+    rotate,
+    rotate_back,
+    times,
+)
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
-FREE, WALL = 0.2, 0.45  # depths in radii of the rod between which the wall stops what would go through: a wire between samples is 0.5 deep
-WALL_DISSIPATION = 1.0  # [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
-OVERRUN, THROUGH = 0.1, 0.15  # of the radius: how much deeper a step in contact may lead, and from where on it is tried again shorter
+FREE, WALL = (
+    0.2,
+    0.45,
+    # depths in radii of the rod between which the wall stops what would go through: a wire between
+    # samples is 0.5 deep
+)
+WALL_DISSIPATION = (
+    1.0  # [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
+)
+OVERRUN, THROUGH = (
+    0.1,
+    0.15,
+    # of the radius: how much deeper a step in contact may lead, and from where on it is tried again
+    # shorter
+)
 LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
-"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all may store;
-and the speed of the arm, in its lengths per second, that counts besides: at rest steps need not end where a contact begins."""
-CUTS, SAME = 64, 1e-3  # places at which the way of a sample is looked at, at most; and the share of the way that counts as none
+"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes
+upon; how many such shares all may store; and the speed of the arm, in its lengths per second, that
+counts besides: at rest steps need not end where a contact begins."""
+CUTS, SAME = (
+    64,
+    1e-3,
+    # places at which the way of a sample is looked at, at most; and the share of the way that
+    # counts as none
+)
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @register_effect("contact")
 class Contact(Effect):
-    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which the whole arm cannot enter.
+    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which
+    the whole arm cannot enter.
 
-    Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v returns it times about 1 - 2/3 c v where
-    c v is small, with c the `dissipation`.
+    Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v
+    returns it times about 1 - 2/3 c v where c v is small, with c the `dissipation`.
     """
 
     is_contact: ClassVar[bool] = True
@@ -57,7 +104,9 @@ class Contact(Effect):
 
     def rows(self) -> Array:
         """Rows of `ContactParameters.obstacles`."""
-        return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])
+        return np.array(
+            [obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles]
+        )
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
@@ -67,22 +116,35 @@ class Contact(Effect):
         """That of the normal forces: friction stores none."""
         if any(obstacle.moves for obstacle in self.obstacles):
             raise ValueError("contact with obstacles that move has no potential energy")
-        pose = node_field(np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1))
+        pose = node_field(
+            np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1)
+        )
         base, parameters = np.append(arm.base, np.zeros(12)), self.parameters(arm.rod)
-        nodes, gap = nodes_with(pose, np.zeros(pose.size // 2), base, 0.0), np.empty((len(self.obstacles), len(parameters.samples)))
-        return float(read_contacts(parameters, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))))
+        nodes, gap = (
+            nodes_with(pose, np.zeros(pose.size // 2), base, 0.0),
+            np.empty((len(self.obstacles), len(parameters.samples))),
+        )
+        return float(
+            read_contacts(
+                parameters, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))
+            )
+        )
 
     def distances(self, positions: Array, time: float = 0.0) -> Array:
-        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m]
+        at a time [s], negative inside."""
         out = np.empty((len(self.obstacles), len(positions)))
         read_distances(self.rows(), positions, time, out, np.empty((*out.shape, 3)))
         return out
 
 
 class ContactParameters(Struct):
-    """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
+    """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at
+    the end without samples."""
 
-    intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    intervals: (
+        Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    )
     samples: Array  # (samples, 9): see Sample
     obstacles: Array  # (obstacles, 28): see Obstacle.row
 
@@ -108,21 +170,34 @@ def size(x):
 
 @kernel(inline=True)
 def reach_of(intervals, ends):
-    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's Bezier points holds it."""
-    return size(minus(ends.r_b, ends.r_a)) + intervals[ends.interval, 0] / 3.0 + intervals[ends.interval, 3]
+    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's
+    Bezier points holds it."""
+    return (
+        size(minus(ends.r_b, ends.r_a))
+        + intervals[ends.interval, 0] / 3.0
+        + intervals[ends.interval, 3]
+    )
 
 
 @kernel(inline=True)
 def normal_law(body, sample, depth, approach):
-    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] stored: the penalty, and a wall
-    S x^3 / width that stops what would go through, each damped; x is 0 at FREE and 1 at WALL, less deep in what is thin."""
-    k, e, smooth, c = sample.stiffness, sample.smoothing, min(depth, sample.smoothing), body.dissipation
+    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy
+    [J] stored: the penalty, and a wall S x^3 / width that stops what would go through, each damped;
+    x is 0 at FREE and 1 at WALL, less deep in what is thin."""
+    k, e, smooth, c = (
+        sample.stiffness,
+        sample.smoothing,
+        min(depth, sample.smoothing),
+        body.dissipation,
+    )
     thick = 0.5 * min(sample.radius, body.thickness)
     width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
     x = max(depth - FREE * sample.radius - thick, 0.0) / width
     scale, c_wall = sample.wall * x * x, max(c, WALL_DISSIPATION)
     penalty, wall = k * (0.5 * smooth * smooth / e + linear), scale * x / width
-    energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * scale * x * x
+    energy = (
+        k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * scale * x * x
+    )
     factor, stop = max(1.0 + c * approach, 0.0), max(1.0 + c_wall * approach, 0.0)
     stiffness = k * smooth / e * factor + 3.0 * scale / (width * width) * stop
     damping = (c * penalty if factor > 0.0 else 0.0) + (c_wall * wall if stop > 0.0 else 0.0)
@@ -131,7 +206,8 @@ def normal_law(body, sample, depth, approach):
 
 @kernel(inline=True)
 def touch_of(body, sample, ends, nodes):
-    """The contact of a sample between two nodes with an obstacle, without forces where they do not touch."""
+    """The contact of a sample between two nodes with an obstacle, without forces where they do not
+    touch."""
     x = position_of(sample, ends)
     _, away, out = place_in(body, x)
     gap, normal = away - sample.radius, rotate(body.R, out)
@@ -141,12 +217,22 @@ def touch_of(body, sample, ends, nodes):
     slip = plus(slip, times(approach, normal))
     pressure, stiffness, damping, energy = normal_law(body, sample, max(-gap, 0.0), approach)
     drag = body.friction * pressure / math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
-    return Touch(x, gap, normal, minus(times(pressure, normal), times(drag, slip)), stiffness, damping, drag, energy)
+    return Touch(
+        x,
+        gap,
+        normal,
+        minus(times(pressure, normal), times(drag, slip)),
+        stiffness,
+        damping,
+        drag,
+        energy,
+    )
 
 
 @kernel(inline=True)
 def add_along(field, node, lever, share, n, k):
-    """k w w^T, w = (lever x n, share n), added to the block of a node: of what resists motion along n."""
+    """k w w^T, w = (lever x n, share n), added to the block of a node: of what resists motion along
+    n."""
     moment, begin = cross(lever, n), (node // LANES) * 21 * LANES + node % LANES
     w = moment[0], moment[1], moment[2], share * n[0], share * n[1], share * n[2]
     for i in range(6):
@@ -156,10 +242,12 @@ def add_along(field, node, lever, share, n, k):
 
 @kernel(inline=True)
 def add_to_node(nodes, node, R, weights, radius, touch):
-    """The wrench of a sample's force on one node, with the derivatives as if the other node of the interval stood still.
+    """The wrench of a sample's force on one node, with the derivatives as if the other node of the
+    interval stood still.
 
-    weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x (reach e_x - turn radius n) in the node's
-    frame. Each node gets 1 / part times its block, with parts that add up to 1: no motion then meets less stiffness than there is.
+    weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x
+    (reach e_x - turn radius n) in the node's frame. Each node gets 1 / part times its block, with
+    parts that add up to 1: no motion then meets less stiffness than there is.
     """
     share, reach, turn, part = weights
     n, force = rotate_back(R, touch.normal), rotate_back(R, touch.force)
@@ -190,15 +278,30 @@ def contact_wrench(contact, nodes):
                     touch, t = touch_of(body, sample, ends, nodes), sample.t
                     if touch.gap < 0.0:
                         nodes.contact.touched[0] = 1.0
-                        add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
+                        add_to_node(
+                            nodes,
+                            i,
+                            ends.R_b,
+                            (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0),
+                            sample.radius,
+                            touch,
+                        )
                         if i > 0 and t < 1.0:
-                            add_to_node(nodes, i - 1, ends.R_a, (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t), sample.radius, touch)
+                            add_to_node(
+                                nodes,
+                                i - 1,
+                                ends.R_a,
+                                (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t),
+                                sample.radius,
+                                touch,
+                            )
 
 
 @kernel
 def read_contacts(contact, nodes, gap, position, force):
-    """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples) [m] and its force
-    (obstacles, samples, 3) [N] in the world frame. Returns the potential energy [J] of the normal forces."""
+    """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples)
+    [m] and its force (obstacles, samples, 3) [N] in the world frame. Returns the potential energy
+    [J] of the normal forces."""
     energy = 0.0
     for j in range(gap.shape[0]):
         body = body_at(contact.obstacles, j, nodes.time)
@@ -215,8 +318,9 @@ def read_contacts(contact, nodes, gap, position, force):
 @limits_step(ContactParameters)
 @kernel
 def limit_contact(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing, and the next one ends where something is met. The last one was too long
-    if a sample went through something, or if all that met something came to store more than a share of the arm's energy."""
+    """Steps are short beside the periods of obstacles that swing, and the next one ends where
+    something is met. The last one was too long if a sample went through something, or if all that
+    met something came to store more than a share of the arm's energy."""
     intervals, landed, fastest = contact.intervals, 0.0, 0.0
     for j in range(contact.obstacles.shape[0]):
         fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))
@@ -224,46 +328,66 @@ def limit_contact(contact, nodes, longest):
             allow_turning(contact.obstacles[j, 4], longest)
     energy = landing_energy(nodes, intervals, fastest)
     for j in range(contact.obstacles.shape[0]):
-        bodies = body_at(contact.obstacles, j, nodes.before_step.time[0]), body_at(contact.obstacles, j, nodes.time)
+        bodies = (
+            body_at(contact.obstacles, j, nodes.before_step.time[0]),
+            body_at(contact.obstacles, j, nodes.time),
+        )
         for i in range(intervals.shape[0]):
             ends = ends_of(nodes.before_step, i), ends_of(nodes, i)
             if not is_far(bodies, ends, intervals, nodes, longest):
                 for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                    landed += check_sample(sample_at(contact, m), bodies, ends, nodes, energy, longest)
+                    landed += check_sample(
+                        sample_at(contact, m), bodies, ends, nodes, energy, longest
+                    )
     if landed > MOST_LANDED * energy:
         nodes.contact.tunnelled[0] = 1.0
 
 
 @kernel
 def landing_energy(nodes, intervals, fastest):
-    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at most at a speed [m/s]."""
+    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at
+    most at a speed [m/s]."""
     energy, mass, length = 0.0, 0.0, 0.0
     for i in range(intervals.shape[0]):
         R, r = pose_of(nodes, i)
         _, v = motion_of(nodes, i, R, r)
-        energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
+        energy, mass, length = (
+            energy + 0.5 * nodes.mass[i] * dot(v, v),
+            mass + nodes.mass[i],
+            length + intervals[i, 0],
+        )
     return LANDED * (energy + 0.5 * mass * max(IDLE * length, fastest) ** 2)
 
 
 @kernel(inline=True)
 def is_far(bodies, ends, intervals, nodes, longest):
-    """Whether no sample of an interval can have met an obstacle in the last step, nor does in the next one: the Hermite polynomials of
-    tangents stay below 4/27, and the signed distance changes no faster than a point moves. Bodies and ends: before the step and now."""
+    """Whether no sample of an interval can have met an obstacle in the last step, nor does in the
+    next one: the Hermite polynomials of tangents stay below 4/27, and the signed distance changes
+    no faster than a point moves. Bodies and ends: before the step and now."""
     body, now, before = bodies[1], ends[1], ends[0]
     w, v = motion_of(nodes, now.interval, now.R_b, now.r_b)
     w_a, v_a = motion_of(nodes, now.interval - 1, now.R_a, now.r_a)
-    speed = max(size(v), size(v_a)) + 4.0 / 27.0 * intervals[now.interval, 0] * (size(w) + size(w_a)) + size(body.velocity)
+    speed = (
+        max(size(v), size(v_a))
+        + 4.0 / 27.0 * intervals[now.interval, 0] * (size(w) + size(w_a))
+        + size(body.velocity)
+    )
     place, away, _ = place_in(body, now.r_b)
     moved = size(minus(rotate_back(bodies[0].R, minus(before.r_b, bodies[0].r)), place))
-    return away >= max(reach_of(intervals, before) + moved, reach_of(intervals, now) + speed * longest[0])
+    return away >= max(
+        reach_of(intervals, before) + moved, reach_of(intervals, now) + speed * longest[0]
+    )
 
 
 @kernel(inline=True)
 def check_sample(sample, bodies, ends, nodes, energy, longest):
-    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies and ends: before the step and now. The
-    energy [J] that it has come to store in the step, if it met the obstacle there."""
+    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies
+    and ends: before the step and now. The energy [J] that it has come to store in the step, if it
+    met the obstacle there."""
     body, radius, flags = bodies[1], sample.radius, nodes.contact
-    landing = min(sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
+    landing = min(
+        sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0)
+    )
     start, was, _ = place_in(bodies[0], position_of(sample, ends[0]))
     end, away, out = place_in(body, position_of(sample, ends[1]))
     velocity, _ = motion_at(sample, ends[1], nodes)
@@ -275,13 +399,17 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
         flags.active[0] = 1.0
     if approach * longest[0] > room:
         longest[0] = room / approach
-    return normal_law(body, sample, -gap, 0.0)[3] if was > radius and gap < 0.0 and approach > 0.0 else 0.0
+    return (
+        normal_law(body, sample, -gap, 0.0)[3]
+        if was > radius and gap < 0.0 and approach > 0.0
+        else 0.0
+    )
 
 
 @kernel
 def goes_through(body, start, end, allowed):
-    """Whether the distance from a body falls below `allowed` [m] on the straight way between two points in its frame: it falls no faster
-    than the way goes on."""
+    """Whether the distance from a body falls below `allowed` [m] on the straight way between two
+    points in its frame: it falls no faster than the way goes on."""
     way, s = minus(end, start), 0.0
     length = size(way)
     if distance(body, end)[0] < allowed:

@@ -1,6 +1,7 @@
 """Obstacles: the shapes, where they are at a time, and signed distances from them.
 
-A shape is a class at the end of this file: by its `kind` of signed distance and its `sizes` kernels know where it is, and pictures show it.
+A shape is a class at the end of this file: by its `kind` of signed distance and its `sizes` kernels
+know where it is, and pictures show it.
 """
 
 import math
@@ -10,16 +11,30 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, minus, plus, rotate, rotate_back, times
+from soft_tendon_env.mechanics.algebra.lie import (
+    coefficients,
+    dot,
+    exp_se3,
+    minus,
+    plus,
+    rotate,
+    rotate_back,
+    times,
+)
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array, Direction, Frequency, Length, Number, Triple
 
-PLANE, BOX, CYLINDER = 0.0, 1.0, 2.0  # kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges
+PLANE, BOX, CYLINDER = (
+    0.0,
+    1.0,
+    2.0,
+)  # kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges
 
 
 @kernel(inline=True)
 def from_box(sizes, x):
-    """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius, `sizes`: from spheres and capsules too."""
+    """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius,
+    `sizes`: from spheres and capsules too."""
     a, b, c = abs(x[0]) - sizes[0], abs(x[1]) - sizes[1], abs(x[2]) - sizes[2]
     away = max(a, b, c)
     n = (1.0, 0.0, 0.0) if a == away else (0.0, 1.0, 0.0) if b == away else (0.0, 0.0, 1.0)
@@ -27,12 +42,17 @@ def from_box(sizes, x):
         out = max(a, 0.0), max(b, 0.0), max(c, 0.0)
         away = math.sqrt(dot(out, out))
         n = times(1.0 / away, out)
-    return away - sizes[3], (math.copysign(n[0], x[0]), math.copysign(n[1], x[1]), math.copysign(n[2], x[2]))
+    return away - sizes[3], (
+        math.copysign(n[0], x[0]),
+        math.copysign(n[1], x[1]),
+        math.copysign(n[2], x[2]),
+    )
 
 
 @kernel(inline=True)
 def from_cylinder(sizes, x):
-    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius, radius, half length)."""
+    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius,
+    radius, half length)."""
     size = math.sqrt(x[0] * x[0] + x[1] * x[1])
     out_x, out_y = (x[0] / size, x[1] / size) if size > 0.0 else (1.0, 0.0)
     away, n = from_box(sizes, (size, 0.0, x[2]))
@@ -71,7 +91,8 @@ def body_at(obstacles, j, time):
 
 @kernel(inline=True)
 def distance(body, x):
-    """Signed distance [m] from a body's surface to x in its frame, negative inside, and its gradient: outwards, of length 1."""
+    """Signed distance [m] from a body's surface to x in its frame, negative inside, and its
+    gradient: outwards, of length 1."""
     if body.shape == PLANE:
         return x[2], (0.0, 0.0, 1.0)
     return from_box(body.sizes, x) if body.shape == BOX else from_cylinder(body.sizes, x)
@@ -79,7 +100,8 @@ def distance(body, x):
 
 @kernel(inline=True)
 def place_in(body, x):
-    """A position [m] in the frame of a body, the signed distance [m] from it, and the gradient of that."""
+    """A position [m] in the frame of a body, the signed distance [m] from it, and the gradient of
+    that."""
     place = rotate_back(body.R, minus(x, body.r))
     away, out = distance(body, place)
     return place, away, out
@@ -87,7 +109,8 @@ def place_in(body, x):
 
 @kernel
 def read_distances(obstacles, positions, time, out, nearest):
-    """Signed distances out (obstacles, m) of positions (m, 3) at a time, and the nearest points (obstacles, m, 3) of the surfaces."""
+    """Signed distances out (obstacles, m) of positions (m, 3) at a time, and the nearest points
+    (obstacles, m, 3) of the surfaces."""
     for j in range(obstacles.shape[0]):
         body = body_at(obstacles, j, time)
         for m in range(positions.shape[0]):
@@ -106,12 +129,15 @@ class Obstacle(Configuration):
     type: str
     position: Triple = Field(description="place at time 0 [m], but for the amplitude, world frame")
     velocity: Triple = Field((0.0, 0.0, 0.0), description="constant velocity [m/s]")
-    amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude of a sinusoidal motion that comes to it [m]")
+    amplitude: Triple = Field(
+        (0.0, 0.0, 0.0), description="amplitude of a sinusoidal motion that comes to it [m]"
+    )
     frequency: Frequency = Field(0.0, description="frequency of that motion [Hz]")
     phase: Number = Field(0.0, description="phase of that motion [deg]")
 
     def sizes(self) -> tuple[float, float, float, float]:
-        """Half sizes [m] along the axes of its frame, without the radius [m] of its edges, and that."""
+        """Half sizes [m] along the axes of its frame, without the radius [m] of its edges, and
+        that."""
         raise NotImplementedError(f"{type(self).__name__} needs a method sizes")
 
     @property
@@ -132,20 +158,33 @@ class Obstacle(Configuration):
     def row(self, friction: float, dissipation: float) -> list[float]:
         """Numbers for `body_at`."""
         sizes, motion = self.sizes(), (2.0 * math.pi * self.frequency, math.radians(self.phase))
-        numbers = self.kind, min(sizes[:3]) + sizes[3], friction, dissipation, *motion, *sizes, *self.position
+        numbers = (
+            self.kind,
+            min(sizes[:3]) + sizes[3],
+            friction,
+            dissipation,
+            *motion,
+            *sizes,
+            *self.position,
+        )
         return [*numbers, *self.orientation.ravel().tolist(), *self.velocity, *self.amplitude]
 
     def pose(self, time: float) -> Array:
         """Pose (4, 4) of its frame at a time [s]."""
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = self.orientation, body_at(np.array([self.row(0.0, 0.0)]), 0, time).r
+        pose[:3, :3], pose[:3, 3] = (
+            self.orientation,
+            body_at(np.array([self.row(0.0, 0.0)]), 0, time).r,
+        )
         return pose
 
 
 class Directed(Obstacle):
     """Base of the shapes with an axis, the z axis of their frame."""
 
-    axis: Direction = Field((0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero")
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero"
+    )
 
     @property
     def orientation(self) -> Array:
@@ -176,7 +215,8 @@ class Sphere(Obstacle):
 
 
 class Box(Obstacle):
-    """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z): angle [deg] times axis."""
+    """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z):
+    angle [deg] times axis."""
 
     type: Literal["box"] = "box"
     size: tuple[Length, Length, Length] = Field(description="edges along the axes of its frame [m]")
@@ -188,11 +228,14 @@ class Box(Obstacle):
     @property
     def orientation(self) -> Array:
         x, y, z = np.radians(self.rotation).tolist()
-        return np.array(exp_se3(((x, y, z), (0.0, 0.0, 0.0)), coefficients(x * x + y * y + z * z))[0]).reshape(3, 3)
+        return np.array(
+            exp_se3(((x, y, z), (0.0, 0.0, 0.0)), coefficients(x * x + y * y + z * z))[0]
+        ).reshape(3, 3)
 
 
 class Capsule(Directed):
-    """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along `axis`."""
+    """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along
+    `axis`."""
 
     type: Literal["capsule"] = "capsule"
     radius: Length = Field(description="radius [m]")

@@ -1,8 +1,10 @@
-"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the axis.
+"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the
+axis.
 
 The ball nearest to a spacer disc has the radius of the disc, and stands for its mass too.
-Each stands for its share of the length, that at the tip for the round cap too. They lie on the cubic Hermite curve through neighbouring
-nodes: with tangents h R e_x for an interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
+Each stands for its share of the length, that at the tip for the round cap too. They lie on the
+cubic Hermite curve through neighbouring nodes: with tangents h R e_x for an interval of length h,
+x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
 
 from typing import NamedTuple
@@ -20,7 +22,12 @@ from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
 SMOOTHING = 0.01  # depth over which the stiffness grows to its full size, in radii of the rod
-WALL_SPEED, WALL_MASS = 30.0, 8.0  # [m/s] of so many times the mass of its share: an impact that the wall of a sample stops by itself
+WALL_SPEED, WALL_MASS = (
+    30.0,
+    8.0,
+    # [m/s] of so many times the mass of its share: an impact that the wall of a sample stops by
+    # itself
+)
 
 
 @kernel(inline=True)
@@ -31,7 +38,8 @@ def pose_of(nodes, node):
 
 @kernel(inline=True)
 def motion_of(nodes, node, R, r):
-    """Angular and linear velocity, in the world frame, of a node at a pose (R, r); node -1 is the base."""
+    """Angular and linear velocity, in the world frame, of a node at a pose (R, r); node -1 is the
+    base."""
     if node < 0:
         w = nodes.base[12], nodes.base[13], nodes.base[14]
         return w, plus((nodes.base[15], nodes.base[16], nodes.base[17]), cross(w, r))
@@ -107,34 +115,52 @@ def motion_at(sample, ends, nodes):
 
 
 def nodes_with(pose, twist, base, time):
-    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base and time."""
+    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than
+    that, their base and time."""
     none = np.zeros(0)
     check = BeforeStep(none, none, none), ContactFlags(none, none, none)
-    return Nodes(pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check)
+    return Nodes(
+        pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check
+    )
 
 
 def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
-    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,) [m], a radius apart at most."""
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,)
+    [m], a radius apart at most."""
     start = np.concatenate([[0.0], rod.node[:-1]])
     h = rod.node - start
-    counts = np.ceil(h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)).astype(int)
+    counts = np.ceil(
+        h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)
+    ).astype(int)
     last = np.cumsum(counts)
     t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
     length, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
     place = np.repeat(start, counts) + t * length
     radius = sample_radius(rod, place)
     share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
-    stiffness = rod.elasticity(place)[:, 3] / (2.0 * rod.radius(place)) ** 2 * share  # E A / (2 r)^2 per length and depth
+    stiffness = (
+        rod.elasticity(place)[:, 3] / (2.0 * rod.radius(place)) ** 2 * share
+    )  # E A / (2 r)^2 per length and depth
     wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
     np.add.at(wall, _nearest(rod, place), WALL_MASS * WALL_SPEED**2 * rod.discs[:, 1])
-    bases = (1 + 2 * t) * (1 - t) ** 2, length * t * (1 - t) ** 2, t**2 * (3 - 2 * t), length * t**2 * (t - 1)
-    samples = np.stack([*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1)  # in the order of Sample
-    largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
+    bases = (
+        (1 + 2 * t) * (1 - t) ** 2,
+        length * t * (1 - t) ** 2,
+        t**2 * (3 - 2 * t),
+        length * t**2 * (t - 1),
+    )
+    samples = np.stack(
+        [*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1
+    )  # in the order of Sample
+    largest = [
+        radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)
+    ]
     return np.stack([h, last - counts, last, largest], axis=1), samples, place
 
 
 def sample_radius(rod: Discretisation, arc_length: Array) -> Array:
-    """Radius (m,) [m] of the balls at arc lengths (m,) [m]: the rod's, or at the ball nearest to a spacer disc that of the disc."""
+    """Radius (m,) [m] of the balls at arc lengths (m,) [m]: the rod's, or at the ball nearest to a
+    spacer disc that of the disc."""
     radius = rod.radius(arc_length)
     np.maximum.at(radius, _nearest(rod, arc_length), rod.discs[:, 2])
     return radius

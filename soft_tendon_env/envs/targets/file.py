@@ -6,7 +6,15 @@ from typing import Literal
 
 import numpy as np
 
-from soft_tendon_env.envs.targets import Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
+from soft_tendon_env.envs.targets import (
+    Course,
+    PoseCourse,
+    Setting,
+    Target,
+    TargetSamples,
+    pose_samples,
+    register_target,
+)
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.tables import read_table
@@ -18,8 +26,9 @@ FARTHEST_POSE = 2.0  # largest coordinate of the poses, in lengths of the rod: m
 
 @register_target
 class File(Target):
-    """The tip follows poses of a CSV file, joined by cubic splines, the first held before and the last after them. `path`: a file with the
-    columns time [s], x, y, z [m], qw, qx, qy, qz in the world frame; Reach ignores the orientation."""
+    """The tip follows poses of a CSV file, joined by cubic splines, the first held before and the
+    last after them. `path`: a file with the columns time [s], x, y, z [m], qw, qx, qy, qz in the
+    world frame; Reach ignores the orientation."""
 
     type: Literal["file"] = "file"
     path: str
@@ -34,20 +43,30 @@ class File(Target):
         try:
             farthest = np.abs(self.course.place(self.course.times) - scene.base.position).max()
         except ValueError as error:
-            raise ConfigurationError([Problem(key, f"is {self.path!r}: {error}")], "environment") from None
+            raise ConfigurationError(
+                [Problem(key, f"is {self.path!r}: {error}")], "environment"
+            ) from None
         if farthest > bound:
-            text = f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the base"
-            raise ConfigurationError([Problem(key, f"{text}, {FARTHEST_POSE:g} lengths of the rod")], "environment")
+            text = (
+                f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the"
+                " base"
+            )
+            raise ConfigurationError(
+                [Problem(key, f"{text}, {FARTHEST_POSE:g} lengths of the rod")], "environment"
+            )
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return self.course
 
 
 class FileCourse(PoseCourse):
-    """Poses of a table as splines of time, see `read_table`. Raises OSError, ValueError without poses or times that grow."""
+    """Poses of a table as splines of time, see `read_table`. Raises OSError, ValueError without
+    poses or times that grow."""
 
     def __init__(self, path: str) -> None:
-        from scipy.interpolate import CubicSpline  # here: these take longer to import than all else that most targets need
+        from scipy.interpolate import (
+            CubicSpline,
+        )  # here: these take longer to import than all else that most targets need
         from scipy.spatial.transform import Rotation, RotationSpline
 
         table = read_table(Path(path), COLUMNS)
@@ -57,7 +76,10 @@ class FileCourse(PoseCourse):
         if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
             raise ValueError("should have at least two rows of numbers, with times that grow")
         if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > UNIT:
-            raise ValueError(f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it should be 1 ± {UNIT:g}")
+            raise ValueError(
+                f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it"
+                f" should be 1 ± {UNIT:g}"
+            )
         self.times = rows[:, 0]
         self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
         self._turn = RotationSpline(self.times, Rotation.from_quat(rows[:, 4:], scalar_first=True))
@@ -68,4 +90,6 @@ class FileCourse(PoseCourse):
         pose = np.tile(np.eye(4), (times.size, 1, 1))
         pose[:, :3, :3], pose[:, :3, 3] = R, self.place(held)
         linear = (R * self.place(held, 1)[:, :, None]).sum(axis=1)
-        return pose_samples(pose, (held == times)[:, None] * np.concatenate([self._turn(held, 1), linear], axis=1))
+        return pose_samples(
+            pose, (held == times)[:, None] * np.concatenate([self._turn(held, 1), linear], axis=1)
+        )

@@ -1,4 +1,5 @@
-"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest."""
+"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at
+rest."""
 
 from collections.abc import Callable
 from functools import partial
@@ -16,14 +17,19 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, sho
 from soft_tendon_env.tools.types import Array
 
 HALVINGS = 40  # how often drawn tensions that the arm cannot hold are halved
-MARGIN = 1.03  # part of a drawn motion's coordinates that should have strains too: it may reach farther between places
-BETWEEN = 2e-4  # how far forces may be off between the places of a spline, see `At.residual`; usual motions have 1e-6 to 5e-5
+# part of a drawn motion's coordinates that should have strains too: it may reach farther between
+# places
+MARGIN = 1.03
+# how far forces may be off between the places of a spline, see `At.residual`; usual motions have
+# 1e-6 to 5e-5
+BETWEEN = 2e-4
 PER_KNOT = 4
-"""Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
-1e-4 of its length off those between, through two by up to 2e-3."""
+"""Places per knot of the tensions at which a motion is looked at. The spline through four
+equilibria moves the tip of a loaded arm by up to 1e-4 of its length off those between, through two
+by up to 2e-3."""
 NEAR, CLOSE = 0.2, 0.01
-"""Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions change by half as much at a time; and within
-which one that is not stable is the end."""
+"""Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions
+change by half as much at a time; and within which one that is not stable is the end."""
 SAME = 1e-6  # angle [rad] between shapes that count as one
 SHORTER = 8  # how often changes of tensions are halved before the arm is said to jump
 JUMPS = "the arm jumps from one shape to another near there"
@@ -39,7 +45,8 @@ class NoEquilibrium(ArithmeticError):
 class Tensions:
     """Tensions as a function of time; by itself, tensions that stay: the first of points (1, n_a).
 
-    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
+    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or,
+    if `is_closed`, to where it repeats.
     """
 
     knots = np.zeros(1)
@@ -49,7 +56,8 @@ class Tensions:
         self.points = points
 
     def within(self, times: Array) -> Array:
-        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
+        """The times (m,) between the first and the last knot at which the motion is what it is at
+        `times`."""
         end = self.knots[-1]
         return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
 
@@ -60,13 +68,19 @@ class Tensions:
 
 
 def shape_course(
-    target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions] = Tensions, count: int = 1
+    target: DrawnShapes,
+    generator: np.random.Generator,
+    setting: Setting,
+    motion: Callable[[Array], Tensions] = Tensions,
+    count: int = 1,
 ) -> "StaticCourse":
-    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of obstacles; of one shape by default.
+    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of
+    obstacles; of one shape by default.
 
-    Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are uniform within a fraction of their
-    limits around those nearest to zero, and halved towards these until the arm holds them: one draw, so that whatever is drawn next is the
-    same for every arm. Raises ConfigurationError where the arm holds none.
+    Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are
+    uniform within a fraction of their limits around those nearest to zero, and halved towards these
+    until the arm holds them: one draw, so that whatever is drawn next is the same for every arm.
+    Raises ConfigurationError where the arm holds none.
     """
     if (given := getattr(target, "tension", None)) is not None:
         return _given_course(np.array([given]), setting, motion)
@@ -81,11 +95,16 @@ def shape_course(
             reason = "the arm would touch an obstacle"
         except NoEquilibrium as error:
             reason = str(error)
-    text = f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {reason}"
+    text = (
+        f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can"
+        f" hold, not {reason}"
+    )
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
-def _given_course(points: Array, setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
+def _given_course(
+    points: Array, setting: Setting, motion: Callable[[Array], Tensions]
+) -> "StaticCourse":
     warn_beyond_limits(setting.limits.tolist(), points[0])
     setting = setting._replace(model=setting.arms.model)
     try:
@@ -93,7 +112,10 @@ def _given_course(points: Array, setting: Setting, motion: Callable[[Array], Ten
     except NoEquilibrium as error:
         reason = static_equilibrium(setting.model, points[0]).reason
         why = f"{shown_numbers(points[0])} N: {reason}" if reason else str(error)
-        text = f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not {why}"
+        text = (
+            f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not"
+            f" {why}"
+        )
         raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
 
 
@@ -105,27 +127,35 @@ def _still(value: Array, times: Array, order: int = 0) -> Array:
 class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics: at every time the shape in which they hold the arm.
 
-    Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise a cubic spline
-    goes through what loads add to that, at fixed places.
+    Without effects, and with the statics-based strain, the coordinates at rest are the tensions
+    themselves (34). Otherwise a cubic spline goes through what loads add to that, at fixed places.
     """
 
     def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
-        """margin: part of the coordinates that should have a strain too, above 1 for drawn ones. Raises NoEquilibrium."""
+        """margin: part of the coordinates that should have a strain too, above 1 for drawn ones.
+        Raises NoEquilibrium."""
         self.tension, self._response = tension, setting.response
         self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
-        pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
+        pulls = (
+            margin > 1.0 and setting.limits.min() >= 0.0
+        )  # so that there is a strain, and one alone, between knots too
         places = tension.knots if pulls else self.places
         if not (firm := setting.arms.have_margin(margin * self.coordinates(places)[0])).all():
-            raise NoEquilibrium(tension(places[~firm][:1])[0][0], "the section is about to give way")
+            raise NoEquilibrium(
+                tension(places[~firm][:1])[0][0], "the section is about to give way"
+            )
 
     @property
     def places(self) -> Array:
         """Times (m,) [s] at which the motion is looked at."""
         knots = self.tension.knots
-        return np.interp(np.arange(PER_KNOT * (knots.size - 1) + 1) / PER_KNOT, np.arange(knots.size), knots)
+        return np.interp(
+            np.arange(PER_KNOT * (knots.size - 1) + 1) / PER_KNOT, np.arange(knots.size), knots
+        )
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
-        """Function of time and of the order of its derivative: what loads add to the response to the tensions. Raises NoEquilibrium."""
+        """Function of time and of the order of its derivative: what loads add to the response to
+        the tensions. Raises NoEquilibrium."""
         places = self.places
         tension = self.tension(places)[0]
         with setting.model.workspace() as work:
@@ -135,14 +165,20 @@ class StaticCourse(ShapeCourse):
                 return partial(_still, added)
             if self.tension.is_closed:
                 added[-1] = added[0]  # which differ by round-off
-            from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
+            from scipy.interpolate import (
+                CubicSpline,
+            )  # here: it takes longer to import than all else that most scenes need
 
-            spline: Callable[..., Array] = CubicSpline(places, added, bc_type="periodic" if self.tension.is_closed else "clamped")
+            spline: Callable[..., Array] = CubicSpline(
+                places, added, bc_type="periodic" if self.tension.is_closed else "clamped"
+            )
             between = 0.5 * (places[:-1] + places[1:])
             tension = self.tension(between)[0]
             off = path.off(tension, tension @ setting.response + spline(between))
             if not off.max() <= BETWEEN:
-                raise NoEquilibrium(tension[np.argmax(off)], "the shape changes there by more than is followed")
+                raise NoEquilibrium(
+                    tension[np.argmax(off)], "the shape changes there by more than is followed"
+                )
         return spline
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
@@ -155,7 +191,8 @@ class StaticCourse(ShapeCourse):
 
 
 class EquilibriumPath:
-    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it rests: natural continuation."""
+    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it
+    rests: natural continuation."""
 
     def __init__(self, setting: Setting, work: Workspace) -> None:
         """work: of the setting's model."""
@@ -163,15 +200,16 @@ class EquilibriumPath:
         self._balance = Balance(setting.model, setting.tension, work)
 
     def follow(self, tension: Array) -> Array:
-        """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises NoEquilibrium, also where tensions that come back
-        do not bring back the shape."""
+        """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises
+        NoEquilibrium, also where tensions that come back do not bring back the shape."""
         q = np.array([self._move(u) for u in tension])
         if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
 
     def off(self, tension: Array, q: Array) -> Array:
-        """How far (m,) forces at coordinates q (m, n) are off under tensions (m, n_a), see `At.residual`; infinity without a strain."""
+        """How far (m,) forces at coordinates q (m, n) are off under tensions (m, n_a), see
+        `At.residual`; infinity without a strain."""
         found = np.full(len(q), np.inf)
         for i, (self._balance.tension, at) in enumerate(zip(tension, q, strict=True)):
             if (here := self._balance.at(at, 1.0)) is not None:
@@ -179,7 +217,8 @@ class EquilibriumPath:
         return found
 
     def _move(self, tension: Array, shorter: int = SHORTER) -> Array:
-        """Go on to the equilibrium (n,) under other tensions (n_a,), halfway first if need be. Raises NoEquilibrium."""
+        """Go on to the equilibrium (n,) under other tensions (n_a,), halfway first if need be.
+        Raises NoEquilibrium."""
         balance, guess = self._balance, self._q + (tension - self._tension) @ self._response
         balance.tension, balance.obstacle = tension, ""
         found = LoadPath(balance).equilibrium(guess, 1.0)

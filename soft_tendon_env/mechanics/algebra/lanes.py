@@ -1,9 +1,10 @@
 """SIMD packs: LANES neighbouring numbers that one processor instruction handles together.
 
-The quadrature points of a rod all undergo the same arithmetic, so the kernels take LANES of them at once. Inside compiled
-code a pack is a machine vector: it supports `+ - * /` with packs and with floats, and the functions below. A kernel written
-on packs reads like a kernel written on numbers, and works on plain floats too (that is how the scalar functions of `lie` are
-made). Without the compiler (NUMBA_DISABLE_JIT=1) a pack is a NumPy array of shape (LANES,) and the same code runs.
+The quadrature points of a rod all undergo the same arithmetic, so the kernels take LANES of them at
+once. Inside compiled code a pack is a machine vector: it supports `+ - * /` with packs and with
+floats, and the functions below. A kernel written on packs reads like a kernel written on numbers,
+and works on plain floats too (that is how the scalar functions of `lie` are made). Without the
+compiler (NUMBA_DISABLE_JIT=1) a pack is a NumPy array of shape (LANES,) and the same code runs.
 """
 
 import math
@@ -17,7 +18,8 @@ from numba.extending import lower_builtin, models, overload, register_model, typ
 
 LANES = 4
 WIDE = 2 * LANES
-"""Numbers of a wide pack, of which sums of products take two packs at once: one instruction on processors of 512 bits, two on others."""
+"""Numbers of a wide pack, of which sums of products take two packs at once: one instruction on
+processors of 512 bits, two on others."""
 
 LINE = 64  # bytes of a cache line
 
@@ -42,7 +44,9 @@ class PackModel(models.PrimitiveModel):
 
 
 def _shuffled(builder, one, other, lanes):
-    return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes))
+    return builder.shuffle_vector(
+        one, other, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes)
+    )
 
 
 def _splat(builder, number, kind):
@@ -72,7 +76,12 @@ def _register_operator(python_operator, instruction):
             lower_builtin(python_operator, *given)(emit)
 
 
-for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+for _operator, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
     _register_operator(_operator, _instruction)
 
 
@@ -87,7 +96,8 @@ def _negate(context, builder, sig, args):
 
 
 def aligned_zeros(*shape, dtype=np.float64):
-    """Zeros, of eight bytes each, that begin where a cache line does: packs that lie across two lines take twice as long."""
+    """Zeros, of eight bytes each, that begin where a cache line does: packs that lie across two
+    lines take twice as long."""
     size = math.prod(shape)
     room = np.zeros(size + LINE // 8, dtype=dtype)
     start = -room.ctypes.data % LINE // 8
@@ -164,7 +174,8 @@ def with_lane(value, index, number):
 
 
 def _emits(function, typed):
-    """Decorator: the machine code of a function in kernels, where `typed` makes a signature of the types of its arguments, or None."""
+    """Decorator: the machine code of a function in kernels, where `typed` makes a signature of the
+    types of its arguments, or None."""
 
     def register(emit):
         type_callable(function)(lambda context: typed)
@@ -185,7 +196,12 @@ def _load(context, builder, sig, args):
     return builder.load(_place_in(context, builder, sig, args, sig.return_type), align=8)
 
 
-@_emits(store, lambda array, index, value: types.void(array, types.intp, value) if isinstance(value, Pack) else None)
+@_emits(
+    store,
+    lambda array, index, value: (
+        types.void(array, types.intp, value) if isinstance(value, Pack) else None
+    ),
+)
 def _store(context, builder, sig, args):
     builder.store(args[2], _place_in(context, builder, sig, args, sig.args[2]), align=8)
     return context.get_dummy_value()
@@ -202,7 +218,10 @@ def _lane(context, builder, sig, args):
     return builder.extract_element(*args)
 
 
-@_emits(with_lane, lambda value, index, number: value(value, types.intp, types.float64) if value == pack else None)
+@_emits(
+    with_lane,
+    lambda value, index, number: value(value, types.intp, types.float64) if value == pack else None,
+)
 def _with_lane(context, builder, sig, args):
     return builder.insert_element(args[0], args[2], args[1])
 
@@ -211,25 +230,51 @@ def _with_lane(context, builder, sig, args):
 def _prefix_sum(context, builder, sig, args):
     zero, total, step = ir.Constant(pack.vector, [0.0] * LANES), args[0], 1
     while step < LANES:
-        total = builder.fadd(total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)]))
+        total = builder.fadd(
+            total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)])
+        )
         step *= 2
     return total
 
 
 @_emits(lane_sum, lambda value: types.float64(value) if value == pack else None)
 def _lane_sum(context, builder, sig, args):
-    return builder.extract_element(_prefix_sum(context, builder, sig, args), ir.Constant(ir.IntType(32), LANES - 1))
+    return builder.extract_element(
+        _prefix_sum(context, builder, sig, args), ir.Constant(ir.IntType(32), LANES - 1)
+    )
 
 
-@_emits(lane_sums, lambda values: pack(values) if isinstance(values, types.UniTuple) and isinstance(values.dtype, Pack) else None)
+@_emits(
+    lane_sums,
+    lambda values: (
+        pack(values)
+        if isinstance(values, types.UniTuple) and isinstance(values.dtype, Pack)
+        else None
+    ),
+)
 def _lane_sums(context, builder, sig, args):
     packs, size = cgutils.unpack_tuple(builder, args[0]), 1
     if sig.args[0].dtype == wide:  # its halves are added
-        packs = [builder.fadd(*(_shuffled(builder, of, of, [*range(at, at + LANES)]) for at in (0, LANES))) for of in packs]
+        packs = [
+            builder.fadd(
+                *(_shuffled(builder, of, of, [*range(at, at + LANES)]) for at in (0, LANES))
+            )
+            for of in packs
+        ]
     while size < LANES:  # pairs of packs are added, with blocks of each in turn, until one is left
-        even = [start + of + i for start in range(0, LANES, 2 * size) for of in (0, LANES) for i in range(size)]
+        even = [
+            start + of + i
+            for start in range(0, LANES, 2 * size)
+            for of in (0, LANES)
+            for i in range(size)
+        ]
         pairs = zip(packs[::2], packs[1::2], strict=True)
-        packs = [builder.fadd(_shuffled(builder, *pair, even), _shuffled(builder, *pair, [i + size for i in even])) for pair in pairs]
+        packs = [
+            builder.fadd(
+                _shuffled(builder, *pair, even), _shuffled(builder, *pair, [i + size for i in even])
+            )
+            for pair in pairs
+        ]
         size *= 2
     return packs[0]
 
@@ -237,7 +282,9 @@ def _lane_sums(context, builder, sig, args):
 @_emits(sqrt, lambda value: value(value) if value == pack else types.float64(types.float64))
 def _sqrt(context, builder, sig, args):
     kind, name = args[0].type, f"v{LANES}f64" if sig.return_type == pack else "f64"
-    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}")
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}"
+    )
     return builder.call(function, args)
 
 

@@ -1,12 +1,15 @@
-"""Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers or on packs.
+"""Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers
+or on packs.
 
-Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two 3-tuples; a wrench
-is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose (R, r), and the tangent operator T is
-the one of the paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t)) is Ad^-1 T Omega_dot.
+Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`,
+angular first, of two 3-tuples; a wrench is `(moment, force)`; a rotation is the 9-tuple of its
+rows. `exp` carries a twist Omega to the pose (R, r), and the tangent operator T is the one of the
+paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t)) is Ad^-1 T Omega_dot.
 
-Every 6x6 operator here (Ad, ad, T) has the shape [[A, 0], [C, A]]. It is kept as the pair `(A, C)`: a 3x3 matrix over the
-dual numbers A + eps C, as a twist is a 3-vector k + eps p. The SO(3) formulas then hold for SE(3) as they stand, with
-theta^2 = |k|^2 + 2 eps k.p, and no closed form of a 6x6 matrix is needed.
+Every 6x6 operator here (Ad, ad, T) has the shape [[A, 0], [C, A]]. It is kept as the pair `(A, C)`:
+a 3x3 matrix over the dual numbers A + eps C, as a twist is a 3-vector k + eps p. The SO(3) formulas
+then hold for SE(3) as they stand, with theta^2 = |k|^2 + 2 eps k.p, and no closed form of a 6x6
+matrix is needed.
 """
 
 import math
@@ -23,7 +26,8 @@ SERIES_TERMS = 11  # the last one is below 1e-20 of the first at the limit
 
 
 class Coefficients(NamedTuple):
-    """The functions of theta^2 in exp and T: a = (1 - cos)/theta^2, b = (theta - sin)/theta^3, and f1 = 2 df/d(theta^2)."""
+    """The functions of theta^2 in exp and T: a = (1 - cos)/theta^2, b = (theta - sin)/theta^3, and
+    f1 = 2 df/d(theta^2)."""
 
     a: float
     b: float
@@ -59,12 +63,20 @@ def _horner(row, x):
 
 @kernel(inline=True)
 def _series(x):
-    return Coefficients(_horner(_A, x), _horner(_B, x), _horner(_A1, x), _horner(_B1, x), _horner(_A2, x), _horner(_B2, x))
+    return Coefficients(
+        _horner(_A, x),
+        _horner(_B, x),
+        _horner(_A1, x),
+        _horner(_B1, x),
+        _horner(_A2, x),
+        _horner(_B2, x),
+    )
 
 
 @kernel
 def _closed(x):
-    """Closed forms, each from the last: f1 = (g - n f) / theta^2, with g the next function of the same family."""
+    """Closed forms, each from the last: f1 = (g - n f) / theta^2, with g the next function of the
+    same family."""
     theta = math.sqrt(x)
     s = math.sin(theta) / theta
     a = 2.0 * math.sin(0.5 * theta) ** 2 / x
@@ -75,7 +87,8 @@ def _closed(x):
 
 
 def coefficients(x):
-    """Coefficients at x = theta^2 (float or pack), to 1e-12 relative at any angle (b2 just above the switch is the worst, 3e-13)."""
+    """Coefficients at x = theta^2 (float or pack), to 1e-12 relative at any angle (b2 just above
+    the switch is the worst, 3e-13)."""
     if np.max(x) < SERIES_LIMIT:
         return _series(x)
     if np.ndim(x):
@@ -159,21 +172,35 @@ def matmul(A, B):
 @kernel(inline=True)
 def skew_times(x, B):
     """Product x~ B of a skew matrix and a matrix."""
-    return columns_of(cross(x, (B[0], B[3], B[6])), cross(x, (B[1], B[4], B[7])), cross(x, (B[2], B[5], B[8])))
+    return columns_of(
+        cross(x, (B[0], B[3], B[6])), cross(x, (B[1], B[4], B[7])), cross(x, (B[2], B[5], B[8]))
+    )
 
 
 @kernel(inline=True)
 def times_skew(A, x):
     """Product A x~ of a matrix and a skew matrix."""
     u, v, w = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
-    return columns_of(minus(times(x[2], v), times(x[1], w)), minus(times(x[0], w), times(x[2], u)), minus(times(x[1], u), times(x[0], v)))
+    return columns_of(
+        minus(times(x[2], v), times(x[1], w)),
+        minus(times(x[0], w), times(x[2], u)),
+        minus(times(x[1], u), times(x[0], v)),
+    )
 
 
 @kernel(inline=True)
 def matrix_sum(A, B):
     return (
-        A[0] + B[0], A[1] + B[1], A[2] + B[2], A[3] + B[3], A[4] + B[4], A[5] + B[5], A[6] + B[6], A[7] + B[7], A[8] + B[8],
-    )  # fmt: skip
+        A[0] + B[0],
+        A[1] + B[1],
+        A[2] + B[2],
+        A[3] + B[3],
+        A[4] + B[4],
+        A[5] + B[5],
+        A[6] + B[6],
+        A[7] + B[7],
+        A[8] + B[8],
+    )
 
 
 @kernel(inline=True)
@@ -187,7 +214,17 @@ def rodrigues(f, g, k):
     x, y, z = k
     xx, yy, zz, xy, xz, yz = g * x * x, g * y * y, g * z * z, g * x * y, g * x * z, g * y * z
     fx, fy, fz = f * x, f * y, f * z
-    return 1.0 - yy - zz, xy - fz, xz + fy, xy + fz, 1.0 - xx - zz, yz - fx, xz - fy, yz + fx, 1.0 - xx - yy
+    return (
+        1.0 - yy - zz,
+        xy - fz,
+        xz + fy,
+        xy + fz,
+        1.0 - xx - zz,
+        yz - fx,
+        xz - fy,
+        yz + fx,
+        1.0 - xx - yy,
+    )
 
 
 @kernel(inline=True)
@@ -248,10 +285,15 @@ def dexp_operator(Omega, c):
     x, y, z = k
     u, v, w = p
     A = rodrigues(c.a, c.b, k)
-    # C = a p~ + b (k~ p~ + p~ k~) + (k.p) (a1 k~ + b1 k~^2), with k~ p~ + p~ k~ = k p^T + p k^T - 2 (k.p) I
+    # C = a p~ + b (k~ p~ + p~ k~) + (k.p) (a1 k~ + b1 k~^2), with k~ p~ + p~ k~ = k p^T + p k^T - 2
+    # (k.p) I
     f, g, e = c.a1 * kp, c.b1 * kp, -2.0 * c.b * kp
     sx, sy, sz = c.a * u + f * x, c.a * v + f * y, c.a * w + f * z
-    xy, xz, yz = c.b * (x * v + y * u) + g * x * y, c.b * (x * w + z * u) + g * x * z, c.b * (y * w + z * v) + g * y * z
+    xy, xz, yz = (
+        c.b * (x * v + y * u) + g * x * y,
+        c.b * (x * w + z * u) + g * x * z,
+        c.b * (y * w + z * v) + g * y * z,
+    )
     xx = e + 2.0 * c.b * x * u - g * (y * y + z * z)
     yy = e + 2.0 * c.b * y * v - g * (x * x + z * z)
     zz = e + 2.0 * c.b * z * w - g * (x * x + y * y)
@@ -260,7 +302,8 @@ def dexp_operator(Omega, c):
 
 @kernel(inline=True)
 def dexp_dot_apply(Omega, Omega_dot, c, x):
-    """Derivative T_dot x of the tangent operator, along Omega_dot with x held (Appendix B, corrected)."""
+    """Derivative T_dot x of the tangent operator, along Omega_dot with x held (Appendix B,
+    corrected)."""
     kp = dot(Omega[0], Omega[1])
     rate = dot(Omega[0], Omega_dot[0])  # d(theta^2)/dt / 2, its dual part next
     rate_dual = dot(Omega[0], Omega_dot[1]) + dot(Omega[1], Omega_dot[0])
@@ -271,15 +314,20 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
     a_dot, b_dot = c.a1 * rate, c.b1 * rate
     a_dual, b_dual = c.a2 * kp * rate + c.a1 * rate_dual, c.b2 * kp * rate + c.b1 * rate_dual
     y = twist_sum(
-        twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice)), twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed))
+        twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice)),
+        twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed)),
     )
-    dual = plus(plus(times(a_dual, once[0]), times(b_dual, twice[0])), plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0])))
+    dual = plus(
+        plus(times(a_dual, once[0]), times(b_dual, twice[0])),
+        plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0])),
+    )
     return y[0], plus(y[1], dual)
 
 
 @kernel
 def rotation_log(R):
-    """Rotation vector of R (9-tuple of floats), by the largest quaternion component: exact near 0 and near pi."""
+    """Rotation vector of R (9-tuple of floats), by the largest quaternion component: exact near 0
+    and near pi."""
     trace = R[0] + R[4] + R[8]
     if trace >= R[0] and trace >= R[4] and trace >= R[8]:
         w, x, y, z = 1.0 + trace, R[7] - R[5], R[2] - R[6], R[3] - R[1]
@@ -292,13 +340,16 @@ def rotation_log(R):
     if w < 0.0:
         w, x, y, z = -w, -x, -y, -z
     sine = sqrt(x * x + y * y + z * z)
-    factor = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0 / w  # the squares of a tiny rotation underflow
+    factor = (
+        2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0 / w
+    )  # the squares of a tiny rotation underflow
     return factor * x, factor * y, factor * z
 
 
 @kernel
 def log_se3(R, r):
-    """Twist Omega with exp(Omega^) = (R, r) (floats), |k| <= pi: the robust logarithm that replaces Appendix B's closed form."""
+    """Twist Omega with exp(Omega^) = (R, r) (floats), |k| <= pi: the robust logarithm that replaces
+    Appendix B's closed form."""
     k = rotation_log(R)
     x = dot(k, k)
     c = coefficients(x)

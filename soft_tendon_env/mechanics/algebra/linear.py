@@ -1,16 +1,21 @@
-"""Copies of vectors and matrices, and solution of small systems: symmetric ones, and those whose unknowns stay within bounds."""
+"""Copies of vectors and matrices, and solution of small systems: symmetric ones, and those whose
+unknowns stay within bounds."""
 
 import math
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 
-MOST_AT_ONCE, MOST_ONE_BY_ONE = 12, 200  # solutions before each of which all, or one, of the unknowns beyond a bound are moved to it
+MOST_AT_ONCE, MOST_ONE_BY_ONE = (
+    12,
+    200,
+)  # solutions before each of which all, or one, of the unknowns beyond a bound are moved to it
 
 
 @kernel
 def copy(source, out):
-    """Copy a vector; an assignment of slices would look for overlaps and broadcasts, at a tenth of a second of compilation for each."""
+    """Copy a vector; an assignment of slices would look for overlaps and broadcasts, at a tenth of
+    a second of compilation for each."""
     for i in range(out.size):
         out[i] = source[i]
 
@@ -25,7 +30,8 @@ def copy_matrix(source, out):
 
 @kernel
 def total(x):
-    """Sum of a vector; numba's own brings SciPy's linear algebra with it, a tenth of a warm start."""
+    """Sum of a vector; numba's own brings SciPy's linear algebra with it, a tenth of a warm
+    start."""
     found = 0.0
     for i in range(x.size):
         found += x[i]
@@ -38,7 +44,12 @@ def product(x, y):
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     whole = x.size // 4 * 4
     for i in range(0, whole, 4):
-        a, b, c, d = a + x[i] * y[i], b + x[i + 1] * y[i + 1], c + x[i + 2] * y[i + 2], d + x[i + 3] * y[i + 3]
+        a, b, c, d = (
+            a + x[i] * y[i],
+            b + x[i + 1] * y[i + 1],
+            c + x[i + 2] * y[i + 2],
+            d + x[i + 3] * y[i + 3],
+        )
     for i in range(whole, x.size):
         a += x[i] * y[i]
     return (a + b) + (c + d)
@@ -52,10 +63,11 @@ def row_stride(n):
 
 @kernel
 def solve_positive_definite(a, n, x):
-    """Solution x (n) of a symmetric positive definite system by L D L^T elimination; False if it is not positive definite.
+    """Solution x (n) of a symmetric positive definite system by L D L^T elimination; False if it is
+    not positive definite.
 
-    a: row i from i * row_stride(n + 1), of which the coefficients from the diagonal on are read, and the right-hand side after the last;
-    overwritten.
+    a: row i from i * row_stride(n + 1), of which the coefficients from the diagonal on are read,
+    and the right-hand side after the last; overwritten.
     """
     stride = row_stride(n + 1)
     for j in range(n):
@@ -66,7 +78,9 @@ def solve_positive_definite(a, n, x):
         a[j * stride + j] = inverse
         for i in range(j + 1, n):
             share = -inverse * a[j * stride + i]
-            for m in range(i // LANES * LANES, stride, LANES):  # left of the diagonal too, where nothing is read
+            for m in range(
+                i // LANES * LANES, stride, LANES
+            ):  # left of the diagonal too, where nothing is read
                 store(a, i * stride + m, load(a, i * stride + m) + share * load(a, j * stride + m))
     for i in range(n):
         x[i] = a[i * stride + n]
@@ -79,7 +93,8 @@ def solve_positive_definite(a, n, x):
 
 @kernel
 def solve_again(a, n, x):
-    """Overwrite a further right-hand side x (n) by its solution, of the system that solve_positive_definite() has eliminated."""
+    """Overwrite a further right-hand side x (n) by its solution, of the system that
+    solve_positive_definite() has eliminated."""
     stride = row_stride(n + 1)
     for j in range(n):
         share = a[j * stride + j] * x[j]
@@ -103,8 +118,9 @@ def add_product(a, b, out):
 
 @kernel
 def solve_symmetric(a, x):
-    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), of which the upper triangle is read: by L D L^T
-    elimination, in place too. Of a system that is singular they are not finite."""
+    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), of which the
+    upper triangle is read: by L D L^T elimination, in place too. Of a system that is singular they
+    are not finite."""
     n, m = x.shape
     for j in range(n):
         a[j, j] = 1.0 / a[j, j]
@@ -124,10 +140,12 @@ def solve_symmetric(a, x):
 
 @kernel
 def solve_bounded(a, b, least, greatest, x, part, system):
-    """Solution x (m) of a x = b, but a x > b where x is at its least and a x < b where it is at its greatest: linear complementarity.
+    """Solution x (m) of a x = b, but a x > b where x is at its least and a x < b where it is at its
+    greatest: linear complementarity.
 
-    a (m, m): a matrix whose principal minors are positive. By Newton's method on which unknowns are at a bound, from where the x that is
-    given is, and where that goes in circles one at a time, which comes to an end (K. G. Murty 1974). part (m), system (m, m + 1): scratch.
+    a (m, m): a matrix whose principal minors are positive. By Newton's method on which unknowns are
+    at a bound, from where the x that is given is, and where that goes in circles one at a time,
+    which comes to an end (K. G. Murty 1974). part (m), system (m, m + 1): scratch.
     """
     m = x.size
     for i in range(m):

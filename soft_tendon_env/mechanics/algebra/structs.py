@@ -1,7 +1,9 @@
-"""Structs that kernels get by reference: one address in place of the fields of a named tuple, with size and strides of every array.
+"""Structs that kernels get by reference: one address in place of the fields of a named tuple, with
+size and strides of every array.
 
-A named tuple of thirty arrays is two hundred machine words, copied at every call from kernel to kernel; a `Struct` is one word. Compiled
-code reads its fields by name, `work.xi`. Without the compiler it is a plain object.
+A named tuple of thirty arrays is two hundred machine words, copied at every call from kernel to
+kernel; a `Struct` is one word. Compiled code reads its fields by name, `work.xi`. Without the
+compiler it is a plain object.
 """
 
 import functools
@@ -29,29 +31,38 @@ from numba.extending import (
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 
-_INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()  # by their addresses, where nothing is compiled
+_INTERPRETED: WeakValueDictionary[int, "Struct"] = (
+    WeakValueDictionary()
+)  # by their addresses, where nothing is compiled
 
 
 class Struct:
-    """Fields by the names that a subclass annotates: numbers (bool, int, float), tuples of int or of float, contiguous arrays of float64 or
-    int64, and structs.
+    """Fields by the names that a subclass annotates: numbers (bool, int, float), tuples of int or
+    of float, contiguous arrays of float64 or int64, and structs.
 
     Arrays are filled, fields never replaced; `replaced` makes another struct.
     """
 
     def __init__(self, *values: Any, **fields: Any) -> None:
-        """Fields in their order or by name. Raises TypeError where names or values are not as they should be."""
+        """Fields in their order or by name. Raises TypeError where names or values are not as they
+        should be."""
         names = self.names()
         given = {**dict(zip(names, values, strict=False)), **fields}
         if len(values) + len(fields) != len(names) or sorted(given) != sorted(names):
-            raise TypeError(f"{type(self).__name__} should get {', '.join(names)}, not {', '.join([*map(repr, values), *fields])}")
+            raise TypeError(
+                f"{type(self).__name__} should get {', '.join(names)}, not"
+                f" {', '.join([*map(repr, values), *fields])}"
+            )
         self._lay_out({name: given[name] for name in names})
 
     @classmethod
     @functools.cache
     def names(cls) -> tuple[str, ...]:
-        """Names of the fields, those of base classes first; a property takes the place of a base's field."""
-        found = dict.fromkeys(name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ()))
+        """Names of the fields, those of base classes first; a property takes the place of a base's
+        field."""
+        found = dict.fromkeys(
+            name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ())
+        )
         return tuple(name for name in found if not isinstance(getattr(cls, name, None), property))
 
     def _lay_out(self, fields: dict[str, Any]) -> None:
@@ -59,7 +70,9 @@ class Struct:
         kinds: list[Any] = [type(self)]
         for name, value in fields.items():
             kinds.append(self._write(name, value, words))
-        table = np.array(words, dtype=np.int64)  # never written to again, on which compiled code relies
+        table = np.array(
+            words, dtype=np.int64
+        )  # never written to again, on which compiled code relies
         self.__dict__.update(fields, _table=table, _address=_data(table), _layout=tuple(kinds))
         if config.DISABLE_JIT:
             _INTERPRETED[self.address] = self
@@ -87,7 +100,10 @@ class Struct:
         given = repr(value)
         if isinstance(value, np.ndarray):
             given = f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"
-        kinds = "a contiguous array of float64 or int64, a tuple of int alone or of float alone, a Struct, or a number"
+        kinds = (
+            "a contiguous array of float64 or int64, a tuple of int alone or of float alone, a"
+            " Struct, or a number"
+        )
         raise TypeError(f"{type(self).__name__}.{name} should be {kinds}, not {given}")
 
     @property
@@ -113,24 +129,40 @@ class Struct:
         self._lay_out(fields)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"{type(self).__name__}.{name} cannot be replaced: fill the array that is there")
+        raise AttributeError(
+            f"{type(self).__name__}.{name} cannot be replaced: fill the array that is there"
+        )
 
 
 class StructType(types.Type):
-    """Numba's type of structs of one class whose fields have these types; attributes as those of its named tuples."""
+    """Numba's type of structs of one class whose fields have these types; attributes as those of
+    its named tuples."""
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
         described = f"{kind.__module__}.{kind.__qualname__}{fields}"
-        # short: it is part of the name of every function that gets one, which compilers copy and compare
-        super().__init__(name=f"{kind.__qualname__}_{hashlib.sha256(described.encode()).hexdigest()[:16]}")
-        self.instance_class, self.fields, self.types = kind, dict(fields), tuple(field for _, field in fields)
+        # short: it is part of the name of every function that gets one, which compilers copy and
+        # compare
+        super().__init__(
+            name=f"{kind.__qualname__}_{hashlib.sha256(described.encode()).hexdigest()[:16]}"
+        )
+        self.instance_class, self.fields, self.types = (
+            kind,
+            dict(fields),
+            tuple(field for _, field in fields),
+        )
         sizes = [_size(field) for _, field in fields]
         self.slots = {name: sum(sizes[:i]) for i, (name, _) in enumerate(fields)}
 
 
 def _size(field):
     """Words that a field takes."""
-    return 1 + field.ndim if isinstance(field, types.Array) else len(field) if isinstance(field, types.BaseTuple) else 1
+    return (
+        1 + field.ndim
+        if isinstance(field, types.Array)
+        else len(field)
+        if isinstance(field, types.BaseTuple)
+        else 1
+    )
 
 
 def _data(array: np.ndarray) -> int:
@@ -147,8 +179,12 @@ def _typeof_struct(value, context):
     if "_numba_type_" not in attributes:
         if attributes["_layout"] not in _TYPES:
             fields = value.fields().items()
-            _TYPES[attributes["_layout"]] = StructType(type(value), tuple((name, typeof_impl(field, context)) for name, field in fields))
-        attributes["_numba_type_"] = _TYPES[attributes["_layout"]]  # where numba's dispatchers look first
+            _TYPES[attributes["_layout"]] = StructType(
+                type(value), tuple((name, typeof_impl(field, context)) for name, field in fields)
+            )
+        attributes["_numba_type_"] = _TYPES[
+            attributes["_layout"]
+        ]  # where numba's dispatchers look first
     return attributes["_numba_type_"]
 
 
@@ -187,7 +223,13 @@ def _field_of_struct(context, builder, kind, table, name):
     if isinstance(field, StructType):
         return builder.inttoptr(word(0), _WORD.as_pointer())
     if isinstance(field, types.BaseTuple):
-        return cgutils.pack_array(builder, [word(i, _NUMBER if field.dtype == types.float64 else _WORD) for i in range(len(field))])
+        return cgutils.pack_array(
+            builder,
+            [
+                word(i, _NUMBER if field.dtype == types.float64 else _WORD)
+                for i in range(len(field))
+            ],
+        )
     if field == types.boolean:
         return builder.icmp_unsigned("!=", word(0), _WORD(0))
     if not isinstance(field, types.Array):
@@ -197,7 +239,8 @@ def _field_of_struct(context, builder, kind, table, name):
 
 
 def array_value(context, builder, field, numbers, shape):
-    """Compiled code's array of this type, whose numbers are at an address; nobody counts references to it."""
+    """Compiled code's array of this type, whose numbers are at an address; nobody counts references
+    to it."""
     strides, count = [ir.Constant(_WORD, 8)], shape[0]
     for size in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], size))

@@ -1,9 +1,12 @@
-"""L D L^T factorisation and solution of the symmetric 6x6 matrix of a section, on numbers or packs, every entry in a register.
+"""L D L^T factorisation and solution of the symmetric 6x6 matrix of a section, on numbers or packs,
+every entry in a register.
 
-A symmetric matrix is the 21-tuple of its lower triangle by rows; a factor is L below the diagonal by rows (15), then 1/D (6).
+A symmetric matrix is the 21-tuple of its lower triangle by rows; a factor is L below the diagonal
+by rows (15), then 1/D (6).
 
-`free` is a tuple as long as the block of H that differs from the identity: 3 for a Kirchhoff rod, 4 with stretch, 6 with shear too.
-Its length is part of its type, so the compiler leaves out the rows of rigid strains.
+`free` is a tuple as long as the block of H that differs from the identity: 3 for a Kirchhoff rod, 4
+with stretch, 6 with shear too. Its length is part of its type, so the compiler leaves out the rows
+of rigid strains.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -36,8 +39,31 @@ def store6(field, at, x):
 
 @kernel(inline=True)
 def factorise(h, free):
-    """L D L^T of a 21-tuple, without pivoting: a pivot that is not positive shows as a 1/D that is not."""
-    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = h
+    """L D L^T of a 21-tuple, without pivoting: a pivot that is not positive shows as a 1/D that is
+    not."""
+    (
+        h00,
+        h10,
+        h11,
+        h20,
+        h21,
+        h22,
+        h30,
+        h31,
+        h32,
+        h33,
+        h40,
+        h41,
+        h42,
+        h43,
+        h44,
+        h50,
+        h51,
+        h52,
+        h53,
+        h54,
+        h55,
+    ) = h
     i0 = 1.0 / h00
     l10, l20 = h10 * i0, h20 * i0
     h11 = h11 - l10 * h10
@@ -47,7 +73,20 @@ def factorise(h, free):
     h22 = h22 - l20 * h20 - l21 * h21
     i2 = 1.0 / h22
     zero, one = 0.0 * h00, 0.0 * h00 + 1.0
-    l30, l31, l32, l40, l41, l42, l43, l50, l51, l52, l53, l54 = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    l30, l31, l32, l40, l41, l42, l43, l50, l51, l52, l53, l54 = (
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+    )
     i3, i4, i5 = one, one, one
     if len(free) > 3:
         l30 = h30 * i0
@@ -70,7 +109,29 @@ def factorise(h, free):
         h54 = h54 - l50 * h40 - l51 * h41 - l52 * h42 - l53 * h43
         l54 = h54 * i4
         i5 = 1.0 / (h55 - l50 * h50 - l51 * h51 - l52 * h52 - l53 * h53 - l54 * h54)
-    return l10, l20, l21, l30, l31, l32, l40, l41, l42, l43, l50, l51, l52, l53, l54, i0, i1, i2, i3, i4, i5
+    return (
+        l10,
+        l20,
+        l21,
+        l30,
+        l31,
+        l32,
+        l40,
+        l41,
+        l42,
+        l43,
+        l50,
+        l51,
+        l52,
+        l53,
+        l54,
+        i0,
+        i1,
+        i2,
+        i3,
+        i4,
+        i5,
+    )
 
 
 @kernel(inline=True)
@@ -109,13 +170,19 @@ def solve_upper(f, b, free):
 @kernel(inline=True)
 def scale6(s, x):
     """Component by component product of two twist-shaped tuples."""
-    return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
+    return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (
+        s[1][0] * x[1][0],
+        s[1][1] * x[1][1],
+        s[1][2] * x[1][2],
+    )
 
 
 @kernel(inline=True)
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
-    return solve_upper(f, scale6(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
+    return solve_upper(
+        f, scale6(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free
+    )
 
 
 @kernel(inline=True)
@@ -132,14 +199,48 @@ def store_factor(field, block, f):
 
 @kernel(inline=True)
 def load21(field, at):
-    first, second, third = load6(field, at), load6(field, at + 6 * LANES), load6(field, at + 12 * LANES)
-    return first[0] + first[1] + second[0] + second[1] + third[0] + third[1] + load3(field, at + 18 * LANES)
+    first, second, third = (
+        load6(field, at),
+        load6(field, at + 6 * LANES),
+        load6(field, at + 12 * LANES),
+    )
+    return (
+        first[0]
+        + first[1]
+        + second[0]
+        + second[1]
+        + third[0]
+        + third[1]
+        + load3(field, at + 18 * LANES)
+    )
 
 
 @kernel(inline=True)
 def symmetric_product(h, x):
     """Product of a symmetric matrix, a 21-tuple, and a twist."""
-    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = h
+    (
+        h00,
+        h10,
+        h11,
+        h20,
+        h21,
+        h22,
+        h30,
+        h31,
+        h32,
+        h33,
+        h40,
+        h41,
+        h42,
+        h43,
+        h44,
+        h50,
+        h51,
+        h52,
+        h53,
+        h54,
+        h55,
+    ) = h
     (x0, x1, x2), (x3, x4, x5) = x
     y0 = h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5
     y1 = h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5
@@ -169,18 +270,37 @@ def scaled_stiffness(h, c):
     (c0, c1, c2), (c3, c4, c5) = c
     return (
         1.0 + c0 * c0 * h[0],
-        c1 * c0 * h[1], 1.0 + c1 * c1 * h[2],
-        c2 * c0 * h[3], c2 * c1 * h[4], 1.0 + c2 * c2 * h[5],
-        c3 * c0 * h[6], c3 * c1 * h[7], c3 * c2 * h[8], 1.0 + c3 * c3 * h[9],
-        c4 * c0 * h[10], c4 * c1 * h[11], c4 * c2 * h[12], c4 * c3 * h[13], 1.0 + c4 * c4 * h[14],
-        c5 * c0 * h[15], c5 * c1 * h[16], c5 * c2 * h[17], c5 * c3 * h[18], c5 * c4 * h[19], 1.0 + c5 * c5 * h[20],
-    )  # fmt: skip
+        c1 * c0 * h[1],
+        1.0 + c1 * c1 * h[2],
+        c2 * c0 * h[3],
+        c2 * c1 * h[4],
+        1.0 + c2 * c2 * h[5],
+        c3 * c0 * h[6],
+        c3 * c1 * h[7],
+        c3 * c2 * h[8],
+        1.0 + c3 * c3 * h[9],
+        c4 * c0 * h[10],
+        c4 * c1 * h[11],
+        c4 * c2 * h[12],
+        c4 * c3 * h[13],
+        1.0 + c4 * c4 * h[14],
+        c5 * c0 * h[15],
+        c5 * c1 * h[16],
+        c5 * c2 * h[17],
+        c5 * c3 * h[18],
+        c5 * c4 * h[19],
+        1.0 + c5 * c5 * h[20],
+    )
 
 
 @kernel(inline=True)
 def is_positive(f):
     """Whether every pivot of every lane is positive (false for NaN)."""
     return (
-        largest(-f[15]) < 0.0 and largest(-f[16]) < 0.0 and largest(-f[17]) < 0.0
-        and largest(-f[18]) < 0.0 and largest(-f[19]) < 0.0 and largest(-f[20]) < 0.0
-    )  # fmt: skip
+        largest(-f[15]) < 0.0
+        and largest(-f[16]) < 0.0
+        and largest(-f[17]) < 0.0
+        and largest(-f[18]) < 0.0
+        and largest(-f[19]) < 0.0
+        and largest(-f[20]) < 0.0
+    )

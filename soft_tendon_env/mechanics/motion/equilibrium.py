@@ -1,4 +1,5 @@
-"""Static balance of forces, f = B u - K + F of (23) without motion, with its derivatives in the coordinates and in the load."""
+"""Static balance of forces, f = B u - K + F of (23) without motion, with its derivatives in the
+coordinates and in the load."""
 
 from typing import NamedTuple
 
@@ -7,7 +8,11 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate_at_rest
-from soft_tendon_env.mechanics.terms.parametrisation import continue_strain, strain_from_rest, strain_is_unique
+from soft_tendon_env.mechanics.terms.parametrisation import (
+    continue_strain,
+    strain_from_rest,
+    strain_is_unique,
+)
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
 DIFFERENCE = 1e-7  # of a direction
@@ -25,11 +30,13 @@ class Linearisation(NamedTuple):
 
 @kernel(refcount=True)
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
-    """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along `directions` (m, n).
+    """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along
+    `directions` (m, n).
 
-    The strain at q is found with no guess: the result depends on nothing but q. f is affine in the part, so a second one gives its rate;
-    slopes are by differences, to a relative 1e-7 or so: G lacks the derivative of the load and, away from rest, that of the columns.
-    Returns (-1, 1.0), or (block, part of q that was reached) where there is no strain.
+    The strain at q is found with no guess: the result depends on nothing but q. f is affine in the
+    part, so a second one gives its rate; slopes are by differences, to a relative 1e-7 or so: G
+    lacks the derivative of the load and, away from rest, that of the columns. Returns (-1, 1.0), or
+    (block, part of q that was reached) where there is no strain.
     """
     block, reached = strain_from_rest(arm, q, ROUND_OFF, work)
     if block >= 0:
@@ -41,7 +48,11 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
         copy(xi, work.xi)
         moved = q + DIFFERENCE * directions[m] if m >= 0 else q
         pulls = (other if m == -1 else part) * tension
-        block = evaluate_at_rest(arm, pulls, q, ROUND_OFF, work) if m == -2 else balance_at_rest(arm, pulls, moved, ROUND_OFF, work)
+        block = (
+            evaluate_at_rest(arm, pulls, q, ROUND_OFF, work)
+            if m == -2
+            else balance_at_rest(arm, pulls, moved, ROUND_OFF, work)
+        )
         if block >= 0:
             return block, 1.0
         if m == -2:
@@ -60,7 +71,8 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
 
 @kernel(refcount=True)
 def strain_is_continuous(arm, q_from, q, work):
-    """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
+    """Whether the strain from rest at q_from becomes that at q on the way between them; tendons
+    that push can part them."""
     if strain_is_unique(arm, q, work):
         return True
     begins = strain_from_rest(arm, q_from, ROUND_OFF, work)[0] < 0

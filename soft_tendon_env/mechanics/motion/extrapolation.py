@@ -1,12 +1,16 @@
-"""Extrapolated linearly implicit Euler (SEULEX) step of (23), tension held over a step (Deuflhard, Hairer and Zugck 1987).
+"""Extrapolated linearly implicit Euler (SEULEX) step of (23), tension held over a step (Deuflhard,
+Hairer and Zugck 1987).
 
-The substep of implicit_euler is repeated n_j = 1, 2, ... times over the step, and the results extrapolated to h = 0 by Aitken-Neville.
-Every column adds an order, and the difference between the last two entries of the last row estimates the error. So the rows of the table
-can be built one after the other until that estimate meets a tolerance: the order follows the error.
+The substep of implicit_euler is repeated n_j = 1, 2, ... times over the step, and the results
+extrapolated to h = 0 by Aitken-Neville. Every column adds an order, and the difference between the
+last two entries of the last row estimates the error. So the rows of the table can be built one
+after the other until that estimate meets a tolerance: the order follows the error.
 
-M, the forces and the effects' share of D and G are always those of the substep: an arm may come upon something within a step. The rod's own
-D and G, of which any leave the order as it is, are those at the start of the step where the order follows the error, as SEULEX keeps its
-Jacobian: a violent step is less accurate with them, and then takes a column more, but every evaluation costs a fifth less.
+M, the forces and the effects' share of D and G are always those of the substep: an arm may come
+upon something within a step. The rod's own D and G, of which any leave the order as it is, are
+those at the start of the step where the order follows the error, as SEULEX keeps its Jacobian: a
+violent step is less accurate with them, and then takes a column more, but every evaluation costs a
+fifth less.
 """
 
 import math
@@ -20,9 +24,15 @@ from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_F
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 
-HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again, steps that succeed
-NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
-STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+# tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again,
+# steps that succeed
+HOPELESS = 3.0
+# of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is
+# extrapolated
+NEAR = 0.05
+STEP_TOLERANCE = (
+    1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+)
 
 
 class Demand(NamedTuple):
@@ -39,7 +49,9 @@ class Substep(NamedTuple):
     length: float  # [s]
     number: int
     is_alone: bool  # it is the whole step
-    near: float  # [m] how far elastic tendons may go to where they become slack, taut or as tense as can be in a smooth step
+    # [m] how far elastic tendons may go to where they become slack, taut or as tense as can be in a
+    # smooth step
+    near: float
 
 
 class Attempt(NamedTuple):
@@ -54,8 +66,9 @@ class Attempt(NamedTuple):
 
 @kernel
 def predict_strain(strain, q, q_last, work):
-    """Predicts the strain at coordinates q in work.xi: to first order along the columns of the last evaluation, and to second order as far
-    as q lies where its rates lead, along its bias; never further along the bias than along the columns."""
+    """Predicts the strain at coordinates q in work.xi: to first order along the columns of the last
+    evaluation, and to second order as far as q lies where its rates lead, along its bias; never
+    further along the bias than along the columns."""
     change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
     for m in range(0, per_column, LANES):
         store(change, m, spread(0.0))
@@ -67,7 +80,12 @@ def predict_strain(strain, q, q_last, work):
     along, rates, curved, moved = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for m in range(0, per_column, LANES):
         x, rate, bias = load(change, m), load(work.xi_dot, m), load(work.xi_bias, m)
-        along, rates, curved, moved = along + x * rate, rates + rate * rate, curved + bias * bias, moved + x * x
+        along, rates, curved, moved = (
+            along + x * rate,
+            rates + rate * rate,
+            curved + bias * bias,
+            moved + x * x,
+        )
     time = lane_sum(along) / max(lane_sum(rates), 1e-300)
     half = 0.5 * time * time
     if not half * half * lane_sum(curved) <= lane_sum(moved):
@@ -78,8 +96,9 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, method, u, q, v, state, time, scratch):
-    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command u that acts, into scratch.force; a status.
-    state: internal states of the effects, at this time or that of work.since before it."""
+    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command u
+    that acts, into scratch.force; a status. state: internal states of the effects, at this time or
+    that of work.since before it."""
     work = scratch.work
     copy(state, work.state)
     work.clock[0] = time
@@ -88,14 +107,17 @@ def evaluate_force(arm, method, u, q, v, state, time, scratch):
         return NO_STRAIN
     copy(q, scratch.q_last)
     for i in range(q.size):
-        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+        scratch.force[i] = (
+            work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+        )
     return OK
 
 
 @kernel
 def substeps(arm, method, tolerance, u, motion, step, row, scratch):
-    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v, of which the first goes from the evaluation at the
-    start that all rows share; a status and the number of evaluations."""
+    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v, of which
+    the first goes from the evaluation at the start that all rows share; a status and the number of
+    evaluations."""
     evaluations, h = 0, step / (row + 1)
     copy(motion.q, scratch.q)
     copy(motion.q_dot, scratch.v)
@@ -107,7 +129,9 @@ def substeps(arm, method, tolerance, u, motion, step, row, scratch):
                 return status, evaluations
         if row == 0:
             start_matrices(arm, scratch)
-        status = implicit_euler(arm, method, u, motion, Substep(h, number, row == 0, NEAR * tolerance), scratch)
+        status = implicit_euler(
+            arm, method, u, motion, Substep(h, number, row == 0, NEAR * tolerance), scratch
+        )
         if status != OK:
             return status, evaluations
     return OK, evaluations
@@ -115,7 +139,8 @@ def substeps(arm, method, tolerance, u, motion, step, row, scratch):
 
 @kernel
 def evaluate_substep(arm, method, u, motion, number, h, scratch):
-    """Force at the beginning of a substep, from scratch.q, scratch.v, into scratch.force; a status."""
+    """Force at the beginning of a substep, from scratch.q, scratch.v, into scratch.force; a
+    status."""
     work, state = scratch.work, motion.state
     if number > 0:
         predict_strain(arm.strain, scratch.q, scratch.q_last, work)
@@ -126,7 +151,9 @@ def evaluate_substep(arm, method, u, motion, number, h, scratch):
             copy(motion.xi, work.before)
         else:
             state = work.state
-    status = evaluate_force(arm, method, command, scratch.q, scratch.v, state, motion.clock[0] + number * h, scratch)
+    status = evaluate_force(
+        arm, method, command, scratch.q, scratch.v, state, motion.clock[0] + number * h, scratch
+    )
     work.since[0] = 0.0
     if work.before.size > 0 and status == OK:
         copy(work.xi, work.before)
@@ -135,17 +162,22 @@ def evaluate_substep(arm, method, u, motion, number, h, scratch):
 
 @kernel
 def complete_row(row, scratch):
-    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate;
-    where the tension of an elastic tendon has a kink within the step, which cannot be extrapolated, the first one, as of a first-order
-    method."""
+    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in
+    their place, with the error estimate; where the tension of an elastic tendon has a kink within
+    the step, which cannot be extrapolated, the first one, as of a first-order method."""
     is_kinked = scratch.is_kinked[0] != 0.0 and row > 0
     kept, other = (0, 1) if is_kinked else (row, max(row - 1, 0))
-    for table, value, error in ((scratch.table_q, scratch.q, scratch.error_q), (scratch.table_v, scratch.v, scratch.error_v)):
+    for table, value, error in (
+        (scratch.table_q, scratch.q, scratch.error_q),
+        (scratch.table_v, scratch.v, scratch.error_v),
+    ):
         copy(value, table[row, 0])
         for k in range(1, row + 1):  # Aitken-Neville for the step numbers 1, 2, 3, ...
             ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
             for i in range(value.size):
-                table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
+                table[row, k, i] = (
+                    table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
+                )
         copy(table[row, kept], value)
         for i in range(value.size):
             error[i] = value[i] - table[row, other, i]
@@ -153,8 +185,9 @@ def complete_row(row, scratch):
 
 @kernel
 def error_estimate(rod, horizon, scratch):
-    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square displacement of the rod, sqrt(e^T M e / m),
-    that error_q makes at once or error_v within a horizon [s], that of a step as a rule."""
+    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square
+    displacement of the rod, sqrt(e^T M e / m), that error_q makes at once or error_v within a
+    horizon [s], that of a step as a rule."""
     mass, by_q, by_v = scratch.work.M, 0.0, 0.0
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
@@ -163,13 +196,16 @@ def error_estimate(rod, horizon, scratch):
         by_v += scratch.error_v[i] * product(mass[i], scratch.error_v)
     if not math.isfinite(by_q + by_v):
         return NOT_FINITE, math.inf
-    return OK, max(math.sqrt(max(by_q, 0.0) / rod.mass[0]), horizon * math.sqrt(max(by_v, 0.0) / rod.mass[0]))
+    return OK, max(
+        math.sqrt(max(by_q, 0.0) / rod.mass[0]), horizon * math.sqrt(max(by_v, 0.0) / rod.mass[0])
+    )
 
 
 @kernel
 def extrapolated_step(arm, method, demand, u, motion, step, scratch):
-    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from demand.least on, as meet the tolerance. It ends
-    early where the estimate, falling as it did by the last column, would miss the tolerance by HOPELESS at the end, with that estimate."""
+    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from
+    demand.least on, as meet the tolerance. It ends early where the estimate, falling as it did by
+    the last column, would miss the tolerance by HOPELESS at the end, with that estimate."""
     copy(motion.xi, scratch.work.xi)
     evaluations, error = 0, math.inf
     for row in range(method.columns):
@@ -183,7 +219,13 @@ def extrapolated_step(arm, method, demand, u, motion, step, scratch):
         before = error
         status, error = error_estimate(arm.rod, demand.horizon, scratch)
         if status != OK or error <= demand.tolerance:
-            return Attempt(status, row + 1 if scratch.is_kinked[0] == 0.0 else method.columns, evaluations, error, row + 1)
+            return Attempt(
+                status,
+                row + 1 if scratch.is_kinked[0] == 0.0 else method.columns,
+                evaluations,
+                error,
+                row + 1,
+            )
         foreseen = error * (error / before) ** (method.columns - row - 1)
         if foreseen > HOPELESS * demand.tolerance:
             return Attempt(INACCURATE, method.columns, evaluations, foreseen, row + 1)
@@ -191,7 +233,8 @@ def extrapolated_step(arm, method, demand, u, motion, step, scratch):
 
 
 class Extrapolated(NamedTuple):
-    """Extrapolated linearly implicit Euler, from `least` to `columns` columns: as many as the error calls for."""
+    """Extrapolated linearly implicit Euler, from `least` to `columns` columns: as many as the error
+    calls for."""
 
     columns: int
     least: int

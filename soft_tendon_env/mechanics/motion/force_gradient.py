@@ -1,14 +1,19 @@
-"""Gradient, by coordinates and rates, of the power that the forces of (23) have on given rates w: of w . (f(q, q_dot) - M(q) a).
+"""Gradient, by coordinates and rates, of the power that the forces of (23) have on given rates w:
+of w . (f(q, q_dot) - M(q) a).
 
-It takes no derivative by single coordinates. With zeta = J w the twists of the nodes along w, and F = M_s alpha + ad*_eta M_s eta their
-inertial wrenches, alpha = J a + J_dot q_dot (M_s the screw inertia), a change delta of q changes twists as
+It takes no derivative by single coordinates. With zeta = J w the twists of the nodes along w, and F
+= M_s alpha + ad*_eta M_s eta their inertial wrenches, alpha = J a + J_dot q_dot (M_s the screw
+inertia), a change delta of q changes twists as
 
-    delta zeta = (D_w J) delta + ad_zeta J delta,    delta eta = J_dot delta + ad_eta J delta,    delta alpha = d/dt delta eta,
+    delta zeta = (D_w J) delta + ad_zeta J delta,    delta eta = J_dot delta + ad_eta J delta,
+    delta alpha = d/dt delta eta,
 
-since the body Jacobian J is a derivative of poses and the order of two derivatives may be changed. So the gradient is made of generalised
-forces J^T (a frozen wrench) differentiated along w and along the motion: central differences between five configurations. The elastic
-force is conservative, so its stiffness is symmetric: its product with w is a difference along w too. Wrenches of effects may be any
-function of pose and twist of a node: their derivatives are differences by the six components of each, all nodes at once.
+since the body Jacobian J is a derivative of poses and the order of two derivatives may be changed.
+So the gradient is made of generalised forces J^T (a frozen wrench) differentiated along w and along
+the motion: central differences between five configurations. The elastic force is conservative, so
+its stiffness is symmetric: its product with w is a difference along w too. Wrenches of effects may
+be any function of pose and twist of a node: their derivatives are differences by the six components
+of each, all nodes at once.
 """
 
 import math
@@ -21,9 +26,21 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load21, scale6, store6, symmetric_product
+from soft_tendon_env.mechanics.algebra.symmetric6 import (
+    load6,
+    load21,
+    scale6,
+    store6,
+    symmetric_product,
+)
 from soft_tendon_env.mechanics.terms.dynamics import node_rows, project, sum_columns
-from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, sum_wrenches
+from soft_tendon_env.mechanics.terms.external_forces import (
+    NODE_SHARE,
+    differ_wrenches,
+    displace,
+    effect_loads,
+    sum_wrenches,
+)
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
@@ -55,7 +72,9 @@ class GradientMemory(Struct):
     zeta: Annotated[np.ndarray, "nodes x 6"]
     alpha: Annotated[np.ndarray, "nodes x 6"]
     mu: Annotated[np.ndarray, "nodes x 6"]  # M_s zeta
-    kappa: Annotated[np.ndarray, "nodes x 6"]  # see node_wrenches(); before it the drag: less the effects' power by twists
+    kappa: Annotated[
+        np.ndarray, "nodes x 6"
+    ]  # see node_wrenches(); before it the drag: less the effects' power by twists
     declared: Annotated[np.ndarray, "nodes x 6"]  # that part of it which is in the damping matrix
     displaced: Annotated[np.ndarray, "nodes x 6"]  # the same by displacements
     inertial: Annotated[np.ndarray, "nodes x 6"]  # wrench of inertia and effects
@@ -74,8 +93,9 @@ def largest_strain(rod, field):
 
 @kernel
 def force_gradient(arm, u, motion, period, with_inertia, work, memory):
-    """Gradients memory.by_q and by_rate along memory.w, of forces at the motion, where an evaluation with the effects' matrices has just
-    been; zeros where the rod has no strain beside it. Overwrites the workspace."""
+    """Gradients memory.by_q and by_rate along memory.w, of forces at the motion, where an
+    evaluation with the effects' matrices has just been; zeros where the rod has no strain beside
+    it. Overwrites the workspace."""
     memory.by_q[:] = 0.0
     memory.by_rate[:] = 0.0
     hold_fields(arm, with_inertia, work, memory)
@@ -86,7 +106,8 @@ def force_gradient(arm, u, motion, period, with_inertia, work, memory):
 
 @kernel
 def hold_fields(arm, with_inertia, work, memory):
-    """Fields of w, the accelerations and the rates at the motion, and the generalised forces of the wrenches that are known there."""
+    """Fields of w, the accelerations and the rates at the motion, and the generalised forces of the
+    wrenches that are known there."""
     rod = arm.rod
     copy(work.xi, memory.xi)
     copy(work.xi_dot, memory.rate)
@@ -105,14 +126,25 @@ def hold_fields(arm, with_inertia, work, memory):
     for pack in range(rod.packs):
         node_wrenches(rod, share, pack, work, memory, by_q, by_rate)
     project(work.J, by_q, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_q)
-    project(work.J, by_rate, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_rate)
-    project(work.J, memory.mu, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.middle)
+    project(
+        work.J, by_rate, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_rate
+    )
+    project(
+        work.J,
+        memory.mu,
+        node_rows(),
+        arm.strain.pack_begin,
+        arm.strain.jacobian_end,
+        memory.middle,
+    )
 
 
 @kernel
 def hold_effects(arm, work, memory):
     """Wrenches and stresses of the effects, the latter without those at rest, and what damps."""
-    wrenches, stresses = effect_loads(arm, work)  # again: the evaluation has gone on to other fields since
+    wrenches, stresses = effect_loads(
+        arm, work
+    )  # again: the evaluation has gone on to other fields since
     if wrenches:
         copy(work.wrench, memory.inertial)
         differ_wrenches(arm, work)
@@ -123,7 +155,11 @@ def hold_effects(arm, work, memory):
     if stresses:
         for m in range(0, memory.xi.size, LANES):
             store(memory.moving, m, load(memory.moving, m) + load(work.stress, m))
-            store(memory.damped, m, load(memory.damped, m) + load(work.point_damping, m) * load(memory.along, m))
+            store(
+                memory.damped,
+                m,
+                load(memory.damped, m) + load(work.point_damping, m) * load(memory.along, m),
+            )
     if wrenches:
         differ_at_nodes(arm, work, memory)
     if stresses:
@@ -135,7 +171,8 @@ def hold_effects(arm, work, memory):
 
 @kernel
 def differ_at_nodes(arm, work, memory):
-    """Transposed derivatives of the effects' wrenches, times zeta: by displacements and by twists of every node, all nodes at once."""
+    """Transposed derivatives of the effects' wrenches, times zeta: by displacements and by twists
+    of every node, all nodes at once."""
     copy(work.pose, memory.field)
     copy(work.eta, memory.wrench)
     for k in range(6):
@@ -151,19 +188,23 @@ def differ_at_nodes(arm, work, memory):
 
 @kernel
 def power_change(arm, k, way, work, memory, out):
-    """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
+    """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th
+    component of out (nodes x 6)."""
     sum_wrenches(arm, work)
     for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):
-            change = change + load(memory.zeta, m) * (load(work.wrench, m) - load(memory.inertial, m))
+            change = change + load(memory.zeta, m) * (
+                load(work.wrench, m) - load(memory.inertial, m)
+            )
         store(out, at + k * LANES, (1.0 / way) * change)
 
 
 @kernel(inline=True)
 def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
-    """Wrenches at a pack of nodes: mu = M_s zeta, the inertial one with the effects', kappa = ad_eta^T mu + nu + drag with
-    nu = -ad*_zeta M_s eta - M_s ad_eta zeta, and those of which the generalised force belongs to the gradients."""
+    """Wrenches at a pack of nodes: mu = M_s zeta, the inertial one with the effects', kappa =
+    ad_eta^T mu + nu + drag with nu = -ad*_zeta M_s eta - M_s ad_eta zeta, and those of which the
+    generalised force belongs to the gradients."""
     at = pack * 6 * LANES
     inertia, eta, zeta = load6(rod.inertia, at), load6(work.eta, at), load6(memory.zeta, at)
     alpha = twist_sum(load6(memory.alpha, at), load6(work.eta_bias, at))
@@ -171,7 +212,9 @@ def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
     momentum, mu, drag = scale6(inertia, eta), scale6(inertia, zeta), load6(memory.kappa, at)
     inertial = twist_sum(scale6(inertia, alpha), coad_apply(eta, momentum))
     rest = twist_sum(load6(memory.inertial, at), scale_twist(-1.0, inertial))
-    nu = scale_twist(-1.0, twist_sum(coad_apply(zeta, momentum), scale6(inertia, ad_apply(eta, zeta))))
+    nu = scale_twist(
+        -1.0, twist_sum(coad_apply(zeta, momentum), scale6(inertia, ad_apply(eta, zeta)))
+    )
     turning = scale_twist(-1.0, coad_apply(eta, mu))
     store6(memory.mu, at, mu)
     store6(memory.inertial, at, rest)
@@ -185,7 +228,8 @@ def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
 
 @kernel
 def place_beside(arm, u, q, rate, way, field, work, memory):
-    """Strain, columns and poses a way along rates from coordinates q, from a guess along a field of strains; whether there are."""
+    """Strain, columns and poses a way along rates from coordinates q, from a guess along a field of
+    strains; whether there are."""
     for j in range(q.size):
         memory.q[j] = q[j] + way * rate[j]
     for m in range(0, memory.xi.size, LANES):
@@ -199,7 +243,8 @@ def place_beside(arm, u, q, rate, way, field, work, memory):
 
 @kernel
 def differ_along_motion(arm, u, motion, time, work, memory):
-    """Derivatives along the motion of the generalised forces of frozen wrenches, taken from memory.by_q and by_rate; whether it could."""
+    """Derivatives along the motion of the generalised forces of frozen wrenches, taken from
+    memory.by_q and by_rate; whether it could."""
     for i in range(2):
         way = time if i == 0 else -time
         for j in range(memory.q.size):
@@ -222,7 +267,8 @@ def differ_along_motion(arm, u, motion, time, work, memory):
 
 @kernel
 def differ_along_w(arm, u, motion, work, memory):
-    """Derivative along w of the elastic force at rest and of the force of the frozen wrenches and stresses, added to memory.by_q."""
+    """Derivative along w of the elastic force at rest and of the force of the frozen wrenches and
+    stresses, added to memory.by_q."""
     strained = largest_strain(arm.rod, memory.along)
     if not strained > 0.0:
         return

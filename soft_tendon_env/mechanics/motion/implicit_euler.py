@@ -1,15 +1,18 @@
-"""Linearly implicit Euler substep of (23), tension held: (M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v.
+"""Linearly implicit Euler substep of (23), tension held: (M + h D + h^2 G) dv = h (B u - K - C v -
+D v + F - h G v), q += h v.
 
-G is the stiffness of the drive to first order, so the substep is stable at any h; elastic tendons are held to their tensions at its end.
-M, the forces and the effects' share of D and G are those of the substep; the rod's D and G may be those at the start of the step, see
-extrapolation.
+G is the stiffness of the drive to first order, so the substep is stable at any h; elastic tendons
+are held to their tensions at its end. M, the forces and the effects' share of D and G are those of
+the substep; the rod's D and G may be those at the start of the step, see extrapolation.
 
-The friction and the tensions x of tendons at its end are those of the rates y' = B^T v' at which they are then pulled in, with
-v' = v + dv + A^-1 h F (x' - x) and F the forces by x. That is implicit Euler of a monotone force, stable however stiff: a problem of n_a
-unknowns.
+The friction and the tensions x of tendons at its end are those of the rates y' = B^T v' at which
+they are then pulled in, with v' = v + dv + A^-1 h F (x' - x) and F the forces by x. That is
+implicit Euler of a monotone force, stable however stiff: a problem of n_a unknowns.
 
-- x = -z(y) of tendons that rub, z = y / sqrt(y^2 + v_s^2): by Newton's method, and where that comes no nearer by the secants of z.
-- x = clip(k (u' - s - h y), 0, strength) of elastic ones, a complementarity problem (D. E. Stewart and J. C. Trinkle 1996).
+- x = -z(y) of tendons that rub, z = y / sqrt(y^2 + v_s^2): by Newton's method, and where that comes
+no nearer by the secants of z.
+- x = clip(k (u' - s - h y), 0, strength) of elastic ones, a complementarity problem (D. E. Stewart
+and J. C. Trinkle 1996).
 """
 
 import math
@@ -36,7 +39,8 @@ SAME = 1e-6  # of the stiction speed, what rates may be off
 
 @kernel
 def start_matrices(arm, scratch):
-    """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
+    """M, D and G with the effects' share, and the force, of the evaluation at the start of the
+    step."""
     work = scratch.work
     strain_matrices(arm, work)
     if arm.effects.count > 0:
@@ -44,19 +48,32 @@ def start_matrices(arm, scratch):
         copy_matrix(work.G, scratch.rod_stiffness)
         add_implicit(arm, work)
     now, first = scratch.now, scratch.first
-    for matrix, out in ((now.mass, first.mass), (now.damping, first.damping), (now.stiffness, first.stiffness)):
+    for matrix, out in (
+        (now.mass, first.mass),
+        (now.damping, first.damping),
+        (now.stiffness, first.stiffness),
+    ):
         copy_matrix(matrix, out)
     copy(now.force, first.force)
     if arm.effects.transmission.elastic or arm.effects.transmission.friction > 0.0:
-        for matrix, out in ((now.columns, first.columns), (now.rubbed, first.rubbed), (now.rubbing, first.rubbing)):
+        for matrix, out in (
+            (now.columns, first.columns),
+            (now.rubbed, first.rubbed),
+            (now.rubbing, first.rubbing),
+        ):
             copy_matrix(matrix, out)
-        for vector, out in ((now.tension, first.tension), (now.shortening, first.shortening), (now.pull_rate, first.pull_rate)):
+        for vector, out in (
+            (now.tension, first.tension),
+            (now.shortening, first.shortening),
+            (now.pull_rate, first.pull_rate),
+        ):
             copy(vector, out)
 
 
 @kernel
 def later_matrices(arm, method, scratch):
-    """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of the step's start."""
+    """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of
+    the step's start."""
     work = scratch.work
     if not method.freeze_jacobian:
         strain_matrices(arm, work)
@@ -69,15 +86,23 @@ def later_matrices(arm, method, scratch):
 
 @kernel
 def rate_change(with_inertia, balance, h, scratch):
-    """Change of the rates scratch.v in a substep of length h, into scratch.delta; without inertia they follow from the forces alone."""
-    mass, damping, stiffness, force = balance.mass, balance.damping, balance.stiffness, balance.force
+    """Change of the rates scratch.v in a substep of length h, into scratch.delta; without inertia
+    they follow from the forces alone."""
+    mass, damping, stiffness, force = (
+        balance.mass,
+        balance.damping,
+        balance.stiffness,
+        balance.force,
+    )
     n = force.size
     system, delta, v = scratch.system, scratch.delta, scratch.v
     stride = row_stride(n + 1)
     share = 1.0 if with_inertia else 0.0
     for i in range(n):
         row, m, d, g = system[i * stride : i * stride + n], mass[i], damping[i], stiffness[i]
-        for j in range(n):  # left of the diagonal too, where nothing is read: whole rows are quicker
+        for j in range(
+            n
+        ):  # left of the diagonal too, where nothing is read: whole rows are quicker
             row[j] = share * m[j] + h * (d[j] + h * g[j])
         system[i * stride + n] = h * (force[i] - h * product(g, v))
     return OK if solve_positive_definite(system, n, delta) else NOT_POSITIVE
@@ -85,15 +110,18 @@ def rate_change(with_inertia, balance, h, scratch):
 
 @kernel
 def answer_tendons(balance, forces, h, scratch):
-    """Changes by a unit of each of the forces (n_a, n) over a substep of length h: of rates, ends.answer, and of how fast tendons are
-    pulled in, ends.give; and how fast they are at its end so far, ends.rate."""
+    """Changes by a unit of each of the forces (n_a, n) over a substep of length h: of rates,
+    ends.answer, and of how fast tendons are pulled in, ends.give; and how fast they are at its end
+    so far, ends.rate."""
     ends, n = scratch.ends, scratch.delta.size
     for j in range(len(forces)):
         for a in range(n):
             ends.answer[j, a] = h * forces[j, a]
         solve_again(scratch.system, n, ends.answer[j])
     for i in range(len(forces)):
-        ends.rate[i] = product(balance.columns[i], scratch.v) + product(balance.columns[i], scratch.delta)
+        ends.rate[i] = product(balance.columns[i], scratch.v) + product(
+            balance.columns[i], scratch.delta
+        )
         for j in range(len(forces)):
             ends.give[i, j] = product(balance.columns[i], ends.answer[j])
 
@@ -108,8 +136,9 @@ def add_answers(ends, delta):
 
 @phase
 def stretch_tendons(arm, command, balance, substep, scratch):
-    """Changes scratch.delta, of the substep that has just been solved, to what it is with the tensions at its end under a command (n_a)
-    there. The substep that is a step alone tells whether the step is smooth."""
+    """Changes scratch.delta, of the substep that has just been solved, to what it is with the
+    tensions at its end under a command (n_a) there. The substep that is a step alone tells whether
+    the step is smooth."""
     path, ends, h = arm.effects.transmission, scratch.ends, substep.length
     answer_tendons(balance, balance.rubbed, h, scratch)
     copy(balance.tension, ends.tension)
@@ -120,13 +149,23 @@ def stretch_tendons(arm, command, balance, substep, scratch):
             give = k * h * ends.give[i, j]
             ends.matrix[i, j] = give + (1.0 if i == j else 0.0)
             ends.wanted[i] += give * balance.tension[j]
-    solve_bounded(ends.matrix, ends.wanted, ends.least, path.strength, ends.tension, ends.part, ends.system)
+    solve_bounded(
+        ends.matrix, ends.wanted, ends.least, path.strength, ends.tension, ends.part, ends.system
+    )
     is_kinked = scratch.is_kinked[0] != 0.0 and not substep.is_alone
     for i in range(command.size):
         ends.wanted[i] = ends.tension[i] - balance.tension[i]
         free, part = path.stiffness[i] * (command[i] - balance.shortening[i]), ends.part[i]
-        beyond = max(-free, free - path.strength[i], 0.0) if part == 0.0 else free if part < 0.0 else path.strength[i] - free
-        is_kinked = is_kinked or (beyond > path.stiffness[i] * substep.near if substep.is_alone else part != ends.parts[i])
+        beyond = (
+            max(-free, free - path.strength[i], 0.0)
+            if part == 0.0
+            else free
+            if part < 0.0
+            else path.strength[i] - free
+        )
+        is_kinked = is_kinked or (
+            beyond > path.stiffness[i] * substep.near if substep.is_alone else part != ends.parts[i]
+        )
     add_answers(ends, scratch.delta)
     if substep.is_alone:
         copy(ends.part, ends.parts)
@@ -135,7 +174,8 @@ def stretch_tendons(arm, command, balance, substep, scratch):
 
 @phase
 def slide_tendons(arm, balance, h, scratch):
-    """Changes scratch.delta, of the substep of length h that has just been solved, to what it is with the friction at its end."""
+    """Changes scratch.delta, of the substep of length h that has just been solved, to what it is
+    with the friction at its end."""
     ends, slow, begun = scratch.ends, arm.effects.transmission.stiction_speed, balance.pull_rate
     answer_tendons(balance, balance.rubbing, h, scratch)
     copy(ends.rate, ends.wanted)
@@ -156,7 +196,9 @@ def slide_tendons(arm, balance, h, scratch):
         copy(ends.better, ends.rate)
         off = after
     for j in range(begun.size):
-        ends.wanted[j] = begun[j] / math.hypot(begun[j], slow) - ends.rate[j] / math.hypot(ends.rate[j], slow)
+        ends.wanted[j] = begun[j] / math.hypot(begun[j], slow) - ends.rate[j] / math.hypot(
+            ends.rate[j], slow
+        )
     add_answers(ends, scratch.delta)
 
 
@@ -174,7 +216,8 @@ def imbalance(ends, slow, rate):
 
 @kernel
 def improve_rates(ends, slow, is_tangent):
-    """Rates ends.better of the linear problem with the tangents of z at ends.rate, or with its secants."""
+    """Rates ends.better of the linear problem with the tangents of z at ends.rate, or with its
+    secants."""
     rate = ends.rate
     copy(ends.wanted, ends.tension)
     for j in range(rate.size):
@@ -183,12 +226,15 @@ def improve_rates(ends, slow, is_tangent):
         for i in range(rate.size):
             ends.tension[i] -= ends.give[i, j] * (1.0 / speed - slope) * rate[j]
             ends.matrix[i, j] = ends.give[i, j] * slope + (1.0 if i == j else 0.0)
-    solve_part(ends.matrix, ends.tension, ends.least, ends.least, ends.better, ends.part, ends.system)
+    solve_part(
+        ends.matrix, ends.tension, ends.least, ends.least, ends.better, ends.part, ends.system
+    )
 
 
 @kernel
 def implicit_euler(arm, method, u, motion, substep, scratch):
-    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a), from the evaluation at its beginning; a status."""
+    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a), from the
+    evaluation at its beginning; a status."""
     h, q, v, delta, balance = substep.length, scratch.q, scratch.v, scratch.delta, scratch.first
     if substep.number > 0:
         later_matrices(arm, method, scratch)
@@ -198,7 +244,9 @@ def implicit_euler(arm, method, u, motion, substep, scratch):
         if arm.effects.transmission.friction > 0.0:
             slide_tendons(arm, balance, h, scratch)
         if arm.effects.transmission.elastic:
-            command = command_at(arm.effects, u, motion.state, (substep.number + 1) * h, scratch.command)
+            command = command_at(
+                arm.effects, u, motion.state, (substep.number + 1) * h, scratch.command
+            )
             stretch_tendons(arm, command, balance, substep, scratch)
         for i in range(q.size):
             v[i] += delta[i]

@@ -1,5 +1,5 @@
-"""Motion of one arm; scratch of an integrator step: extrapolation table, matrices, error estimates; tape of a period over rows: where every
-part of it began, for the adjoint to go back from."""
+"""Motion of one arm; scratch of an integrator step: extrapolation table, matrices, error estimates;
+tape of a period over rows: where every part of it began, for the adjoint to go back from."""
 
 from typing import Annotated, NamedTuple
 
@@ -38,7 +38,8 @@ def copy_motion(source, out):
 
 
 class Balance(Struct):
-    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those that rub, see Workspace."""
+    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those
+    that rub, see Workspace."""
 
     mass: Annotated[np.ndarray, "n", "n"]  # M
     damping: Annotated[np.ndarray, "n", "n"]  # D and G with the effects' share
@@ -69,17 +70,22 @@ class TendonEnds(Struct):
 
 
 class Scratch(Struct):
-    """Arrays that a step fills: evaluations, extrapolation table, linear system, error estimates."""
+    """Arrays that a step fills: evaluations, extrapolation table, linear system, error
+    estimates."""
 
     work: Workspace  # of the evaluations
     table_q: Annotated[np.ndarray, "orders", "orders", "n"]  # extrapolation table
     table_v: Annotated[np.ndarray, "orders", "orders", "n"]
     first: Balance  # at the start of the step
     now: Balance  # of the last evaluation, its arrays those of `work` and `force`
-    rod_damping: Annotated[np.ndarray, "n", "n"]  # D and G at the start of the step without the effects' share
+    rod_damping: Annotated[
+        np.ndarray, "n", "n"
+    ]  # D and G at the start of the step without the effects' share
     rod_stiffness: Annotated[np.ndarray, "n", "n"]
     ends: TendonEnds
-    is_kinked: Annotated[np.ndarray, "1"]  # 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
+    is_kinked: Annotated[
+        np.ndarray, "1"
+    ]  # 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
     force: Annotated[np.ndarray, "n"]  # drive - C v - D v + F of the last evaluation
     q_last: Annotated[np.ndarray, "n"]  # where that was
     system: Annotated[np.ndarray, "n x stride"]  # see linear
@@ -92,21 +98,41 @@ class Scratch(Struct):
     acting: Annotated[np.ndarray, "n_a"]  # the command that has arrived
     command: Annotated[np.ndarray, "n_a"]  # what acts of it
     until: Annotated[np.ndarray, "1"]  # [s] when another one does
-    taken: Annotated[np.ndarray, "steps", "2"]  # room for a log of the accepted steps: length [s] and rows of the table
+    taken: Annotated[
+        np.ndarray, "steps", "2"
+    ]  # room for a log of the accepted steps: length [s] and rows of the table
 
 
 def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
-    """Zeroed scratch for one arm and a method with this many columns, with room for a log of so many steps."""
+    """Zeroed scratch for one arm and a method with this many columns, with room for a log of so
+    many steps."""
     sizes, work = sizes_of(arm), make_workspace(arm)
-    sizes |= {"orders": columns, "stride": row_stride(arm.strain.size + 1), "steps": log, "unknowns": arm.tendons.size + 1}
-    shared = {name: getattr(work, name) for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")}
+    sizes |= {
+        "orders": columns,
+        "stride": row_stride(arm.strain.size + 1),
+        "steps": log,
+        "unknowns": arm.tendons.size + 1,
+    }
+    shared = {
+        name: getattr(work, name)
+        for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")
+    }
     force = aligned_zeros(arm.strain.size)
     now = Balance(mass=work.M, damping=work.D, stiffness=work.G, force=force, **shared)
-    return zeros(Scratch, sizes, work=work, first=zeros(Balance, sizes), now=now, ends=zeros(TendonEnds, sizes), force=force)
+    return zeros(
+        Scratch,
+        sizes,
+        work=work,
+        first=zeros(Balance, sizes),
+        now=now,
+        ends=zeros(TendonEnds, sizes),
+        force=force,
+    )
 
 
 class Tape(Struct):
-    """Motion of every row where the parts of a period began, and where the last one ended; without rows nothing is kept."""
+    """Motion of every row where the parts of a period began, and where the last one ended; without
+    rows nothing is kept."""
 
     q: Annotated[np.ndarray, "rows", "borders", "n"]
     q_dot: Annotated[np.ndarray, "rows", "borders", "n"]
@@ -115,21 +141,34 @@ class Tape(Struct):
     clock: Annotated[np.ndarray, "rows", "borders"]
     command: Annotated[np.ndarray, "rows", "parts", "n_a"]
     duration: Annotated[np.ndarray, "rows", "parts"]  # [s]; negative where the step has failed
-    begins: np.ndarray  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
+    begins: (
+        np.ndarray
+    )  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
     material: IntVector  # (rows) which of the materials that a row has had it was
 
 
 def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
     """Zeroed Tape for so many rows of an arm and parts of a period."""
     sizes = {**sizes_of(arm), "rows": rows, "parts": parts, "borders": parts + 1}
-    return zeros(Tape, sizes, begins=np.zeros((rows, parts), dtype=np.int64), material=np.zeros(rows, dtype=np.int64))
+    return zeros(
+        Tape,
+        sizes,
+        begins=np.zeros((rows, parts), dtype=np.int64),
+        material=np.zeros(rows, dtype=np.int64),
+    )
 
 
 @kernel(refcount=True)
 def motion_at(tape, row, border):
     """Motion of a row on the tape where a part begins, or the last one ends."""
     place = row, border
-    return Motion(tape.q[place], tape.q_dot[place], tape.xi[place], tape.state[place], tape.clock[row, border : border + 1])
+    return Motion(
+        tape.q[place],
+        tape.q_dot[place],
+        tape.xi[place],
+        tape.state[place],
+        tape.clock[row, border : border + 1],
+    )
 
 
 @kernel
@@ -141,7 +180,8 @@ def tape_border(tape, row, border, motion):
 
 @kernel
 def tape_part(tape, row, part, command, duration, begins):
-    """Keeps what was commanded in a part, for how long, and whether it began there, where anything is kept."""
+    """Keeps what was commanded in a part, for how long, and whether it began there, where anything
+    is kept."""
     if tape.duration.shape[0] > 0:
         copy(command, tape.command[row, part])
         tape.duration[row, part] = duration

@@ -1,4 +1,5 @@
-"""Status codes of a time step, and the message of each: what steps, batches and simulations return and people read."""
+"""Status codes of a time step, and the message of each: what steps, batches and simulations return
+and people read."""
 
 OK = 0
 NO_STRAIN = 1
@@ -13,6 +14,10 @@ MESSAGES = {
     NOT_POSITIVE: "the mass or step matrix is not positive definite",
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
-    PENETRATED: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
-    COMMAND_QUEUE_FULL: "commands change more often than the delay of their path keeps, once every integrator.step",
+    PENETRATED: (
+        "the arm is pressed through an obstacle, or too deep into it, in steps of any length"
+    ),
+    COMMAND_QUEUE_FULL: (
+        "commands change more often than the delay of their path keeps, once every integrator.step"
+    ),
 }

@@ -1,1 +1,2 @@
-"""The equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms; `evaluate` names the phases in order."""
+"""The equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms;
+`evaluate` names the phases in order."""

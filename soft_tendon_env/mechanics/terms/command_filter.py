@@ -1,8 +1,11 @@
-"""Filter of commands in front of the tendons: delay, lag and limited rate, see effects.Transmission.
+"""Filter of commands in front of the tendons: delay, lag and limited rate, see
+effects.Transmission.
 
-Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) / tau, -r, r): as long as c is held u is a
-function of time that is known exactly, so that it is no coordinate of the integrator. Its steps end where commands arrive.
-The internal state is u (n_a) and a table (1 + room, 1 + n_a) of times of arrival and commands: what has arrived, and what is on its way.
+Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) /
+tau, -r, r): as long as c is held u is a function of time that is known exactly, so that it is no
+coordinate of the integrator. Its steps end where commands arrive. The internal state is u (n_a) and
+a table (1 + room, 1 + n_a) of times of arrival and commands: what has arrived, and what is on its
+way.
 """
 
 import math
@@ -19,8 +22,12 @@ ROUND_OFF = 1e-15  # of the time, by which besides
 
 @kernel(refcount=True)
 def filter_state(effects, state, tendons):
-    """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter, in the internal states of all effects."""
-    begin, end = effects.first_state[effects.transmission.filter], effects.first_state[effects.transmission.filter + 1]
+    """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter, in the internal states of all
+    effects."""
+    begin, end = (
+        effects.first_state[effects.transmission.filter],
+        effects.first_state[effects.transmission.filter + 1],
+    )
     return state[begin : begin + tendons], state[begin + tendons : end].reshape(-1, 1 + tendons)
 
 
@@ -32,8 +39,9 @@ def has_arrived_by(time):
 
 @kernel
 def receive(effects, command, begins, time, state, acting, until):
-    """Writes the command that has arrived into `acting` (n_a) where one (n_a) is given, from this time [s] on if it `begins`, and into
-    `until` (1) when the next integrator step should end [s]; -infinity where the queue has no room."""
+    """Writes the command that has arrived into `acting` (n_a) where one (n_a) is given, from this
+    time [s] on if it `begins`, and into `until` (1) when the next integrator step should end [s];
+    -infinity where the queue has no room."""
     copy(command, acting)
     until[0] = math.inf
     if effects.transmission.filter >= 0:
@@ -66,8 +74,9 @@ def arrive(effects, begins, time, state, acting, until):
 
 @kernel
 def enqueue(arrival, command, table, count):
-    """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room. One that repeats the last one is kept
-    while there is room, since it has a derivative of its own."""
+    """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room.
+    One that repeats the last one is kept while there is room, since it has a derivative of its
+    own."""
     is_full, is_new = count == len(table), differ(table[count - 1], command)
     if not is_new and (is_full or (count > 1 and table[count - 1, 0] >= arrival - EARLY)):
         return count
@@ -104,26 +113,35 @@ def differ(row, command):
 
 @kernel
 def settling_time(path, u, acting):
-    """Time [s] to the next kink of u: the end of its limited rate, or some time constants while it lags."""
+    """Time [s] to the next kink of u: the end of its limited rate, or some time constants while it
+    lags."""
     soonest, largest, slow = math.inf, 0.0, path.rate_limit * path.time_constant
     for i in range(acting.size):
         largest = max(largest, abs(acting[i]), abs(u[i]))
     for i in range(acting.size):
         away = abs(acting[i] - u[i])
         if away > SETTLED * largest:
-            soonest = min(soonest, LAGS * path.time_constant if away <= slow else (away - slow) / path.rate_limit)
+            soonest = min(
+                soonest,
+                LAGS * path.time_constant if away <= slow else (away - slow) / path.rate_limit,
+            )
     return max(soonest, path.finest)
 
 
 @kernel
 def limited_time(path, away, step):
-    """For how much of a time [s] the rate is limited, and what the lag leaves over the rest of it of how far u is away."""
+    """For how much of a time [s] the rate is limited, and what the lag leaves over the rest of it
+    of how far u is away."""
     limited = 0.0
-    slow = path.rate_limit * path.time_constant if path.time_constant > 0.0 else 0.0  # nearer than this the rate is below its limit
+    slow = (
+        path.rate_limit * path.time_constant if path.time_constant > 0.0 else 0.0
+    )  # nearer than this the rate is below its limit
     if abs(away) > slow and path.rate_limit < math.inf:
         limited = min((abs(away) - slow) / path.rate_limit, step)
     rest = step - limited
-    return limited, math.exp(-rest / path.time_constant) if path.time_constant > 0.0 else 1.0 if rest == 0.0 else 0.0
+    return limited, math.exp(
+        -rest / path.time_constant
+    ) if path.time_constant > 0.0 else 1.0 if rest == 0.0 else 0.0
 
 
 @kernel
@@ -137,7 +155,8 @@ def lag_response(path, u, command, step):
 
 @kernel
 def lag_slopes(path, away, step):
-    """Derivatives by u of lag_response() and of its mean; those by the command are what is left to 1. Without a lag the command acts."""
+    """Derivatives by u of lag_response() and of its mean; those by the command are what is left to
+    1. Without a lag the command acts."""
     if not path.lags:
         return 1.0, 0.0
     limited, left = limited_time(path, away, step)
@@ -146,7 +165,8 @@ def lag_slopes(path, away, step):
 
 @kernel(refcount=True)
 def command_at(effects, acting, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived: `out`, or that."""
+    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a)
+    has arrived: `out`, or that."""
     if not effects.transmission.lags:
         return acting
     first = effects.first_state[effects.transmission.filter]
@@ -157,7 +177,8 @@ def command_at(effects, acting, state, since, out):
 
 @kernel
 def follow(effects, acting, step, state):
-    """Advances the filter's part of the internal states by a time [s] in which `acting` (n_a) has arrived and is held."""
+    """Advances the filter's part of the internal states by a time [s] in which `acting` (n_a) has
+    arrived and is held."""
     if effects.transmission.lags:
         command_at(effects, acting, state, step, filter_state(effects, state, acting.size)[0])
 

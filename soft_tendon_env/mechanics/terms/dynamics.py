@@ -1,4 +1,5 @@
-"""Lagrangian terms of (23), Appendix D: mass and damping matrix, bias, generalised forces, from columns at the points and the nodes.
+"""Lagrangian terms of (23), Appendix D: mass and damping matrix, bias, generalised forces, from
+columns at the points and the nodes.
 
 C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
 """
@@ -6,13 +7,24 @@ C is never formed: C q_dot is the projection of the inertial wrench of the motio
 from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide, store
+from soft_tendon_env.mechanics.algebra.lanes import (
+    LANES,
+    WIDE,
+    lane,
+    lane_sums,
+    load,
+    load_wide,
+    spread,
+    spread_wide,
+    store,
+)
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6
 
 
 class RowLayout(NamedTuple):
-    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, zero but for the first `used`."""
+    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, zero
+    but for the first `used`."""
 
     groups: int
     size: int
@@ -21,7 +33,8 @@ class RowLayout(NamedTuple):
 
 @kernel(inline=True)
 def point_rows(rod):
-    """Layout of a column over points: two blocks a pack, six components, those of rigid strains zero."""
+    """Layout of a column over points: two blocks a pack, six components, those of rigid strains
+    zero."""
     return RowLayout(2, 6 * LANES, len(rod.free) * LANES)
 
 
@@ -31,19 +44,31 @@ def node_rows():
     return RowLayout(1, 6 * LANES, 6 * LANES)
 
 
-TILE = 4  # columns that are multiplied together, so that every number is loaded once for TILE products
+TILE = (
+    4  # columns that are multiplied together, so that every number is loaded once for TILE products
+)
 
 
 @kernel(inline=True)
 def _load_tile(columns, at, m):
-    return load_wide(columns, at[0] + m), load_wide(columns, at[1] + m), load_wide(columns, at[2] + m), load_wide(columns, at[3] + m)
+    return (
+        load_wide(columns, at[0] + m),
+        load_wide(columns, at[1] + m),
+        load_wide(columns, at[2] + m),
+        load_wide(columns, at[3] + m),
+    )
 
 
 @kernel(inline=True)
 def _tile_starts(tile, n, per_column):
     """Indices at which the columns of a tile begin; beyond the last column, that one again."""
     j = TILE * tile
-    return min(j, n - 1) * per_column, min(j + 1, n - 1) * per_column, min(j + 2, n - 1) * per_column, min(j + 3, n - 1) * per_column
+    return (
+        min(j, n - 1) * per_column,
+        min(j + 1, n - 1) * per_column,
+        min(j + 2, n - 1) * per_column,
+        min(j + 3, n - 1) * per_column,
+    )
 
 
 @kernel(inline=True)
@@ -91,8 +116,9 @@ def _reach(tile, pack_begin, pack_end):
 
 @kernel
 def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out):
-    """Weighted Gram matrix out_ij, the sum over the rows of columns_i weight others_j in a range of packs, where others_j is a symmetric
-    matrix times columns_j. Column j is zero but from pack_begin[j] to pack_end[j]; `rows` is the layout of a pack."""
+    """Weighted Gram matrix out_ij, the sum over the rows of columns_i weight others_j in a range of
+    packs, where others_j is a symmetric matrix times columns_j. Column j is zero but from
+    pack_begin[j] to pack_end[j]; `rows` is the layout of a pack."""
     (begin, end), n, per_column = packs, pack_begin.size, columns.size // pack_begin.size
     for tile_i in range((n + TILE - 1) // TILE):
         begin_i, end_i = _reach(tile_i, pack_begin, pack_end)
@@ -101,11 +127,23 @@ def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out)
             begin_j, end_j = _reach(tile_j, pack_begin, pack_end)
             at_j = _tile_starts(tile_j, n, per_column)
             row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
-            for group in range(max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups):
+            for group in range(
+                max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups
+            ):
                 for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
-                    w, x, y = load_wide(weight, m), _load_tile(columns, at_i, m), _load_tile(others, at_j, m)
-                    row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
-                    row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
+                    w, x, y = (
+                        load_wide(weight, m),
+                        _load_tile(columns, at_i, m),
+                        _load_tile(others, at_j, m),
+                    )
+                    row_0, row_1 = (
+                        _add_products(row_0, w * x[0], y),
+                        _add_products(row_1, w * x[1], y),
+                    )
+                    row_2, row_3 = (
+                        _add_products(row_2, w * x[2], y),
+                        _add_products(row_3, w * x[3], y),
+                    )
             _write_row(row_0, TILE * tile_i, tile_j, out)
             _write_row(row_1, TILE * tile_i + 1, tile_j, out)
             _write_row(row_2, TILE * tile_i + 2, tile_j, out)
@@ -138,35 +176,73 @@ def sum_columns(Phi, q_dot, xi_dot):
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
-    gram_within(work.J, work.J, rod.inertia, node_rows(), strain.pack_begin, strain.jacobian_end, (0, rod.packs), work.M)
+    gram_within(
+        work.J,
+        work.J,
+        rod.inertia,
+        node_rows(),
+        strain.pack_begin,
+        strain.jacobian_end,
+        (0, rod.packs),
+        work.M,
+    )
 
 
 @kernel(inline=True)
 def damping_matrix(rod, strain, work):
-    """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
-    gram_within(work.Phi, work.Phi, rod.viscosity, point_rows(rod), strain.pack_begin, strain.pack_end, (0, rod.packs), work.D)
+    """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into
+    work.D."""
+    gram_within(
+        work.Phi,
+        work.Phi,
+        rod.viscosity,
+        point_rows(rod),
+        strain.pack_begin,
+        strain.pack_end,
+        (0, rod.packs),
+        work.D,
+    )
 
 
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
-    """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.pack_begin, strain.pack_end, (0, rod.packs), work.G)
+    """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the
+    weight in work.Y; symmetric."""
+    gram_within(
+        work.Phi,
+        work.Y,
+        work.unit,
+        point_rows(rod),
+        strain.pack_begin,
+        strain.pack_end,
+        (0, rod.packs),
+        work.G,
+    )
 
 
 @kernel
 def driving_force(rod, strain, work):
     """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
     for m in range(0, work.xi_dot.size, LANES):
-        store(work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m))
-    project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, work.drive)
+        store(
+            work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m)
+        )
+    project(
+        work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, work.drive
+    )
 
 
 @kernel
 def bias_force(rod, strain, work):
-    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias, by the inertial wrenches at zero q_ddot."""
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias, by the
+    inertial wrenches at zero q_ddot."""
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
         momentum = scale6(inertia, eta)
-        store6(work.wrench, at, twist_sum(scale6(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
+        store6(
+            work.wrench,
+            at,
+            twist_sum(scale6(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)),
+        )
     project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, work.bias)

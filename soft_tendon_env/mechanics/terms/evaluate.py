@@ -1,4 +1,5 @@
-"""Equation of motion (23) at one state, phase by phase: strains, drive, poses, mass matrix, bias, external force, stiffness."""
+"""Equation of motion (23) at one state, phase by phase: strains, drive, poses, mass matrix, bias,
+external force, stiffness."""
 
 import math
 
@@ -11,15 +12,21 @@ from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_unde
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep, tip_pose_of, write_pose
-from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess, strain_from_rest, strain_matrices
+from soft_tendon_env.mechanics.terms.parametrisation import (
+    strain_columns,
+    strain_from_guess,
+    strain_from_rest,
+    strain_matrices,
+)
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 
 
 @kernel
 def configure(arm, q, tolerance, work):
-    """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free rod or else strain_from_rest(): where
-    tendons push, a motion may come to coordinates whose parts have no strain. Returns as continue_strain() does."""
+    """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free
+    rod or else strain_from_rest(): where tendons push, a motion may come to coordinates whose parts
+    have no strain. Returns as continue_strain() does."""
     copy(arm.rod.reference_strain, work.xi)
     failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
     if failed >= 0:
@@ -31,7 +38,8 @@ def configure(arm, q, tolerance, work):
 
 @kernel
 def drive_strained_rod(arm, u, q, q_dot, work):
-    """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has just left the strain at q."""
+    """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has
+    just left the strain at q."""
     strain_columns(arm, actuator_tensions(arm, u, work), q, q_dot, work)
     driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
@@ -40,7 +48,8 @@ def drive_strained_rod(arm, u, q, q_dot, work):
 
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), work.state and work.clock, into `work`; -1, or the block without a strain."""
+    """M and all forces of (23) at (q, q_dot, u), work.state and work.clock, into `work`; -1, or the
+    block without a strain."""
     place_base(arm, work)
     failed = strain_from_guess(arm, q, tolerance, work)
     if failed >= 0:
@@ -66,7 +75,8 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 
 @kernel(refcount=True)
 def evaluate_at_rest(arm, u, q, tolerance, work):
-    """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_forces()."""
+    """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at
+    rest there too; as evaluate_forces()."""
     failed = balance_at_rest(arm, u, q, tolerance, work)
     if failed < 0:
         strain_matrices(arm, work)
@@ -77,7 +87,8 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
 
 @kernel(refcount=True)
 def balance_at_rest(arm, u, q, tolerance, work):
-    """Drive and load of (23) at (q, 0, u) alone, else as evaluate_at_rest(): all that the balance of forces takes."""
+    """Drive and load of (23) at (q, 0, u) alone, else as evaluate_at_rest(): all that the balance
+    of forces takes."""
     work.u_is_command[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0
@@ -95,15 +106,18 @@ def balance_at_rest(arm, u, q, tolerance, work):
 
 
 PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2
-"""Outcomes of equation_of_motion(): it has placed the rod, or coordinates are too large for that, or their rates."""
+"""Outcomes of equation_of_motion(): it has placed the rod, or coordinates are too large for that,
+or their rates."""
 
 
 @kernel
 def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
-    """Terms of (23) at (q, q_dot, u) and the time of work.clock, from no guess, into the matrices and vectors of `out`, see model.Terms,
-    but the elastic force. The states of the effects are those at rest at q where it `rests`, else work.state.
+    """Terms of (23) at (q, q_dot, u) and the time of work.clock, from no guess, into the matrices
+    and vectors of `out`, see model.Terms, but the elastic force. The states of the effects are
+    those at rest at q where it `rests`, else work.state.
 
-    Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
+    Returns the block at which the strain could not be found, or -1; the part of q that was reached;
+    and whether the rod was PLACED.
     """
     time = work.clock[0]
     failed, reached = configure(arm, q, tolerance, work)
@@ -133,7 +147,11 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
             kinetic += q_dot[i] * out.mass[i, j] * q_dot[j]
     for i in range(3):
         place += abs(out.tip_pose[i, 0]) + abs(out.tip_pose[i, 3])
-    return -1, 1.0, TOO_LARGE if not math.isfinite(place) else PLACED if math.isfinite(kinetic) else TOO_FAST
+    return (
+        -1,
+        1.0,
+        TOO_LARGE if not math.isfinite(place) else PLACED if math.isfinite(kinetic) else TOO_FAST,
+    )
 
 
 @kernel

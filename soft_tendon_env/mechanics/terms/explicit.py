@@ -13,8 +13,9 @@ from soft_tendon_env.mechanics.types import Explicit
 
 @kernel
 def explicit_columns(arm, strain, u, q, q_dot, work):
-    """Strain rate xi_dot, tangents, and the stress that drives the coordinates under tensions u (n_a), times the weight; xi is linear in q,
-    so its columns are constant and its bias stays the zero that it is."""
+    """Strain rate xi_dot, tangents, and the stress that drives the coordinates under tensions u
+    (n_a), times the weight; xi is linear in q, so its columns are constant and its bias stays the
+    zero that it is."""
     rod = arm.rod
     explicit_rate(arm, strain, q_dot, work)
     copy(u, work.tau)
@@ -23,16 +24,24 @@ def explicit_columns(arm, strain, u, q, q_dot, work):
         stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
         pulled = pull(rod, arm.tendons, block, xi, work.tau, work.tangent)[1]
         strained = twist_sum(xi, scale_twist(-1.0, load6(rod.reference_strain, at)))
-        store6(work.mismatch, at, scale_twist(-weight, twist_sum(scale6(stiff, scale6(stiff, strained)), pulled)))
+        store6(
+            work.mismatch,
+            at,
+            scale_twist(-weight, twist_sum(scale6(stiff, scale6(stiff, strained)), pulled)),
+        )
 
 
 @kernel
 def explicit_matrices(arm, strain, work):
-    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
+    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which
+    is constant."""
     rod, blocks = arm.rod, 2 * arm.rod.packs
     for block in range(blocks):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        stiff, h = load6(rod.root_stiffness, at), pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+        stiff, h = (
+            load6(rod.root_stiffness, at),
+            pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0],
+        )
         for j in range(strain.size):
             if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
                 column_at = (j * blocks + block) * 6 * LANES
@@ -64,4 +73,6 @@ def explicit_rate(arm, strain, q_dot, work):
     sum_columns(strain.field, q_dot, work.xi_dot)
 
 
-PARAMETRISATIONS[Explicit] = Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate)
+PARAMETRISATIONS[Explicit] = Parametrisation(
+    solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate
+)

@@ -1,7 +1,9 @@
 """Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32).
 
-In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves e + C^1/2 (sum tau s - Phi_p q_p) =
-0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then minimises a convex energy.
+In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain
+solves e + C^1/2 (sum tau s - Phi_p q_p) =
+0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
+minimises a convex energy.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -23,10 +25,13 @@ from soft_tendon_env.mechanics.terms.tendons import chord, pull
 
 MAX_NEWTON = 20
 CONTRACTION = 0.25
-"""Largest part of a correction that the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
-Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
+"""Largest part of a correction that the next one may be where Newton is to stay on the branch it
+began on (Deuflhard, Newton Methods for Nonlinear Problems, 2004, chapter 5): with tendons that
+push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
-MOST_TURN = 0.3  # of its length, the most that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear
+# of its length, the most that a tendon's chord may move in a part of a push: it alone makes the
+# balance nonlinear
+MOST_TURN = 0.3
 
 
 @kernel
@@ -52,10 +57,12 @@ def strain_tension(strain, q, tau):
 
 @kernel
 def solve_statics(arm, strain, q, part, tolerance, contraction, work):
-    """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
+    """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi,
+    tangents and factors.
 
-    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it. Returns -1, or
-    the first block where a pivot was not positive, corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
+    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to
+    the iterate before it. Returns -1, or the first block where a pivot was not positive,
+    corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
     """
     rod, blocks, tau, floor = arm.rod, 2 * arm.rod.packs, work.tau, 0.0
     strain_tension(strain, q, tau)
@@ -82,7 +89,10 @@ def solve_statics(arm, strain, q, part, tolerance, contraction, work):
                 converged = True
                 break
             # points that have converged, while others of the pack have not, shrink no more
-            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)):
+            if contraction < ANY and not (
+                is_positive(f)
+                and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)
+            ):
                 break
             last = size
         if not (converged and is_positive(f)):
@@ -94,7 +104,8 @@ def solve_statics(arm, strain, q, part, tolerance, contraction, work):
 
 @kernel
 def chords_stay(rod, tendons, before, after):
-    """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain fields."""
+    """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain
+    fields."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
@@ -110,7 +121,8 @@ def chords_stay(rod, tendons, before, after):
 
 @kernel
 def all_pull(tau):
-    """Whether no tendon pushes: the strain then minimises a convex energy, so that there is no other."""
+    """Whether no tendon pushes: the strain then minimises a convex energy, so that there is no
+    other."""
     for tension in tau:
         if tension < 0.0:
             return False

@@ -1,10 +1,14 @@
-"""Transposed forward kinematics: stresses that do the work of wrenches at the nodes, in one sweep from tip to base.
+"""Transposed forward kinematics: stresses that do the work of wrenches at the nodes, in one sweep
+from tip to base.
 
-A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate is not formed.
+A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate
+is not formed.
 
-The displacement of an interval's end in the frame of its start is T Z(delta xi), see kinematics, so that a wrench psi there does the work
-t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in algebra/lie
-T has the formula of SO(3) over the dual numbers: T^T psi = psi + a ad^T psi + b ad^T ad^T psi, ad^T psi = -ad*_Omega psi.
+The displacement of an interval's end in the frame of its start is T Z(delta xi), see kinematics, so
+that a wrench psi there does the work t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 =
+1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in algebra/lie T has the formula of
+SO(3) over the dual numbers: T^T psi = psi + a ad^T psi + b ad^T ad^T psi, ad^T psi = -ad*_Omega
+psi.
 """
 
 import math
@@ -27,7 +31,13 @@ from soft_tendon_env.mechanics.algebra.lie import (
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, pose_at, strains_of_part
+from soft_tendon_env.mechanics.terms.kinematics import (
+    KAPPA,
+    load_pose,
+    magnus,
+    pose_at,
+    strains_of_part,
+)
 from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
 
 
@@ -61,10 +71,18 @@ def wrench_in_base(R, r, f):
 
 @kernel(inline=True)
 def sums_to_tip(x, beyond):
-    """Sums of the components of a wrench over the lanes from each one on, and beyond the pack, with the sums that the pack before needs."""
+    """Sums of the components of a wrench over the lanes from each one on, and beyond the pack, with
+    the sums that the pack before needs."""
     (a, b, c), (d, e, f) = x
     (p, q, r), (s, t, u) = beyond
-    p, q, r, s, t, u = p + lane_sum(a), q + lane_sum(b), r + lane_sum(c), s + lane_sum(d), t + lane_sum(e), u + lane_sum(f)
+    p, q, r, s, t, u = (
+        p + lane_sum(a),
+        q + lane_sum(b),
+        r + lane_sum(c),
+        s + lane_sum(d),
+        t + lane_sum(e),
+        u + lane_sum(f),
+    )
     k = spread(p) - prefix_sum(a) + a, spread(q) - prefix_sum(b) + b, spread(r) - prefix_sum(c) + c
     m = spread(s) - prefix_sum(d) + d, spread(t) - prefix_sum(e) + e, spread(u) - prefix_sum(f) + f
     return (k, m), ((p, q, r), (s, t, u))
@@ -72,7 +90,8 @@ def sums_to_tip(x, beyond):
 
 @kernel
 def add_wrench_stress(rod, wrench, work, stress):
-    """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6), of which the last is the tip; after poses()."""
+    """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6), of which the
+    last is the tip; after poses()."""
     beyond = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for back in range(rod.packs):
         pack = rod.packs - 1 - back
@@ -83,15 +102,22 @@ def add_wrench_stress(rod, wrench, work, stress):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         Omega = magnus(h, xi_1, xi_2)
-        t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, total))
+        t = transposed_dexp(
+            Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, total)
+        )
         t, mu = scale_twist(0.5 * h, t), (2.0 * KAPPA) * h
         store6(stress, at, twist_sum(load6(stress, at), zanna_transposed(-mu, xi_2, t)))
-        store6(stress, at + 6 * LANES, twist_sum(load6(stress, at + 6 * LANES), zanna_transposed(mu, xi_1, t)))
+        store6(
+            stress,
+            at + 6 * LANES,
+            twist_sum(load6(stress, at + 6 * LANES), zanna_transposed(mu, xi_1, t)),
+        )
 
 
 @kernel
 def add_tendon_stress(rod, tendons, force, tangent, stress):
-    """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the tendons; see tendon_forces()."""
+    """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the
+    tendons; see tendon_forces()."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
@@ -102,7 +128,8 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
 
 @kernel
 def add_strain_stress(length, interval, distance, force, stress):
-    """Adds to `stress` (points x 6) that which does the work of `force` (m, 6) on strains_inside()."""
+    """Adds to `stress` (points x 6) that which does the work of `force` (m, 6) on
+    strains_inside()."""
     for m in range(interval.size):
         i = interval[m]
         share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
@@ -114,8 +141,9 @@ def add_strain_stress(length, interval, distance, force, stress):
 
 @kernel
 def add_station_forces(length, interval, distance, force, work, wrench, stress):
-    """Adds what does the work of forces (m, 3), world frame, on the positions of poses_inside(): to `stress` (points x 6) in their own
-    intervals, and to body wrenches (nodes x 6) at the nodes where these begin, for add_wrench_stress(); after poses()."""
+    """Adds what does the work of forces (m, 3), world frame, on the positions of poses_inside(): to
+    `stress` (points x 6) in their own intervals, and to body wrenches (nodes x 6) at the nodes
+    where these begin, for add_wrench_stress(); after poses()."""
     for m in range(interval.size):
         f = force[m, 0], force[m, 1], force[m, 2]
         if dot(f, f) == 0.0:
@@ -132,7 +160,10 @@ def add_station_forces(length, interval, distance, force, work, wrench, stress):
         t, mu = scale_twist(0.5 * part, transposed_dexp(Omega, c, at_start)), 2.0 * KAPPA * part
         first, second = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
         both, apart = twist_sum(first, second), twist_sum(second, scale_twist(-1.0, first))
-        turned = twist_sum(scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both), scale_twist(0.5 * part / h, apart))
+        turned = twist_sum(
+            scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both),
+            scale_twist(0.5 * part / h, apart),
+        )
         at = 2 * (i // LANES) * 6 * LANES + i % LANES
         add_at(stress, at, twist_sum(scale_twist(0.5, both), scale_twist(-1.0, turned)))
         add_at(stress, at + 6 * LANES, twist_sum(scale_twist(0.5, both), turned))

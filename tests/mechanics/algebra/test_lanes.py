@@ -1,4 +1,5 @@
-"""Packs inside kernels do what NumPy does on arrays of LANES numbers; structs of the package inside kernels."""
+"""Packs inside kernels do what NumPy does on arrays of LANES numbers; structs of the package inside
+kernels."""
 
 import copy
 import pickle
@@ -7,7 +8,15 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, largest, load, prefix_sum, store
+from soft_tendon_env.mechanics.algebra.lanes import (
+    LANES,
+    lane,
+    lane_sum,
+    largest,
+    load,
+    prefix_sum,
+    store,
+)
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 
 pytestmark = pytest.mark.no_jit
@@ -38,7 +47,21 @@ def arithmetic(x, y, s, out):
 def test_operators_agree_with_numpy_bit_for_bit():
     s, out = 3.7, np.full(13 * LANES, np.nan)
     arithmetic(X, Y, s, out)
-    expected = [X + Y, X - Y, X * Y, X / Y, X + s, s + X, X - s, s - X, X * s, s * X, X / s, s / X, -X]
+    expected = [
+        X + Y,
+        X - Y,
+        X * Y,
+        X / Y,
+        X + s,
+        s + X,
+        X - s,
+        s - X,
+        X * s,
+        s * X,
+        X / s,
+        s / X,
+        -X,
+    ]
     np.testing.assert_array_equal(out.reshape(-1, LANES), expected)
 
 
@@ -95,7 +118,13 @@ def inner(start=0.0):
 
 
 def outer(**changes):
-    fields = {"count": 7, "inner": inner(), "share": 0.25, "places": np.array([3, 4]), "free": (5, 6)}
+    fields = {
+        "count": 7,
+        "inner": inner(),
+        "share": 0.25,
+        "places": np.array([3, 4]),
+        "free": (5, 6),
+    }
     fields["cube"] = np.arange(24.0).reshape(2, 3, 4)
     return Outer(**{**fields, **changes})
 
@@ -126,7 +155,11 @@ def test_compiled_code_reads_and_fills_the_fields():
 
 
 @pytest.mark.no_jit
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda struct: pickle.loads(pickle.dumps(struct))], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize(
+    "copied",
+    [copy.deepcopy, lambda struct: pickle.loads(pickle.dumps(struct))],
+    ids=["deepcopy", "pickle"],
+)
 def test_copies_stand_on_their_own(copied):
     struct = outer()
     twin, out = copied(struct), np.zeros(7)
@@ -145,11 +178,23 @@ def test_structs_are_found_by_their_addresses():
     ("fields", "message"),
     [
         ({"values": np.zeros(3)}, "Inner should get values, table, not values"),
-        ({"values": np.zeros(3), "table": np.zeros((2, 2)), "more": 1}, "Inner should get values, table, not values, table, more"),
-        ({"values": np.zeros(3, dtype=np.float32), "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array of float64"),
-        ({"values": np.zeros(6)[::2], "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array.* not a strided one"),
+        (
+            {"values": np.zeros(3), "table": np.zeros((2, 2)), "more": 1},
+            "Inner should get values, table, not values, table, more",
+        ),
+        (
+            {"values": np.zeros(3, dtype=np.float32), "table": np.zeros((2, 2))},
+            "Inner.values should be a contiguous array of float64",
+        ),
+        (
+            {"values": np.zeros(6)[::2], "table": np.zeros((2, 2))},
+            "Inner.values should be a contiguous array.* not a strided one",
+        ),
         ({"values": "text", "table": np.zeros((2, 2))}, "Inner.values should be .* not 'text'"),
-        ({"values": (1, 2.5), "table": np.zeros((2, 2))}, r"Inner.values .* a tuple of int alone or of float alone, .* not \(1, 2.5\)"),
+        (
+            {"values": (1, 2.5), "table": np.zeros((2, 2))},
+            r"Inner.values .* a tuple of int alone or of float alone, .* not \(1, 2.5\)",
+        ),
     ],
     ids=["missing", "too many", "float32", "strided", "text", "mixed"],
 )

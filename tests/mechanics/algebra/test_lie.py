@@ -1,7 +1,9 @@
-"""SE(3) against its definitions, as power series summed with 50 digits: near zero, across the series switch, over several turns.
+"""SE(3) against its definitions, as power series summed with 50 digits: near zero, across the
+series switch, over several turns.
 
-The closed forms of the package are compared with sum ad^n / (n + 1)!, so a wrong coefficient cannot be wrong in both.
-They run on packs; linear parts are nonzero, since that is where T and T_dot lose their digits.
+The closed forms of the package are compared with sum ad^n / (n + 1)!, so a wrong coefficient cannot
+be wrong in both. They run on packs; linear parts are nonzero, since that is where T and T_dot lose
+their digits.
 """
 
 import math
@@ -33,9 +35,34 @@ ACCURACY = 1e-12  # relative to the norm of the exact 3-vector
 DIGITS = 50
 SWITCH = math.sqrt(SERIES_LIMIT)
 ANGLES = (
-    0.0, 1e-300, 1e-160, 1e-12, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 0.3, 0.7,
-    0.999, np.nextafter(SWITCH, 0), SWITCH, np.nextafter(SWITCH, 2), 1.001, 1.5, 2.0, 3.0, math.pi, 4.0, 6.0, 2 * math.pi, 7.0, 13.0, 20.0,
-)  # fmt: skip
+    0.0,
+    1e-300,
+    1e-160,
+    1e-12,
+    1e-8,
+    1e-6,
+    1e-4,
+    1e-3,
+    1e-2,
+    0.1,
+    0.3,
+    0.7,
+    0.999,
+    np.nextafter(SWITCH, 0),
+    SWITCH,
+    np.nextafter(SWITCH, 2),
+    1.001,
+    1.5,
+    2.0,
+    3.0,
+    math.pi,
+    4.0,
+    6.0,
+    2 * math.pi,
+    7.0,
+    13.0,
+    20.0,
+)
 
 
 @kernel
@@ -51,7 +78,10 @@ def on_packs(Omegas, rates, xs, out):
 
 
 def evaluate_on_packs(Omegas, rates, xs):
-    lanes_last = [np.ascontiguousarray(v.reshape(-1, LANES, 6).swapaxes(1, 2)).ravel() for v in (Omegas, rates, xs)]
+    lanes_last = [
+        np.ascontiguousarray(v.reshape(-1, LANES, 6).swapaxes(1, 2)).ravel()
+        for v in (Omegas, rates, xs)
+    ]
     out = np.empty(len(Omegas) * 12)
     on_packs(*lanes_last, out)
     return out.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
@@ -63,7 +93,9 @@ def mp_cross(a, b):
 
 def mp_ad(a, x):
     """[k x x_k, p x x_k + k x x_p]."""
-    return mp_cross(a[:3], x[:3]) + [s + t for s, t in zip(mp_cross(a[3:], x[:3]), mp_cross(a[:3], x[3:]), strict=True)]
+    return mp_cross(a[:3], x[:3]) + [
+        s + t for s, t in zip(mp_cross(a[3:], x[:3]), mp_cross(a[:3], x[3:]), strict=True)
+    ]
 
 
 def exact_tangent(Omega, Omega_dot, x):
@@ -73,9 +105,15 @@ def exact_tangent(Omega, Omega_dot, x):
     n = 0
     while max(map(abs, term + rate)) > mpf(10) ** -DIGITS:
         n += 1
-        rate = [(s + t) / (n + 1) for s, t in zip(mp_ad(Omega, rate), mp_ad(Omega_dot, term), strict=True)]
+        rate = [
+            (s + t) / (n + 1)
+            for s, t in zip(mp_ad(Omega, rate), mp_ad(Omega_dot, term), strict=True)
+        ]
         term = [t / (n + 1) for t in mp_ad(Omega, term)]
-        total, total_rate = [s + t for s, t in zip(total, term, strict=True)], [s + t for s, t in zip(total_rate, rate, strict=True)]
+        total, total_rate = (
+            [s + t for s, t in zip(total, term, strict=True)],
+            [s + t for s, t in zip(total_rate, rate, strict=True)],
+        )
     return total, total_rate
 
 
@@ -92,7 +130,8 @@ def exact(Omegas, rates, xs):
 
 @pytest.fixture(scope="module")
 def samples():
-    """Twists of every angle with linear parts from tiny to large, random directions; a whole number of packs."""
+    """Twists of every angle with linear parts from tiny to large, random directions; a whole number
+    of packs."""
     rng = np.random.default_rng(1)
     axes, pushes = rng.normal(size=(2, len(ANGLES) * 3, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
@@ -106,7 +145,9 @@ def samples():
 def relative_errors(found, expected):
     """Per 3-vector, relative to its own norm: (samples, vectors)."""
     found, expected = found.reshape(len(found), -1, 3), expected.reshape(len(expected), -1, 3)
-    return np.linalg.norm(found - expected, axis=-1) / np.maximum(np.linalg.norm(expected, axis=-1), 1e-290)
+    return np.linalg.norm(found - expected, axis=-1) / np.maximum(
+        np.linalg.norm(expected, axis=-1), 1e-290
+    )
 
 
 def test_T_and_T_dot_are_accurate_at_every_angle(samples):
@@ -114,7 +155,9 @@ def test_T_and_T_dot_are_accurate_at_every_angle(samples):
     errors = relative_errors(evaluate_on_packs(*arguments), expected)
     for name, column in zip(("T k", "T p", "T_dot k", "T_dot p"), errors.T, strict=True):
         worst = int(np.argmax(column))
-        assert column[worst] < ACCURACY, f"{name} is off by {column[worst]:.1e} at Omega = {arguments[0][worst]}"
+        assert column[worst] < ACCURACY, (
+            f"{name} is off by {column[worst]:.1e} at Omega = {arguments[0][worst]}"
+        )
 
 
 def pose_of(k, p):
@@ -157,5 +200,9 @@ def test_Ad_is_the_matrix_of_appendix_A_and_its_inverse(two_twists):
     R, r = pose_of(two_twists[0][:3], two_twists[0][3:])
     full = np.reshape(R, (3, 3))
     Ad = matrix(lambda x: Ad_apply(R, r, x))
-    np.testing.assert_allclose(Ad, np.block([[full, np.zeros((3, 3))], [skew(r) @ full, full]]), atol=1e-15)
-    np.testing.assert_allclose(matrix(lambda x: Ad_inverse_apply(R, r, x)) @ Ad, np.eye(6), atol=2e-15)
+    np.testing.assert_allclose(
+        Ad, np.block([[full, np.zeros((3, 3))], [skew(r) @ full, full]]), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        matrix(lambda x: Ad_inverse_apply(R, r, x)) @ Ad, np.eye(6), atol=2e-15
+    )

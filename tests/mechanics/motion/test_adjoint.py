@@ -1,10 +1,15 @@
-"""Adjoints of periods over rows and of the filter of commands: against differences within stated errors, and what they leave as it is."""
+"""Adjoints of periods over rows and of the filter of commands: against differences within stated
+errors, and what they leave as it is."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.mechanics.motion.filter_adjoint import begin_filter, filter_adjoint, make_filter_memory
+from soft_tendon_env.mechanics.motion.filter_adjoint import (
+    begin_filter,
+    filter_adjoint,
+    make_filter_memory,
+)
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.terms.command_filter import lag_response, receive, rest_filter
 from soft_tendon_env.model.simulation import Simulation
@@ -19,8 +24,15 @@ SCENES = {
     "fluid": {"effects.fluid.density": 1000.0},
     "lagging actuators": {"effects.actuators": {"time_constant": 0.03, "rate_limit": 500.0}},
     "tendons that rub": {"effects.tendon_friction": {"coefficient": 0.2}},
-    "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
-    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]}},
+    "elastic tendons": {
+        "effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}
+    },
+    "explicit": {
+        "strain": {
+            "type": "explicit",
+            "modes": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}],
+        }
+    },
 }
 ERRORS = {
     ("loads inside", "q_dot"): 0.1,
@@ -32,14 +44,28 @@ ERRORS = {
     ("explicit", "q"): 0.1,
     ("explicit", "q_dot"): 0.06,
     **dict.fromkeys(
-        [(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "lagging actuators", "explicit")], 0.12
+        [
+            (scene, "command")
+            for scene in (
+                "bare",
+                "gravity and payload",
+                "loads inside",
+                "fluid",
+                "lagging actuators",
+                "explicit",
+            )
+        ],
+        0.12,
     ),
 }
-"""Relative errors along random directions of coordinates, rates and commands, where they are above 0.03."""
+"""Relative errors along random directions of coordinates, rates and commands, where they are above
+0.03."""
 STATE = ("q", "q_dot")
 KEPT = ("q", "q_dot", "xi", "state", "clock", "step")
 READ = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate", "backbone_position")
-STATIONS = np.array([0.0, 0.01, 0.11, 0.2, 0.3])  # in the first interval, beside and at borders, at the tip
+STATIONS = np.array(
+    [0.0, 0.01, 0.11, 0.2, 0.3]
+)  # in the first interval, beside and at borders, at the tip
 FILTERS = {
     "lag": {"time_constant": 0.03},
     "lag and rate": {"time_constant": 0.01, "rate_limit": 60.0},
@@ -53,7 +79,10 @@ FILTERS = {
 def moving_rows(build, changes, threads=1, rows=ROWS):
     """Rows of arms in motion, and commands (rows, 1, 3) to go on with."""
     model = build("three_tendon", {"quadrature.intervals": 4, **changes})
-    arms, rng = Arms(model, rows, PERIOD, STATIONS, np.array([0.07, 0.3]), threads), np.random.default_rng(0)
+    arms, rng = (
+        Arms(model, rows, PERIOD, STATIONS, np.array([0.07, 0.3]), threads),
+        np.random.default_rng(0),
+    )
     arms.place(np.arange(rows), np.tile(Simulation(model).reset_at_rest().q, (rows, 1)))
     unit = 1.0 if model.command_unit == "N" else 1e-3
     for _ in range(5):
@@ -63,7 +92,11 @@ def moving_rows(build, changes, threads=1, rows=ROWS):
 
 def random_cotangents(arms, names, parts=1):
     """Random cotangents of some names, in the units of the arm."""
-    rng, cotangents, unit = np.random.default_rng(1), arms.make_cotangents(parts), arms.model.coordinate_scale()
+    rng, cotangents, unit = (
+        np.random.default_rng(1),
+        arms.make_cotangents(parts),
+        arms.model.coordinate_scale(),
+    )
     for name in names:
         values = getattr(cotangents, name)
         values[:] = rng.normal(size=values.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
@@ -77,44 +110,74 @@ def after(arms, start, command, way=0.0, q=0.0, q_dot=0.0, durations=None):
     arms.rows.q[:] += way * q
     arms.rows.q_dot[:] += way * q_dot
     arms.step(command, np.arange(arms.size), durations)
-    found = {**arms.rows.fields(), **arms.reading.fields(), "backbone_position": arms.reading.backbone[..., :3, 3]}
+    found = {
+        **arms.rows.fields(),
+        **arms.reading.fields(),
+        "backbone_position": arms.reading.backbone[..., :3, 3],
+    }
     return {name: found[name].copy() for name in (*STATE, *READ)}
 
 
 def as_twists(change, pose):
     """Changes of poses (rows, 4, 4) as twists (rows, 6) in their frames."""
     turned = np.linalg.inv(pose) @ change
-    return np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0], *turned[:, :3, 3].T], axis=1)
+    return np.stack(
+        [turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0], *turned[:, :3, 3].T], axis=1
+    )
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_adjoint_is_near_differences(build, scene):
     arms, command = moving_rows(build, SCENES[scene])
     start = {name: getattr(arms.rows, name).copy() for name in KEPT}
-    tape, members, rng, unit = arms.make_tape(), np.arange(ROWS), np.random.default_rng(2), arms.model.coordinate_scale()
+    tape, members, rng, unit = (
+        arms.make_tape(),
+        np.arange(ROWS),
+        np.random.default_rng(2),
+        arms.model.coordinate_scale(),
+    )
     arms.step(command, members, None, tape)
     pose = arms.reading.tip_pose.copy()
-    given, found = random_cotangents(arms, (*STATE, *READ)), random_cotangents(arms, (*STATE, *READ))
+    given, found = (
+        random_cotangents(arms, (*STATE, *READ)),
+        random_cotangents(arms, (*STATE, *READ)),
+    )
     arms.adjoint(tape, members, found)
     for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
         direction = scale * rng.normal(size=getattr(found, name).shape)
         moved = {name: direction} if name in STATE else {}
-        ends = [after(arms, start, command + (0.0 if moved else way * direction), way, **moved) for way in (1e-4, -1e-4)]
+        ends = [
+            after(arms, start, command + (0.0 if moved else way * direction), way, **moved)
+            for way in (1e-4, -1e-4)
+        ]
         changes = {key: (ends[0][key] - ends[1][key]) / 2e-4 for key in ends[0]}
         changes["tip_pose"] = as_twists(changes["tip_pose"], pose)
-        expected = sum((getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1) for key, change in changes.items())
+        expected = sum(
+            (getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1)
+            for key, change in changes.items()
+        )
         slope = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
-        assert np.linalg.norm(slope - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
+        assert np.linalg.norm(slope - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(
+            expected
+        ), name
 
 
 @pytest.mark.parametrize(
     "changes, command",
-    [({**GRAVITY, "effects.contact.obstacles": [PLANE]}, 0.0), (SCENES["elastic tendons"], -1e-3), ({}, 0.0)],
+    [
+        ({**GRAVITY, "effects.contact.obstacles": [PLANE]}, 0.0),
+        (SCENES["elastic tendons"], -1e-3),
+        ({}, 0.0),
+    ],
     ids=["contact", "slack", "at rest"],
 )
 def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
     arms, _ = moving_rows(build, changes)
-    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), random_cotangents(arms, (*STATE, *READ))
+    members, tape, cotangents = (
+        np.arange(ROWS),
+        arms.make_tape(),
+        random_cotangents(arms, (*STATE, *READ)),
+    )
     held = np.full((ROWS, 1, 3), command)
     for _ in range(20):
         arms.step(held, members, None, tape)
@@ -136,7 +199,9 @@ def test_what_has_no_adjoint_is_named(build):
     assert arms.outcome.status[1] != 0
     assert not cotangents.q[1].any() and not cotangents.command[1].any() and cotangents.q[0].any()
     with pytest.raises(ValueError, match="viscoelastic_memory has internal states"):
-        memory = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+        memory = {
+            "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]
+        }
         arms, _ = moving_rows(build, memory)
         arms.adjoint(arms.make_tape(), members, arms.make_cotangents())
 
@@ -151,7 +216,12 @@ def numbers_of(state):
 @pytest.mark.parametrize("name", FILTERS)
 def test_filter_adjoint_is_that_of_differences(name, build):
     arm = build("three_tendon", {"quadrature.intervals": 4, "effects.actuators": FILTERS[name]}).arm
-    effects, memory, scratch, rng = arm.effects, make_filter_memory(arm), make_scratch(arm, 2), np.random.default_rng(0)
+    effects, memory, scratch, rng = (
+        arm.effects,
+        make_filter_memory(arm),
+        make_scratch(arm, 2),
+        np.random.default_rng(0),
+    )
     start, times = effects.state.copy(), np.array([0.0, PERIOD])
     rest_filter(effects, rng.uniform(1.0, 4.0, 3), start)
     for _ in range(4):  # commands are on their way, and tensions lag
@@ -159,11 +229,21 @@ def test_filter_adjoint_is_that_of_differences(name, build):
         start, times = memory.state.copy(), times + PERIOD
     command = rng.uniform(1.0, 4.0, 3)
     begin_filter(effects, start, command, times, True, scratch, memory)
-    of_means, of_state = rng.normal(size=(2, 3)), np.where(numbers_of(memory.state), rng.normal(size=start.size), 0.0)
+    of_means, of_state = (
+        rng.normal(size=(2, 3)),
+        np.where(numbers_of(memory.state), rng.normal(size=start.size), 0.0),
+    )
 
     def run(start, command, count=200):
-        """What the cotangents belong to, mean commands in the halves and the internal state at the end, in many steps."""
-        state, mean, acting, until, step = start.copy(), np.zeros((2, 3)), np.zeros(3), np.zeros(1), PERIOD / count
+        """What the cotangents belong to, mean commands in the halves and the internal state at the
+        end, in many steps."""
+        state, mean, acting, until, step = (
+            start.copy(),
+            np.zeros((2, 3)),
+            np.zeros(3),
+            np.zeros(1),
+            PERIOD / count,
+        )
         for k in range(count):
             receive(effects, command, k == 0, times[0] + k * step, state, acting, until)
             now = acting.copy()
@@ -177,9 +257,16 @@ def test_filter_adjoint_is_that_of_differences(name, build):
     memory.force[:] = of_means
     found, by_command, move = of_state.copy(), np.zeros(3), 1e-5
     filter_adjoint(effects, start, times, True, found, by_command, memory)
-    along = [(start, command + way) for way in move * np.eye(3)], [(start, command - way) for way in move * np.eye(3)]
-    expected = [(run(*ahead) - run(*behind)) / (2.0 * move) for ahead, behind in zip(*along, strict=True)]
+    along = (
+        [(start, command + way) for way in move * np.eye(3)],
+        [(start, command - way) for way in move * np.eye(3)],
+    )
+    expected = [
+        (run(*ahead) - run(*behind)) / (2.0 * move) for ahead, behind in zip(*along, strict=True)
+    ]
     np.testing.assert_allclose(by_command, expected, atol=5e-3)
     for i in np.flatnonzero(numbers_of(start)):
         way = move * np.eye(start.size)[i]
-        assert found[i] == pytest.approx((run(start + way, command) - run(start - way, command)) / (2.0 * move), abs=5e-3)
+        assert found[i] == pytest.approx(
+            (run(start + way, command) - run(start - way, command)) / (2.0 * move), abs=5e-3
+        )

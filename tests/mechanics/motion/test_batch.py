@@ -1,4 +1,5 @@
-"""Rows of arms: a failed step keeps the last good motion, rows are read as the model says; errors between poses are logarithms."""
+"""Rows of arms: a failed step keeps the last good motion, rows are read as the model says; errors
+between poses are logarithms."""
 
 import numpy as np
 import pytest
@@ -24,23 +25,38 @@ def arms_of(model, rows=1, period=0.02, threads=1):
 def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
     terms = model.terms(q, q_dot)
     np.testing.assert_allclose(reading.tip_pose[row], model.tip_pose(q), atol=atol)
-    np.testing.assert_allclose(reading.tip_twist[row], terms.tip_jacobian @ q_dot, atol=10 * atol * max(1.0, np.abs(q_dot).max()))
+    np.testing.assert_allclose(
+        reading.tip_twist[row],
+        terms.tip_jacobian @ q_dot,
+        atol=10 * atol * max(1.0, np.abs(q_dot).max()),
+    )
     np.testing.assert_allclose(reading.tendon_length[row], model.tendon_lengths(q), atol=atol)
     np.testing.assert_allclose(reading.backbone[row], model.backbone_at(q, STATIONS), atol=atol)
 
 
 def test_a_failed_step_keeps_the_last_good_motion(build):
-    model = build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0})
+    model = build(
+        "three_tendon",
+        {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0},
+    )
     arms = arms_of(model, rows=2)
     arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
     tension = np.tile([2.0, 0.0, 0.0], (2, 2, 1))
     arms.step(tension, np.arange(2))
     tension[1, 1] = [1e6, 0.0, 0.0]  # the second half of row 1's period
     half = arms_of(model, rows=1, period=0.01)
-    half.rows.q[0], half.rows.q_dot[0], half.rows.xi[0] = arms.rows.q[1], arms.rows.q_dot[1], arms.rows.xi[1]
+    half.rows.q[0], half.rows.q_dot[0], half.rows.xi[0] = (
+        arms.rows.q[1],
+        arms.rows.q_dot[1],
+        arms.rows.xi[1],
+    )
     arms.step(tension, np.arange(2))
     half.step(tension[1:, :1], np.arange(1))
-    assert arms.outcome.status.tolist()[0] == 0 and arms.outcome.status[1] != 0 and arms.outcome.rejected[1] == 1
+    assert (
+        arms.outcome.status.tolist()[0] == 0
+        and arms.outcome.status[1] != 0
+        and arms.outcome.rejected[1] == 1
+    )
     np.testing.assert_array_equal(arms.rows.q[1], half.rows.q[0])
     assert_reads(arms.reading, 1, model, arms.rows.q[1].copy(), arms.rows.q_dot[1].copy())
 
@@ -70,12 +86,17 @@ def test_a_row_is_read_as_the_model_says(small):
 
 def matrix(twist):
     (kx, ky, kz), p = twist[:3], twist[3:]
-    return np.array([[0.0, -kz, ky, p[0]], [kz, 0.0, -kx, p[1]], [-ky, kx, 0.0, p[2]], [0.0, 0.0, 0.0, 0.0]])
+    return np.array(
+        [[0.0, -kz, ky, p[0]], [kz, 0.0, -kx, p[1]], [-ky, kx, 0.0, p[2]], [0.0, 0.0, 0.0, 0.0]]
+    )
 
 
 def random_poses(rng, count):
     poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = Rotation.random(count, rng).as_matrix(), rng.normal(size=(count, 3))
+    poses[:, :3, :3], poses[:, :3, 3] = (
+        Rotation.random(count, rng).as_matrix(),
+        rng.normal(size=(count, 3)),
+    )
     return poses
 
 
@@ -91,19 +112,28 @@ def test_errors_are_matrix_logarithms():
     pose, wanted = random_poses(rng, 5), random_poses(rng, 15).reshape(5, 3, 4, 4)
     for g, row, found in zip(pose, wanted, errors(pose, wanted), strict=True):
         for g_bar, twist in zip(row, found, strict=True):
-            np.testing.assert_allclose(matrix(twist), np.real(logm(np.linalg.solve(g, g_bar))), atol=1e-10)
+            np.testing.assert_allclose(
+                matrix(twist), np.real(logm(np.linalg.solve(g, g_bar))), atol=1e-10
+            )
 
 
 @pytest.mark.no_jit
-@pytest.mark.cases("angle", [0.0, 1e-12, 1e-8, 1e-4, 1.0, np.pi - 1e-3, np.pi - 1e-6, np.pi - 1e-9, np.pi])
+@pytest.mark.cases(
+    "angle", [0.0, 1e-12, 1e-8, 1e-4, 1.0, np.pi - 1e-3, np.pi - 1e-6, np.pi - 1e-9, np.pi]
+)
 def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
     rng = np.random.default_rng(1)
     pose, axes = random_poses(rng, 20), rng.normal(size=(20, 3))
     axes[:3] = np.eye(3)
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     step = np.tile(np.eye(4), (20, 1, 1))
-    step[:, :3, :3], step[:, :3, 3] = Rotation.from_rotvec(angle * axes).as_matrix(), rng.normal(size=(20, 3))
+    step[:, :3, :3], step[:, :3, 3] = (
+        Rotation.from_rotvec(angle * axes).as_matrix(),
+        rng.normal(size=(20, 3)),
+    )
     found = errors(pose, (pose @ step)[:, None])[:, 0]
-    np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14)
+    np.testing.assert_allclose(
+        np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14
+    )
     for g, g_bar, twist in zip(pose, pose @ step, found, strict=True):
         np.testing.assert_allclose(g @ expm(matrix(twist)), g_bar, atol=1e-10)

@@ -1,4 +1,5 @@
-"""Linearised forces and the linear map of a period: against differences of all terms of the motion, and against its formula."""
+"""Linearised forces and the linear map of a period: against differences of all terms of the motion,
+and against its formula."""
 
 import numpy as np
 import pytest
@@ -6,7 +7,12 @@ import pytest
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, evaluate_force
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
 from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
-from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_plan, matrices_of_motion, transposed_map
+from soft_tendon_env.mechanics.motion.period_map import (
+    add_jacobian,
+    make_plan,
+    matrices_of_motion,
+    transposed_map,
+)
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.workspace import sizes_of, zeros
@@ -20,8 +26,19 @@ SCENES = {
     "loads inside": {**GRAVITY, "strain.include_loads": True},
     "fluid": {**GRAVITY, "effects.fluid": {"density": 1000.0}},
     "stiffening": {"effects.nonlinear_elasticity": {"bending": 5.0, "stretch": 0.05}},
-    "moving base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
-    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}},
+    "moving base": {
+        "effects.moving_base": {
+            "amplitude": [0.0, 0.01, 0.0],
+            "angular_amplitude": 0.2,
+            "frequency": 2.0,
+        }
+    },
+    "explicit": {
+        "strain": {
+            "type": "explicit",
+            "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}],
+        }
+    },
 }
 TIME = 0.1  # [s], at which the base moves
 PERIOD = 0.02
@@ -30,27 +47,58 @@ PERIOD = 0.02
 @pytest.mark.parametrize("scene", SCENES)
 def test_gradient_is_that_of_all_terms(build, scene):
     model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
-    rng, unit, n, u = np.random.default_rng(0), model.coordinate_scale(), model.coordinate_count, np.array([1.0, 3.0, 2.0])
+    rng, unit, n, u = (
+        np.random.default_rng(0),
+        model.coordinate_scale(),
+        model.coordinate_count,
+        np.array([1.0, 3.0, 2.0]),
+    )
     q, v, a, w = (scale * unit * rng.normal(size=n) for scale in (0.3, 3.0, 30.0, 1.0))
 
     def power(q, v):
         terms = model.terms(q, v, time=TIME)
-        force = terms.actuation @ u - terms.elastic_force - terms.damping @ v - terms.bias + terms.external_force
+        force = (
+            terms.actuation @ u
+            - terms.elastic_force
+            - terms.damping @ v
+            - terms.bias
+            + terms.external_force
+        )
         return w @ (force - terms.mass @ a)
 
     def gradient(x, y):
         steps = 1e-4 * np.diag(unit)
-        return np.array([(power(q + x * step, v + y * step) - power(q - x * step, v - y * step)) / 2e-4 for step in steps]) / unit
+        return (
+            np.array(
+                [
+                    (power(q + x * step, v + y * step) - power(q - x * step, v - y * step)) / 2e-4
+                    for step in steps
+                ]
+            )
+            / unit
+        )
 
     scratch, memory = make_scratch(model.arm, 1), zeros(GradientMemory, sizes_of(model.arm))
     motion = Motion(q, v, model.packed_strain(q), np.zeros(0), np.array([TIME]))
     scratch.work.xi[:] = motion.xi
-    evaluate_force(model.arm, step_method(model)._replace(strain_tolerance=1e-12), u, q, v, motion.state, TIME, scratch)
+    evaluate_force(
+        model.arm,
+        step_method(model)._replace(strain_tolerance=1e-12),
+        u,
+        q,
+        v,
+        motion.state,
+        TIME,
+        scratch,
+    )
     start_matrices(model.arm, scratch)
     memory.w[:], memory.a[:] = w, a
     damping = scratch.first.damping @ w
     force_gradient(model.arm, u, motion, 2e-3, True, scratch.work, memory)
-    for found, expected in ((memory.by_q, gradient(1.0, 0.0)), (memory.by_rate - damping, gradient(0.0, 10.0) / 10.0)):
+    for found, expected in (
+        (memory.by_q, gradient(1.0, 0.0)),
+        (memory.by_rate - damping, gradient(0.0, 10.0) / 10.0),
+    ):
         np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
@@ -63,26 +111,39 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
     arm, n, motion = simulation.model.arm, simulation.model.coordinate_count, simulation._motion
     scratch, method = make_scratch(arm, 2), Extrapolated(2, 2, True, False, 1e-9)
     scratch.work.xi[:] = motion.xi
-    assert evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch) == OK
+    assert (
+        evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch)
+        == OK
+    )
     matrices_of_motion(arm, method, scratch)
     mass, damping, stiffness = scratch.first.mass, scratch.first.damping, scratch.first.stiffness
 
     def step(h):
-        v = np.linalg.solve(mass + h * damping + h**2 * stiffness, np.hstack([-h * stiffness, mass, h * np.eye(n)]))
+        v = np.linalg.solve(
+            mass + h * damping + h**2 * stiffness, np.hstack([-h * stiffness, mass, h * np.eye(n)])
+        )
         by_q = np.hstack([np.eye(n), np.zeros((n, 2 * n))]) + h * v
         return np.vstack([by_q, v, np.hstack([np.zeros((n, 2 * n)), np.eye(n)])])
 
     def close(found, expected):
         for part in (slice(0, 2 * n), slice(2 * n, None)):
-            np.testing.assert_allclose(found[:, part], expected[:, part], atol=1e-9 * np.abs(expected[:, part]).max())
+            np.testing.assert_allclose(
+                found[:, part], expected[:, part], atol=1e-9 * np.abs(expected[:, part]).max()
+            )
 
     plan = make_plan(arm, 1, 1, np.zeros((n, n - 3)))
     plan.forces[:] = np.eye(n)
     for count in (1, 3):
-        coarse, fine, found = step(PERIOD / count), step(0.5 * PERIOD / count), np.zeros((2 * n, 3 * n))
+        coarse, fine, found = (
+            step(PERIOD / count),
+            step(0.5 * PERIOD / count),
+            np.zeros((2 * n, 3 * n)),
+        )
         add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, plan, found)
         add_jacobian(scratch.first, PERIOD / count, count, -1.0, plan, found)
-        expected = (2.0 * np.linalg.matrix_power(fine, 2 * count) - np.linalg.matrix_power(coarse, count))[: 2 * n]
+        expected = (
+            2.0 * np.linalg.matrix_power(fine, 2 * count) - np.linalg.matrix_power(coarse, count)
+        )[: 2 * n]
         close(found, expected)
     rows = []
     for unit in np.eye(2 * n):

@@ -1,4 +1,5 @@
-"""The terms of the equation of motion: against reference numbers, and against energies, differences and virtual work."""
+"""The terms of the equation of motion: against reference numbers, and against energies, differences
+and virtual work."""
 
 import numpy as np
 import pytest
@@ -7,20 +8,31 @@ COARSE = {"quadrature.intervals": 2}
 SMALL = pytest.param("paper", {"quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
 FEW = [
     SMALL,
-    pytest.param("paper_16dof", {**COARSE, "strain.passive_coordinates": "raw"}, id="paper_16dof raw"),
+    pytest.param(
+        "paper_16dof", {**COARSE, "strain.passive_coordinates": "raw"}, id="paper_16dof raw"
+    ),
     pytest.param("four_tendon", COARSE, id="redundant"),
     pytest.param("helical", COARSE, id="pre-curved"),
     pytest.param("paper_48dof", COARSE, id="explicit"),
 ]
 TIGHT = {  # three times what was measured
-    "mass": 8e-7, "bias": 4e-6, "damping": 5e-8, "actuation": 5e-8, "elastic_force": 1e-7, "external_force": 5e-7, "tip_jacobian": 6e-7,
+    "mass": 8e-7,
+    "bias": 4e-6,
+    "damping": 5e-8,
+    "actuation": 5e-8,
+    "elastic_force": 1e-7,
+    "external_force": 5e-7,
+    "tip_jacobian": 6e-7,
     "tip_pose": 8e-7,
-}  # fmt: skip
+}
 
 
 def gradient(function, q, step):
     """Central differences of a scalar or array function, last axis the coordinate."""
-    return np.stack([(function(q + step * e) - function(q - step * e)) / (2 * step) for e in np.eye(q.size)], axis=-1)
+    return np.stack(
+        [(function(q + step * e) - function(q - step * e)) / (2 * step) for e in np.eye(q.size)],
+        axis=-1,
+    )
 
 
 def assert_close(found, expected, relative):
@@ -31,7 +43,8 @@ def assert_close(found, expected, relative):
 @pytest.mark.parametrize("dof", (10, 16))
 @pytest.mark.parametrize("case", range(4))
 def test_terms_agree_with_an_independent_model(dof, case, build, reference, check_terms):
-    """Automatic differentiation of the rod's Lagrangian, see tests/data; at 48 intervals a piece."""
+    """Automatic differentiation of the rod's Lagrangian, see tests/data; at 48 intervals a
+    piece."""
     name = {10: "paper", 16: "paper_16dof"}[dof]
     raw = {"strain.passive_coordinates": "raw"} if dof == 16 else {}
     changes = {"quadrature.intervals": 48, **raw, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -60,26 +73,33 @@ def test_bias_is_lagranges(name, changes, build, random_state):
     q, q_dot = random_state(model, 4)
     size = np.abs(q).max()
     M = gradient(lambda x: model.terms(x, q_dot).mass, q, 1e-4 * size)
-    expected = np.einsum("ijk,j,k->i", M, q_dot, q_dot) - 0.5 * np.einsum("ijk,i,j->k", M, q_dot, q_dot)
+    expected = np.einsum("ijk,j,k->i", M, q_dot, q_dot) - 0.5 * np.einsum(
+        "ijk,i,j->k", M, q_dot, q_dot
+    )
     assert_close(model.terms(q, q_dot).bias, expected, 3e-6)
 
 
 @pytest.mark.parametrize(("name", "changes"), FEW)
 def test_elastic_force_and_actuation_are_gradients(name, changes, build, random_state):
-    """Of the elastic energy, and of the tendons' lengths, B = -(d length / dq)^T: a tension does work as its tendon shortens."""
+    """Of the elastic energy, and of the tendons' lengths, B = -(d length / dq)^T: a tension does
+    work as its tendon shortens."""
     model = build(name, changes)
     q, q_dot = random_state(model, 8)
     terms, step = model.terms(q, q_dot), 1e-4 * np.abs(q).max()
-    assert_close(terms.elastic_force, gradient(lambda x: model.energy(x, q_dot).elastic, q, step), 1e-6)
+    assert_close(
+        terms.elastic_force, gradient(lambda x: model.energy(x, q_dot).elastic, q, step), 1e-6
+    )
     assert_close(terms.actuation, -gradient(model.tendon_lengths, q, step).T, 1e-6)
 
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [p for p in FEW if p.id not in ("redundant", "explicit")] + [pytest.param("paper moments 0-3", COARSE, id="moments")],
+    [p for p in FEW if p.id not in ("redundant", "explicit")]
+    + [pytest.param("paper moments 0-3", COARSE, id="moments")],
 )
 def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
-    """K - B u = G (q - [u; 0]), B = G's first columns: physics of the statics-based strain with independent tendons."""
+    """K - B u = G (q - [u; 0]), B = G's first columns: physics of the statics-based strain with
+    independent tendons."""
     model = build(name, changes)
     q, q_dot = random_state(model, 10)
     u = np.random.default_rng(0).uniform(0, 30, model.tendon_count)
@@ -88,21 +108,31 @@ def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     np.testing.assert_array_equal(model.rest_coordinates(u), rest)
     assert_close(terms.actuation, terms.stiffness[:, : u.size], 1e-12)
     drive = terms.elastic_force - terms.actuation @ u
-    np.testing.assert_allclose(drive, terms.stiffness @ (q - rest), atol=1e-12 * np.abs(terms.elastic_force).max())
+    np.testing.assert_allclose(
+        drive, terms.stiffness @ (q - rest), atol=1e-12 * np.abs(terms.elastic_force).max()
+    )
 
 
 @pytest.mark.parametrize("name", ("paper", "four_tendon", "paper_48dof"))
 def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
-    """At rest for the statics-based strain; everywhere for an explicit basis, which needs to know the tension.
+    """At rest for the statics-based strain; everywhere for an explicit basis, which needs to know
+    the tension.
 
-    Redundant tendons: at rest means at tensions that the coordinates can take, half of each opposite pair.
+    Redundant tendons: at rest means at tensions that the coordinates can take, half of each
+    opposite pair.
     """
     model = build(name, COARSE)
-    u = np.array([4.0, 3.0, 0.0, 1.0, 2.0, 0.0, 5.0, 1.0, 3.0, 0.0]) if model.tendon_count == 10 else np.array([2.0, 1.0, 1.0, 2.0])
+    u = (
+        np.array([4.0, 3.0, 0.0, 1.0, 2.0, 0.0, 5.0, 1.0, 3.0, 0.0])
+        if model.tendon_count == 10
+        else np.array([2.0, 1.0, 1.0, 2.0])
+    )
     q = random_state(model, 11)[0] if name == "paper_48dof" else model.rest_coordinates(u)
 
     def unbalanced(x):
         terms = model.terms(x, 0 * x)
         return terms.elastic_force - terms.actuation @ u
 
-    assert_close(model.terms(q, 0 * q, u).stiffness, gradient(unbalanced, q, 1e-4 * np.abs(q).max()), 1e-6)
+    assert_close(
+        model.terms(q, 0 * q, u).stiffness, gradient(unbalanced, q, 1e-4 * np.abs(q).max()), 1e-6
+    )

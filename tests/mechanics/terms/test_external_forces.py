@@ -1,4 +1,5 @@
-"""The seam of the effects: each one that a table names is called once, in order, with its own parameters; the others do not exist."""
+"""The seam of the effects: each one that a table names is called once, in order, with its own
+parameters; the others do not exist."""
 
 import pickle
 
@@ -59,22 +60,33 @@ def evaluate_at(arm, q):
 )
 def test_the_effects_of_the_table_act_in_order(build, effects, result):
     model = build("four_tendon")
-    assert evaluate_at(with_effects(model, *effects), np.zeros(model.coordinate_count)).wrench[0] == result
+    assert (
+        evaluate_at(with_effects(model, *effects), np.zeros(model.coordinate_count)).wrench[0]
+        == result
+    )
 
 
 def test_parameters_that_do_not_fit_their_class_are_refused():
     with pytest.raises(TypeError, match="Plus should get amount, not 1.0, 2.0"):
         Plus(1.0, 2.0)
-    with pytest.raises(TypeError, match="Plus.amount should be a contiguous array .*, or a number, not 'x'"):
+    with pytest.raises(
+        TypeError, match="Plus.amount should be a contiguous array .*, or a number, not 'x'"
+    ):
         Plus("x")
-    with pytest.raises(TypeError, match="should be a class derived from soft_tendon_env.effects.Struct, not <class 'tuple'>"):
+    with pytest.raises(
+        TypeError,
+        match="should be a class derived from soft_tendon_env.effects.Struct, not <class 'tuple'>",
+    ):
         adds_wrench(tuple)
-    with pytest.raises(ValueError, match="implicit is .'speed',.: it should name pose, twist or both"):
+    with pytest.raises(
+        ValueError, match="implicit is .'speed',.: it should name pose, twist or both"
+    ):
         adds_wrench(Plus, implicit=("speed",))
 
 
 def test_a_pickled_table_finds_its_kernels(build):
-    """Addresses of machine code mean nothing in another process, so they are not what is pickled."""
+    """Addresses of machine code mean nothing in another process, so they are not what is
+    pickled."""
     model = build("four_tendon")
     arm = with_effects(model, Plus(2.0), Times(10.0, (4.0, 1.0)))
     text = pickle.dumps(arm)

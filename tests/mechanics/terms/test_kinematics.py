@@ -1,4 +1,5 @@
-"""Poses, Jacobian and bias against exponentials and differences, and the fourth order of the Magnus steps as slopes."""
+"""Poses, Jacobian and bias against exponentials and differences, and the fourth order of the Magnus
+steps as slopes."""
 
 import numpy as np
 import pytest
@@ -20,13 +21,18 @@ COUNTS = (2, 4, 8, 16)
 def hat(xi):
     """The 4x4 matrix of a twist (k, p)."""
     k, p = xi[:3], xi[3:]
-    return np.array([[0, -k[2], k[1], p[0]], [k[2], 0, -k[0], p[1]], [-k[1], k[0], 0, p[2]], [0, 0, 0, 0]])
+    return np.array(
+        [[0, -k[2], k[1], p[0]], [k[2], 0, -k[0], p[1]], [-k[1], k[0], 0, p[2]], [0, 0, 0, 0]]
+    )
 
 
 def vee(matrices):
     """Twists (.., 6) of 4x4 matrices."""
     m = np.asarray(matrices)
-    return np.stack([m[..., 2, 1], m[..., 0, 2], m[..., 1, 0], m[..., 0, 3], m[..., 1, 3], m[..., 2, 3]], axis=-1)
+    return np.stack(
+        [m[..., 2, 1], m[..., 0, 2], m[..., 1, 0], m[..., 0, 3], m[..., 1, 3], m[..., 2, 3]],
+        axis=-1,
+    )
 
 
 def at_nodes(model, field):
@@ -38,8 +44,16 @@ def at_nodes(model, field):
 @pytest.fixture
 def constant_strain(build):
     """An arm whose six coordinates are the six strains, the same everywhere, less the reference."""
-    modes = [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 0, "span": "rod"}]
-    return build("three_tendon", {"strain": {"type": "explicit", "modes": modes}, "quadrature.intervals": 3})
+    modes = [
+        {
+            "strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
+            "order": 0,
+            "span": "rod",
+        }
+    ]
+    return build(
+        "three_tendon", {"strain": {"type": "explicit", "modes": modes}, "quadrature.intervals": 3}
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,20 +67,31 @@ def test_constant_strain_gives_the_exponential_everywhere(seed, constant_strain)
 
 
 @pytest.mark.parametrize(("name", "changes"), MODELS)
-def test_body_jacobian_at_all_nodes_against_differences(name, changes, build, random_state, workspace_at):
+def test_body_jacobian_at_all_nodes_against_differences(
+    name, changes, build, random_state, workspace_at
+):
     """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
     model = build(name, changes)
     q, q_dot = random_state(model, 1)
-    nodes, work = (model.grid.start + model.grid.length)[model.grid.real], workspace_at(model, q, q_dot)
+    nodes, work = (
+        (model.grid.start + model.grid.length)[model.grid.real],
+        workspace_at(model, q, q_dot),
+    )
     J, pose = at_nodes(model, work.J), model.backbone_at(q, nodes)
     step = 1e-4 * np.abs(q).max()
     for j in range(0, q.size, 1 if q.size < 25 else 7):
         change = step * np.eye(q.size)[j]
-        rate = (model.backbone_at(q + change, nodes) - model.backbone_at(q - change, nodes)) / (2 * step)
-        np.testing.assert_allclose(J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max())
+        rate = (model.backbone_at(q + change, nodes) - model.backbone_at(q - change, nodes)) / (
+            2 * step
+        )
+        np.testing.assert_allclose(
+            J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max()
+        )
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_jacobian, J[:, -1].T)
     eta = at_nodes(model, work.eta)[0]
-    np.testing.assert_allclose(eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max())
+    np.testing.assert_allclose(
+        eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max()
+    )
 
 
 @pytest.mark.parametrize(("name", "changes"), MODELS)
@@ -91,7 +116,24 @@ def slope(errors):
 def test_terms_converge_with_fourth_order(name, build, random_state):
     """Against 64 intervals a piece."""
     q, q_dot = random_state(build(name, {"quadrature.intervals": 8}), 5)
-    fine, *coarse = (build(name, {"quadrature.intervals": count}).terms(q, q_dot)._asdict() for count in (64, *COUNTS))
-    for key in ("tip_pose", "tip_jacobian", "tip_bias", "mass", "bias", "damping", "stiffness", "actuation", "elastic_force"):
-        errors = [np.abs(found[key] - fine[key]).max() / np.abs(fine[key]).max() for found in coarse]
-        assert slope(errors) > 3.7 and errors[-1] < 1e-4, f"{key}: {errors}, order {slope(errors):.2f}"
+    fine, *coarse = (
+        build(name, {"quadrature.intervals": count}).terms(q, q_dot)._asdict()
+        for count in (64, *COUNTS)
+    )
+    for key in (
+        "tip_pose",
+        "tip_jacobian",
+        "tip_bias",
+        "mass",
+        "bias",
+        "damping",
+        "stiffness",
+        "actuation",
+        "elastic_force",
+    ):
+        errors = [
+            np.abs(found[key] - fine[key]).max() / np.abs(fine[key]).max() for found in coarse
+        ]
+        assert slope(errors) > 3.7 and errors[-1] < 1e-4, (
+            f"{key}: {errors}, order {slope(errors):.2f}"
+        )

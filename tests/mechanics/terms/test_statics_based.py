@@ -1,4 +1,5 @@
-"""The strain parametrisations against their definitions: the balance (30), derivatives by differences, rigid strains, limits."""
+"""The strain parametrisations against their definitions: the balance (30), derivatives by
+differences, rigid strains, limits."""
 
 import numpy as np
 import pytest
@@ -26,20 +27,25 @@ STATICS_BASED = [
     pytest.param("four_tendon", COARSE, id="redundant"),
     pytest.param("two_segment_six", COARSE, id="two segments"),
     pytest.param("helical", COARSE, id="pre-curved"),
-    pytest.param("catheter", {**COARSE, "strain.strains": ["torsion", "bend_y", "bend_z"]}, id="Kirchhoff"),
+    pytest.param(
+        "catheter", {**COARSE, "strain.strains": ["torsion", "bend_y", "bend_z"]}, id="Kirchhoff"
+    ),
 ]
 EXPLICIT = [pytest.param("paper_48dof", COARSE, id="explicit")]
 
 
 def reference_strain(scene, X):
     reference = np.zeros((X.size, 6))
-    reference[:, :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, X)]
+    reference[:, :3] = np.array([segment.curvature for segment in scene.segments])[
+        segment_index(scene, X)
+    ]
     reference[:, 3] = 1.0
     return reference
 
 
 def tendon_wrenches(scene, X, xi):
-    """Phi_a(xi) = -[d x t; t] of every tendon from the scene's own geometry, zero past its ends: (n_a, points, 6)."""
+    """Phi_a(xi) = -[d x t; t] of every tendon from the scene's own geometry, zero past its ends:
+    (n_a, points, 6)."""
     columns = []
     for tendon in scene.tendons:
         start, end = tendon_ends(scene, tendon)
@@ -52,8 +58,11 @@ def tendon_wrenches(scene, X, xi):
 
 
 @pytest.mark.parametrize(("name", "changes"), STATICS_BASED)
-def test_implicit_strain_balances_tensions_and_passive_fields(name, changes, build, random_state, at_points):
-    """(30): Sigma (xi - xi*) = Phi_a(xi) tau + Phi_p q_p to round-off, in the strains that exist."""
+def test_implicit_strain_balances_tensions_and_passive_fields(
+    name, changes, build, random_state, at_points
+):
+    """(30): Sigma (xi - xi*) = Phi_a(xi) tau + Phi_p q_p to round-off, in the strains that
+    exist."""
     model = build(name, changes)
     strain, (q, _) = model.arm.strain, random_state(model, 1)
     X, xi = model.strain(q)
@@ -66,18 +75,28 @@ def test_implicit_strain_balances_tensions_and_passive_fields(name, changes, bui
     elasticity = screw_matrices(model.scene, X)[0]
     expected = exists * wrench / elasticity
     assert np.abs(expected).max() > 1e-3  # the state is worth testing
-    np.testing.assert_allclose(xi - reference_strain(model.scene, X), expected, atol=3e-15 * max(1.0, np.abs(expected).max()))
+    np.testing.assert_allclose(
+        xi - reference_strain(model.scene, X),
+        expected,
+        atol=3e-15 * max(1.0, np.abs(expected).max()),
+    )
 
 
 @pytest.mark.parametrize(("name", "changes"), STATICS_BASED + EXPLICIT)
-def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(name, changes, build, random_state, check_derivatives):
+def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(
+    name, changes, build, random_state, check_derivatives
+):
     model = build(name, changes)
     check_derivatives(model, *random_state(model, 2), rounding=1e-12)
 
 
 @pytest.mark.parametrize(
     "strains",
-    [("torsion", "bend_y", "bend_z"), ("torsion", "bend_y", "bend_z", "shear_y", "shear_z"), ("bend_y",)],
+    [
+        ("torsion", "bend_y", "bend_z"),
+        ("torsion", "bend_y", "bend_z", "shear_y", "shear_z"),
+        ("bend_y",),
+    ],
     ids=["Kirchhoff", "inextensible", "bend_y"],
 )
 def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace_at, at_points):
@@ -103,27 +122,49 @@ def solve_from_guess(model, q, guess):
 @pytest.mark.no_jit
 @pytest.mark.parametrize(("tension", "reaches"), [(150.0, True), (-300.0, True), (-1500.0, False)])
 def test_strong_pulls_and_pushes(tension, reaches, build):
-    """Pulling has a solution at any size that the section bears; pushing past the section's shear stiffness has none, and says where."""
+    """Pulling has a solution at any size that the section bears; pushing past the section's shear
+    stiffness has none, and says where."""
     model = build("paper", COARSE)
     q, work = np.zeros(10), make_workspace(model.arm)
     q[0] = tension
     block, reached = configure(model.arm, q, TOLERANCE, work)
-    assert (block == -1 and reached == 1.0) if reaches else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
+    assert (
+        (block == -1 and reached == 1.0)
+        if reaches
+        else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
+    )
     if not reaches:  # what is left in work.xi is the strain at the part that was reached
         np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.xi)[0], -1)
 
 
 def has_margin(model, tension):
-    return bool(strain_has_margin(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
+    return bool(
+        strain_has_margin(
+            model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)
+        )
+    )
 
 
 def test_strains_near_the_limit_of_a_push_have_no_margin(build):
-    """A single straight tendon pushes its section over at 320 N; pulls have a margin as far as they have a strain."""
+    """A single straight tendon pushes its section over at 320 N; pulls have a margin as far as they
+    have a strain."""
     model = build("paper", COARSE)
     one = np.eye(10)[0]
-    assert [has_margin(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
+    assert [has_margin(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
     assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
-    assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+    assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(
