@@ -37,8 +37,9 @@ test-lowest: .venv-lowest/.installed ## tests that hang on versions, with the lo
 test-newest: .venv-newest/.installed ## such tests without agents, on the newest Python that is there, with the newest versions, in .venv-newest
 	.venv-newest/bin/python -m pytest $(OPTIONS) -m "not slow" $(OF_CORE)
 
-check: .venv/.installed-check ## lint, types, direction of imports
+check: .venv/.installed-check ## lint, format, types, direction of imports
 	$(PYTHON) -m ruff check
+	$(PYTHON) -m ruff format --check
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
 

@@ -1,4 +1,5 @@
-"""MkDocs hooks: README, CONTRIBUTING and CHANGELOG of the root as pages, example files within pages, and source files that pages name."""
+"""MkDocs hooks: README, CONTRIBUTING and CHANGELOG of the root as pages, example files within
+pages, and source files that pages name."""
 
 import posixpath
 import re
@@ -10,7 +11,11 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
 SOURCES = {".py": "python", ".toml": "toml"}
 """Endings of source files that have a page each, and their language."""
 FOLDERS = ("examples", "benchmarks", "configs")
@@ -19,7 +24,8 @@ BOOSTS = {"how_to/recipes.md": 4, "how_to/controllers.md": 2, "api/": 0.3}
 NOT_SEARCHED = "---\nsearch: {exclude: true}\n---\n"
 SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
 FENCE_LINK_OR_CODE = re.compile(
-    r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`", re.MULTILINE | re.DOTALL
+    r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`",
+    re.MULTILINE | re.DOTALL,
 )
 
 
@@ -29,10 +35,19 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "appendix/generated.md", content=generated.overview()))
     for source, page in PAGES.items():
         text = site_links((root / source).read_text(encoding="utf-8"), root)
-        files.append(File.generated(config, page, content=f"{NOT_SEARCHED}{text}" if source == "CHANGELOG.md" else text))
-    for path in sorted(path for folder in FOLDERS for path in (root / folder).rglob("*") if path.suffix in SOURCES):
+        files.append(
+            File.generated(
+                config, page, content=f"{NOT_SEARCHED}{text}" if source == "CHANGELOG.md" else text
+            )
+        )
+    for path in sorted(
+        path for folder in FOLDERS for path in (root / folder).rglob("*") if path.suffix in SOURCES
+    ):
         name = path.relative_to(root).as_posix()
-        text = f"{NOT_SEARCHED}# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
+        text = (
+            f"{NOT_SEARCHED}#"
+            f" {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
+        )
         files.append(File.generated(config, source_page(name), content=text))
     return files
 
@@ -40,7 +55,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
     """Lets long names, such as those of tests, break behind an underscore or a dot."""
     broken = re.compile(r"(?<=\w[_.])(?=\w)")
-    return re.sub(r"<code>([\w.\[\]]{30,})</code>", lambda match: f"<code>{broken.sub('<wbr>', match[1])}</code>", content)
+    return re.sub(
+        r"<code>([\w.\[\]]{30,})</code>",
+        lambda match: f"<code>{broken.sub('<wbr>', match[1])}</code>",
+        content,
+    )
 
 
 def on_post_build(config: MkDocsConfig) -> None:
@@ -54,30 +73,37 @@ def source_page(name: str) -> str:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **kwargs: Any) -> str:
-    """Puts a file's text in the place of a comment that names it, `<!-- file: examples/own_task.py -->`, and makes links of the names of
-    source files. Raises OSError."""
+    """Puts a file's text in the place of a comment that names it,
+    `<!-- file: examples/own_task.py -->`, and makes links of the names of source files. Raises
+    OSError."""
     root, uri = Path(config.config_file_path).parent, page.file.src_uri
 
     def text(match: re.Match[str]) -> str:
         return f'```python title="{match[1]}"\n{(root / match[1]).read_text(encoding="utf-8")}```'
 
     def linked(match: re.Match[str]) -> str:
-        target = match["target"] and posixpath.normpath(posixpath.join("docs", posixpath.dirname(uri), match["target"]))
+        target = match["target"] and posixpath.normpath(
+            posixpath.join("docs", posixpath.dirname(uri), match["target"])
+        )
         name = match["path"] or target
         if name is None or not SOURCE.fullmatch(name) or not (root / name).is_file():
             return match[0]
-        return f"{match['link'] or f'[`{name}`]'}({posixpath.relpath(source_page(name), posixpath.dirname(uri) or '.')})"
+        label = match["link"] or f"[`{name}`]"
+        address = posixpath.relpath(source_page(name), posixpath.dirname(uri) or ".")
+        return f"{label}({address})"
 
     if uri.startswith("sources/"):
         return markdown
     if boost := next((boost for start, boost in BOOSTS.items() if uri.startswith(start)), None):
         page.meta["search"] = {"boost": boost}
-    return FENCE_LINK_OR_CODE.sub(linked, re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE))
+    return FENCE_LINK_OR_CODE.sub(
+        linked, re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE)
+    )
 
 
 def site_links(text: str, root: Path) -> str:
-    """Links to files in docs/ and to PAGES lead to their pages, those to source files to theirs; of other files, which the site lacks,
-    only the name stays."""
+    """Links to files in docs/ and to PAGES lead to their pages, those to source files to theirs; of
+    other files, which the site lacks, only the name stays."""
 
     def replaced(match: re.Match[str]) -> str:
         picture, label, target = match.groups()
@@ -90,6 +116,8 @@ def site_links(text: str, root: Path) -> str:
             return f"[{label}]({source_page(path)})"
         if path not in PAGES and not path.startswith("docs/"):
             return label if label == path else f"{label} (`{path}`)"
-        return f"{picture}[{label}]({PAGES.get(path, path.removeprefix('docs/'))}{'#' + anchor if anchor else ''})"
+        address = PAGES.get(path, path.removeprefix("docs/"))
+        fragment = f"#{anchor}" if anchor else ""
+        return f"{picture}[{label}]({address}{fragment})"
 
     return re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", replaced, text)

@@ -1,9 +1,12 @@
-"""A measured arm identified from its authors' files: `python examples/tentacle.py FOLDER [--out out/tentacle]`
+"""A measured arm identified from its authors' files:
+`python examples/tentacle.py FOLDER [--out out/tentacle]`
 
-FOLDER has the CSV files of motion capture that the SoRoMoX authors published (github.com/tud-phi/soromox, paper_results/
-secVa_system_identification/data, MIT licence): one file a still hold, a line a frame, and behind number and time the positions of five
-markers in an order that differs from file to file. Writes holds.csv, tentacle.toml and markers.toml as `soft-tendon identify` takes them,
-fits Young's modulus and density, then base and markers too, and prints the errors on held-out holds.
+FOLDER has the CSV files of motion capture that the SoRoMoX authors published
+(github.com/tud-phi/soromox, paper_results/ secVa_system_identification/data, MIT licence): one file
+a still hold, a line a frame, and behind number and time the positions of five markers in an order
+that differs from file to file. Writes holds.csv, tentacle.toml and markers.toml as
+`soft-tendon identify` takes them, fits Young's modulus and density, then base and markers too, and
+prints the errors on held-out holds.
 """
 
 import argparse
@@ -22,7 +25,12 @@ ONE = {"005": 0.05, "01": 0.1, "012": 0.12, "015": 0.15, "018": 0.18, "02": 0.2,
 TORQUES = {  # [N m] of both motors, by the names of the files
     **{f"m1_u{text}": (torque, 0.0) for text, torque in ONE.items()},
     **{f"m2_u{text}": (0.0, torque) for text, torque in ONE.items()},
-    **{"m12_u00100005": (0.1, 0.05), "m12_u001": (0.1, 0.1), "m12_u001002": (0.1, 0.2), "m12_u002001": (0.2, 0.1)},
+    **{
+        "m12_u00100005": (0.1, 0.05),
+        "m12_u001": (0.1, 0.1),
+        "m12_u001002": (0.1, 0.2),
+        "m12_u002001": (0.2, 0.1),
+    },
     **{"m12_u0015002": (0.15, 0.2), "m12_u002": (0.2, 0.2)},
 }
 FIRST_FIT = ("m1_u01", "m1_u015", "m1_u02", "m1_u025", "m2_u01", "m2_u015", "m2_u02", "m2_u025")
@@ -48,15 +56,21 @@ routing = {{ type = "converging", start_offset = [{y0}, 0.0057], end_offset = [{
 """
 SCENE = "".join(
     [
-        'name = "tentacle"\ndescription = "Solid silicone tentacle of 0.36 m with two converging tendons, hanging"\n',
+        (
+            'name = "tentacle"\ndescription = "Solid silicone tentacle of 0.36 m with two'
+            ' converging tendons, hanging"\n'
+        ),
         "effects.gravity.acceleration = [9.81, 0.0, 0.0]\n",
         SEGMENT.format(length=0.305, base=0.01541, tip=0.00642),
         SEGMENT.format(length=0.055, base=0.00642, tip=0.0048),
-        TENDON.format(y0=0.00987269, y1=0.00208063),  # at 30 degrees: 0.0114 - 0.0295 s off the axis
+        TENDON.format(
+            y0=0.00987269, y1=0.00208063
+        ),  # at 30 degrees: 0.0114 - 0.0295 s off the axis
         TENDON.format(y0=-0.00987269, y1=-0.00208063),  # at 150 degrees
     ]
 )
-MARKERS = """frame.quaternion = [0.7071067811865476, 0.0, -0.7071067811865476, 0.0] # the data have z up, the scene x along the arm
+MARKERS = """# the data have z up, the scene x along the arm
+frame.quaternion = [0.7071067811865476, 0.0, -0.7071067811865476, 0.0]
 [markers]
 p1 = { arc_length = 0.1291, offset = [0.0, 0.0, 0.025] }
 p2 = { arc_length = 0.2195, offset = [0.0, 0.0, -0.021] }
@@ -81,10 +95,14 @@ def read_hold(path: Path) -> np.ndarray:
 
 
 def write_inputs(folder: Path, out: Path) -> int:
-    """Write holds.csv, tentacle.toml and markers.toml; returns the number of holds. Raises ValueError where the folder has none."""
+    """Write holds.csv, tentacle.toml and markers.toml; returns the number of holds. Raises
+    ValueError where the folder has none."""
     names = [name for name in TORQUES if (folder / f"{name}.csv").is_file()]
     if not any(name in FIRST_FIT for name in names):
-        raise ValueError(f"{folder} has none of the files that are fitted to: {', '.join(f'{name}.csv' for name in FIRST_FIT)}")
+        raise ValueError(
+            f"{folder} has none of the files that are fitted to:"
+            f" {', '.join(f'{name}.csv' for name in FIRST_FIT)}"
+        )
     out.mkdir(parents=True, exist_ok=True)
     (out / "tentacle.toml").write_text(SCENE)
     (out / "markers.toml").write_text(MARKERS)
@@ -107,7 +125,16 @@ if __name__ == "__main__":
     print(f"{write_inputs(arguments.folder, out)} holds")
     for name, more in STEPS.items():
         asked = ["segments.*.young_modulus", "segments.*.density", *more]
-        found = identify(load_scene(out / "tentacle.toml"), out / "holds.csv", out / "markers.toml", asked, held_out="held_out")
+        found = identify(
+            load_scene(out / "tentacle.toml"),
+            out / "holds.csv",
+            out / "markers.toml",
+            asked,
+            held_out="held_out",
+        )
         fitted, held_out = (1e3 * error for error in found.errors)
-        print(f"{name}: markers are off by {fitted:.1f} mm on the holds of the fit, {held_out:.1f} mm on the others")
+        print(
+            f"{name}: markers are off by {fitted:.1f} mm on the holds of the fit, {held_out:.1f} mm"
+            " on the others"
+        )
         save_estimate(found, out / name.replace(" ", "_"))

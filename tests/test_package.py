@@ -1,4 +1,5 @@
-"""What `import soft_tendon_env` gives and does not wait for; what is in the wheel, and that it works from outside of the clone."""
+"""What `import soft_tendon_env` gives and does not wait for; what is in the wheel, and that it
+works from outside of the clone."""
 
 import os
 import re
@@ -23,13 +24,15 @@ cli.usage()
 assert {f"TendonRod-{task}-v0" for task in ("Reach", "Shape", "TipPose")} <= {*gymnasium.registry}
 assert not {"numba", "scipy", "soft_tendon_env.envs"} & {*sys.modules}
 import soft_tendon_env.envs
-extras = {"torch", "stable_baselines3", "sb3_contrib", "ray", "rerun", "matplotlib", "pandas", "tqdm"}
+extras = {"torch", "stable_baselines3", "sb3_contrib", "ray", "rerun", "matplotlib", "pandas"}
+extras |= {"tqdm"}
 assert not extras & {*sys.modules}, extras & {*sys.modules}
 """
 APART = {"rllib", "peers", "check", "docs", "dist"}
 """Extras that have environments of their own, or no part in what the package computes."""
 OPEN = {"numba"}
-"""Dependencies without an upper bound: of numba, only what its manual describes is used (tests/compiler)."""
+"""Dependencies without an upper bound: of numba, only what its manual describes is used
+(tests/compiler)."""
 
 
 def test_every_public_name_is_there():
@@ -44,7 +47,10 @@ def test_one_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     assert ste.__version__ == version
-    assert re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0] == version
+    assert (
+        re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0]
+        == version
+    )
 
 
 def test_importing_waits_for_no_compiler_and_brings_no_library_of_an_extra():
@@ -53,12 +59,23 @@ def test_importing_waits_for_no_compiler_and_brings_no_library_of_an_extra():
 
 def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = [requirement for extra, listed in project["optional-dependencies"].items() if extra not in APART for requirement in listed]
-    listed = [one for one in (*project["dependencies"], *extras) if not one.startswith("soft_tendon_env[")]
+    extras = [
+        requirement
+        for extra, listed in project["optional-dependencies"].items()
+        if extra not in APART
+        for requirement in listed
+    ]
+    listed = [
+        one for one in (*project["dependencies"], *extras) if not one.startswith("soft_tendon_env[")
+    ]
     bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+)(,<[\d.]+)?", requirement) for requirement in listed]
     assert all(bounds), listed
     assert {found[1] for found in bounds if not found[3]} == OPEN
-    lowest = dict(line.split("==") for line in (ROOT / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))
+    lowest = dict(
+        line.split("==")
+        for line in (ROOT / "constraints-lowest.txt").read_text().splitlines()
+        if not line.startswith("#")
+    )
     assert {found[1] for found in bounds} == set(lowest)
     for found in bounds:
         assert f"{lowest[found[1]]}.".startswith(f"{found[2]}."), found[0]
@@ -66,11 +83,23 @@ def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_
 
 @pytest.fixture(scope="module")
 def unpacked(tmp_path_factory):
-    """A folder with the wheel in it, as site-packages has it, built without network; skips where hatchling is not installed."""
+    """A folder with the wheel in it, as site-packages has it, built without network; skips where
+    hatchling is not installed."""
     if find_spec("hatchling") is None or find_spec("pip") is None:
         pytest.skip("hatchling or pip is not installed: pip install hatchling")
     folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--quiet", "--wheel-dir", folder, ROOT]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--quiet",
+        "--wheel-dir",
+        folder,
+        ROOT,
+    ]
     subprocess.run(command, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as file:
@@ -80,17 +109,29 @@ def unpacked(tmp_path_factory):
 
 @pytest.mark.slow
 def test_all_that_ships_is_in_the_wheel(unpacked):
-    names = {path.relative_to(unpacked).as_posix() for path in unpacked.rglob("*") if path.is_file()}
+    names = {
+        path.relative_to(unpacked).as_posix() for path in unpacked.rglob("*") if path.is_file()
+    }
     (scripts,) = unpacked.glob("*/entry_points.txt")
     assert "soft-tendon = soft_tendon_env.cli.main:main" in scripts.read_text()
-    for folder, inside in (("soft_tendon_env/scene/library",) * 2, ("configs", "soft_tendon_env/learning/configs")):
+    for folder, inside in (
+        ("soft_tendon_env/scene/library",) * 2,
+        ("configs", "soft_tendon_env/learning/configs"),
+    ):
         assert {f"{inside}/{path.name}" for path in (ROOT / folder).glob("*.toml")} <= names
     trained = ROOT / "agents" / "trained"
-    for path in (trained / "agents.toml", *(path for path in trained.glob("*/*/*") if path.is_file())):
+    for path in (
+        trained / "agents.toml",
+        *(path for path in trained.glob("*/*/*") if path.is_file()),
+    ):
         assert f"soft_tendon_env/policies/trained/{path.relative_to(trained).as_posix()}" in names
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
     assert sources <= names and "soft_tendon_env/py.typed" in names
-    assert not [name for name in names if name.startswith(("tests", "agents", "benchmarks")) or name.endswith((".pkl", ".zip"))]
+    assert not [
+        name
+        for name in names
+        if name.startswith(("tests", "agents", "benchmarks")) or name.endswith((".pkl", ".zip"))
+    ]
 
 
 @pytest.mark.slow
@@ -98,9 +139,20 @@ def test_commands_of_the_wheel_work_from_an_empty_folder(unpacked, tmp_path):
     def said(*arguments):
         environment = {**os.environ, "PYTHONPATH": str(unpacked), "SOFT_TENDON_ENV_QUIET": "1"}
         command = [sys.executable, "-m", "soft_tendon_env", *arguments]
-        return subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+        ).stdout
 
     assert str(unpacked / "soft_tendon_env") in said("doctor")
-    assert "| nominal " in said(*"evaluate agent --episodes 1 --seconds 0.4 --skip 0.1 --errors nominal".split())
-    quick = ("steps=64", "arms=2", "seconds=0.4", "evaluation.episodes=1", "evaluation.skip=0.1", "hyperparameters.batch_size=64")
+    assert "| nominal " in said(
+        *"evaluate agent --episodes 1 --seconds 0.4 --skip 0.1 --errors nominal".split()
+    )
+    quick = (
+        "steps=64",
+        "arms=2",
+        "seconds=0.4",
+        "evaluation.episodes=1",
+        "evaluation.skip=0.1",
+        "hyperparameters.batch_size=64",
+    )
     said("train", "ppo_tip_pose_nominal", "--set", *quick)

@@ -19,20 +19,34 @@ from soft_tendon_env.tools.messages import first_line
 
 
 class Doctor(Configuration):
-    """Check versions, extras, kernel cache and a step of every task, which compiles its kernels. Exit status 1 if something is broken."""
+    """Check versions, extras, kernel cache and a step of every task, which compiles its kernels.
+    Exit status 1 if something is broken."""
 
-    scene: str = Field(default="paper", description="a shipped scene's name, or the path of a TOML file")
+    scene: str = Field(
+        default="paper", description="a shipped scene's name, or the path of a TOML file"
+    )
 
 
 def run(settings: Doctor) -> None:
     """Run all checks, and go on after one that fails."""
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "scipy", "numba", "gymnasium", "pydantic")]
-    print(f"{'soft_tendon_env':<16} in {Path(__file__).parents[1]}; Python {platform.python_version()}, {', '.join(versions)}")
-    print(f"{'kernel cache':<16} {cache_folder() or 'none can be written, every process compiles again: set NUMBA_CACHE_DIR'}")
+    versions = [
+        f"{name} {importlib.metadata.version(name)}"
+        for name in ("numpy", "scipy", "numba", "gymnasium", "pydantic")
+    ]
+    print(
+        f"{'soft_tendon_env':<16} in {Path(__file__).parents[1]}; Python"
+        f" {platform.python_version()}, {', '.join(versions)}"
+    )
+    without = "none can be written, every process compiles again: set NUMBA_CACHE_DIR"
+    print(f"{'kernel cache':<16} {cache_folder() or without}")
     broken = []
     for name in (*EXTRAS, *IDS.values()):
         try:
-            print(f"{name:<16} {import_extra(name) if name in EXTRAS else step(name, settings.scene)}", flush=True)
+            print(
+                f"{name:<16}"
+                f" {import_extra(name) if name in EXTRAS else step(name, settings.scene)}",
+                flush=True,
+            )
         except Exception as error:  # any error is named, and the other checks go on
             print(f"{name:<16} BROKEN: {first_line(error)}", flush=True)
             broken.append(name)
@@ -41,14 +55,19 @@ def run(settings: Doctor) -> None:
 
 
 def import_extra(name: str) -> str:
-    """Whether all modules of an extra can be imported, or the command that installs it. Raises what an import raises."""
+    """Whether all modules of an extra can be imported, or the command that installs it. Raises what
+    an import raises."""
     if not is_installed(name):
         return f'extra is not installed: pip install "soft_tendon_env[{name}]"'
-    return f"{', '.join(importlib.import_module(module).__name__ for module in EXTRAS[name])} can be imported"
+    return (
+        f"{', '.join(importlib.import_module(module).__name__ for module in EXTRAS[name])} can be"
+        " imported"
+    )
 
 
 def step(id: str, scene: str) -> str:
-    """Time of a step of an environment. Raises ValueError for an observation outside of its space."""
+    """Time of a step of an environment. Raises ValueError for an observation outside of its
+    space."""
     env = gym.make(id, scene=scene)
     env.reset(seed=0)
     action = np.zeros_like(env.action_space.sample())
@@ -57,5 +76,7 @@ def step(id: str, scene: str) -> str:
     observation, reward, *_ = env.step(action)
     seconds = perf_counter() - started
     if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
-        raise ValueError("the step gave an observation outside of its space, or a reward that is not finite")
+        raise ValueError(
+            "the step gave an observation outside of its space, or a reward that is not finite"
+        )
     return f"one step in {1e3 * seconds:.1f} ms"

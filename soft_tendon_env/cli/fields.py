@@ -1,4 +1,5 @@
-"""`soft-tendon fields`: an arm's own passive strain fields, from snapshots of full physics (proper orthogonal decomposition)."""
+"""`soft-tendon fields`: an arm's own passive strain fields, from snapshots of full physics (proper
+orthogonal decomposition)."""
 
 from pathlib import Path
 
@@ -6,7 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.accuracy.input_motions import USUAL
-from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
+from soft_tendon_env.accuracy.proper_orthogonal_fields import (
+    KINDS,
+    fields_path,
+    make_passive_fields,
+)
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.tables import markdown_table, number
@@ -17,13 +22,22 @@ from soft_tendon_env.tools.types import GivenLength
 
 
 class Fields(ArmSettings):
-    """Make the passive strain fields of an arm's own from simulated motions (POD), and report how accurate the arm is with them.
+    """Make the passive strain fields of an arm's own from simulated motions (POD), and report how
+    accurate the arm is with them.
 
     The loads of the scene, and smaller ones in all directions, act on half of the motions each.
     """
 
-    out: str | None = Field(default=None, description="the .json file to write; by default in the user's cache, where every scene finds it")
-    within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, to report the fewest fields for")
+    out: str | None = Field(
+        default=None,
+        description=(
+            "the .json file to write; by default in the user's cache, where every scene finds it"
+        ),
+    )
+    within: GivenLength | None = Field(
+        default=None,
+        description="tolerance of the tip, such as 1mm, to report the fewest fields for",
+    )
 
 
 def run(settings: Fields) -> None:
@@ -31,16 +45,29 @@ def run(settings: Fields) -> None:
     with mistakes():
         scene, out = settings.changed_scene(), settings.out
         if out is not None and not out.endswith(".json"):
-            raise ValueError(f"--out is {out}: it should be the path of a .json file, such as {scene.name}{SUFFIX}")
+            raise ValueError(
+                f"--out is {out}: it should be the path of a .json file, such as"
+                f" {scene.name}{SUFFIX}"
+            )
     found, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
     found.save(path)
-    bare = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
-    print(f"written: {path}\n\n{report(scene, found, coordinate_count(scene.replace({'strain': bare})))}")
+    bare = {
+        "type": "statics_based",
+        "strains": list(scene.strain.free),
+        "borders": list(scene.strain.borders),
+    }
+    print(
+        "written:"
+        f" {path}\n\n{report(scene, found, coordinate_count(scene.replace({'strain': bare})))}"
+    )
     if settings.within is not None:
         count = found.needed(settings.within, USUAL)
         file = "" if out is None else f', file = "{path.name}"'
         entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
-        print(f"\n{'no number of fields is enough' if count is None else f'In the scene, under [strain]: {entry}'}")
+        if count is None:
+            print("\nno number of fields is enough")
+        else:
+            print(f"\nIn the scene, under [strain]: {entry}")
 
 
 def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
@@ -48,6 +75,17 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
-        rows.append((str(bare + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
-    intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a converged reference on other motions."
-    return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"
+        rows.append(
+            (
+                str(bare + count),
+                str(count),
+                f"{fields.singular_values[count - 1]:.2g}" if count else "-",
+                *errors,
+            )
+        )
+    intro = (
+        f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a"
+        " converged reference on other motions."
+    )
+    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in KINDS))
+    return f"{intro}\n\n{markdown_table(header, rows)}"

@@ -1,4 +1,5 @@
-"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's policy.
+"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's
+policy.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
@@ -19,12 +20,28 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.policies.agent import ARM, INTERFACE, AgentConfig, find_agent, is_agent, load_agent, read_config, shipped, undisturbed
+from soft_tendon_env.policies.agent import (
+    ARM,
+    INTERFACE,
+    AgentConfig,
+    find_agent,
+    is_agent,
+    load_agent,
+    read_config,
+    shipped,
+    undisturbed,
+)
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, not_among, not_registered, read_toml, shown
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    not_among,
+    not_registered,
+    read_toml,
+    shown,
+)
 from soft_tendon_env.tools.files import digest, digests
 
 BEST = "best"  # name of the folder of a training's best agent, within that of the training
@@ -39,10 +56,13 @@ USUAL_NAMES = {
 }
 """Usual names of methods: the controller of this package, and the method."""
 
-ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
-    from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize are not in the file
+ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py
+and name the policy mine:agent:
+    from stable_baselines3 import PPO  # or what trained it
+    # the statistics of a VecNormalize are not in the file
     def agent(env): return PPO.load({path!r})
-    agent.options = {{"observation": [...]}}  # and preview, history, sensors, action, tension_rate, as in its training"""
+    # and preview, history, sensors, action, tension_rate, as in its training
+    agent.options = {{"observation": [...]}}"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +74,8 @@ class PolicyName:
 
     @staticmethod
     def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:
-        """The policy that a name means: the first of the three that fits. Raises ValueError that says what names there are."""
+        """The policy that a name means: the first of the three that fits. Raises ValueError that
+        says what names there are."""
         path, controllers = Path(text), CONTROLLERS.get(task, {})
         if is_agent(text):
             return Agent(text, task)
@@ -64,45 +85,66 @@ class PolicyName:
             if not isinstance(named, Controller):
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
-        estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
+        estimator, prefix = next(
+            ((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)),
+            (None, ""),
+        )
         controller, mark, belief = text.removeprefix(prefix).partition("@")
         if controller in controllers:
             try:
-                return Controller(text, task, controller, estimator, checked_fidelity(belief) and belief if mark else None)
+                return Controller(
+                    text,
+                    task,
+                    controller,
+                    estimator,
+                    checked_fidelity(belief) and belief if mark else None,
+                )
             except ValueError as error:
                 raise ValueError(f"policy is {text!r}: what stands behind '@' {error}") from error
         module, colon, name = text.partition(":")
         if colon and not prefix:
             return UserPolicy(text, task, module, name)
         if known := USUAL_NAMES.get(controller.lower()):
-            raise ValueError(f"policy is {text!r}: it should be {prefix + known[0]!r}, this package's {known[1]}")
+            raise ValueError(
+                f"policy is {text!r}: it should be {prefix + known[0]!r}, this package's {known[1]}"
+            )
         wanted = f"a controller of {task}; {not_registered(controller, controllers)}"
         if prefix:
-            raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
+            raise ValueError(
+                f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}"
+            )
         if path.suffix == ".zip":
             raise ValueError(f"policy is {text!r}: {ZIP.format(path=text)}")
-        agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which ship, module:name"
+        agents = (
+            f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which"
+            " ship, module:name"
+        )
         raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+        """Options of an environment in which the policy sees what it needs: its own, and those
+        given. Raises ValueError, OSError."""
         raise NotImplementedError
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError.
+        """The policy for an environment with its options. Raises ValueError, OSError,
+        ModuleNotFoundError.
 
-        scene: of a controller's assumed model, by default the environment's, at the fidelity that the name says, if it says one.
-        other_effects: whether the arm may have effects that an agent was not trained with.
+        scene: of a controller's assumed model, by default the environment's, at the fidelity that
+        the name says, if it says one. other_effects: whether the arm may have effects that an agent
+        was not trained with.
         """
         raise NotImplementedError
 
     def fingerprint(self) -> Any:
-        """Plain values that tell it from others: its name, and digests of its files. Raises ValueError, OSError."""
+        """Plain values that tell it from others: its name, and digests of its files. Raises
+        ValueError, OSError."""
         return self.text
 
 
 class TunedController(Configuration):
-    """A controller's name and parameters (see `Controller.defaults`), as `soft-tendon tune` writes them."""
+    """A controller's name and parameters (see `Controller.defaults`), as `soft-tendon tune` writes
+    them."""
 
     policy: str
     parameters: dict[str, int | float]
@@ -110,44 +152,84 @@ class TunedController(Configuration):
 
 @dataclass(frozen=True)
 class Controller(PolicyName):
-    """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds them;
-    adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY assumes a model of another fidelity than the arm's."""
+    """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where
+    an extended Kalman filter finds them; adaptive:NAME, where it finds the latency of commands too.
+    NAME@FIDELITY assumes a model of another fidelity than the arm's."""
 
     name: str
     estimator: str | None
     belief: str | None
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
-    def with_parameters(self, parameters: Mapping[str, float], text: str | None = None) -> "Controller":
-        """The controller with other parameters, and another name. Raises ValueError for parameters that it has not."""
+    def with_parameters(
+        self, parameters: Mapping[str, float], text: str | None = None
+    ) -> "Controller":
+        """The controller with other parameters, and another name. Raises ValueError for parameters
+        that it has not."""
         for name in parameters.keys() - self.defaults.keys():
-            raise ValueError(f"parameters has {name!r}, which {self.text} has not: {not_among(name, self.defaults)}")
+            raise ValueError(
+                f"parameters has {name!r}, which {self.text} has not:"
+                f" {not_among(name, self.defaults)}"
+            )
         return replace(self, text=text or self.text, parameters=dict(parameters))
 
     @property
     def defaults(self) -> dict[str, float]:
-        """Parameters where nothing is tuned: of the catalogue's entry, and behind "estimator." of the Kalman filter's Uncertainty."""
-        filtered = USUAL._asdict() if self.estimator is not None and ESTIMATORS[self.estimator].filters else {}
-        return {**CONTROLLERS[self.task][self.name].parameters, **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()}}
+        """Parameters where nothing is tuned: of the catalogue's entry, and behind "estimator." of
+        the Kalman filter's Uncertainty."""
+        filtered = (
+            USUAL._asdict()
+            if self.estimator is not None and ESTIMATORS[self.estimator].filters
+            else {}
+        )
+        return {
+            **CONTROLLERS[self.task][self.name].parameters,
+            **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()},
+        }
 
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        numbers = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
-        return CONTROLLERS[self.task][self.name].with_parameters(numbers) if numbers else CONTROLLERS[self.task][self.name]
+        numbers = {
+            name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)
+        }
+        return (
+            CONTROLLERS[self.task][self.name].with_parameters(numbers)
+            if numbers
+            else CONTROLLERS[self.task][self.name]
+        )
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
         options = Options.parse(dict(given), "options")
         actuators = given_scene(options.scene).effects.actuators
         late = 0.0 if actuators is None else actuators.delay
-        return {**observation_options(self.entry, self.task, options.control_period, late, self.estimator, regime), **given}
+        return {
+            **observation_options(
+                self.entry, self.task, options.control_period, late, self.estimator, regime
+            ),
+            **given,
+        }
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
+        changed = {
+            name.removeprefix(ESTIMATOR): value
+            for name, value in self.parameters.items()
+            if name.startswith(ESTIMATOR)
+        }
         is_same = self.belief is None and scene is None
-        believed = None if is_same else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
-        return make_policy(self.entry, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
+        believed = (
+            None
+            if is_same
+            else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
+        )
+        return make_policy(
+            self.entry,
+            env,
+            believed,
+            estimator=self.estimator,
+            uncertainty=USUAL._replace(**changed),
+        )
 
     def fingerprint(self) -> Any:
         return [self.text, dict(self.parameters)]
@@ -155,7 +237,8 @@ class Controller(PolicyName):
 
 @dataclass(frozen=True)
 class Agent(PolicyName):
-    """A trained agent: the name of one that ships for the task, "agent" for the best of them, or its folder."""
+    """A trained agent: the name of one that ships for the task, "agent" for the best of them, or
+    its folder."""
 
     @property
     def config(self) -> AgentConfig:
@@ -165,10 +248,19 @@ class Agent(PolicyName):
     @property
     def arm(self) -> dict[str, Any]:
         """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
-        return Options.parse(undisturbed(self.config.options), "options").model_dump(mode="json", include=set(ARM))
+        return Options.parse(undisturbed(self.config.options), "options").model_dump(
+            mode="json", include=set(ARM)
+        )
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {**{key: value for key, value in undisturbed(self.config.options).items() if key in (*ARM, *INTERFACE)}, **given}
+        return {
+            **{
+                key: value
+                for key, value in undisturbed(self.config.options).items()
+                if key in (*ARM, *INTERFACE)
+            },
+            **given,
+        }
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
@@ -179,9 +271,11 @@ class Agent(PolicyName):
 
 @dataclass(frozen=True)
 class UserPolicy(PolicyName):
-    """A user's policy, module:name: a callable that gets a `policy_environment` and returns an object with Stable-Baselines3's `predict`.
+    """A user's policy, module:name: a callable that gets a `policy_environment` and returns an
+    object with Stable-Baselines3's `predict`.
 
-    Its attribute `options`, if it has one, says what it observes and how its actions are read: those of INTERFACE.
+    Its attribute `options`, if it has one, says what it observes and how its actions are read:
+    those of INTERFACE.
     """
 
     module: str
@@ -192,24 +286,38 @@ class UserPolicy(PolicyName):
         try:
             made: Callable[..., Any] = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f"policy is {self.text!r}: it should be module:name of what makes a policy; {error}") from error
+            raise ValueError(
+                f"policy is {self.text!r}: it should be module:name of what makes a policy; {error}"
+            ) from error
         return made
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         options = getattr(self.maker, "options", {})
         if other := [str(name) for name in options if name not in INTERFACE]:
-            raise ValueError(f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set {', '.join(INTERFACE)} alone")
+            raise ValueError(
+                f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set"
+                f" {', '.join(INTERFACE)} alone"
+            )
         Options.parse(dict(options), f"options of {self.text}")
         return {**options, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         made: Policy = self.maker(policy_environment(env, scene))
         if not hasattr(made, "predict"):
-            raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
+            raise ValueError(
+                f"policy is {self.text!r}: {self.name} should make an object with predict, not"
+                f" {shown(made)}"
+            )
         for key in ("observation_space", "action_space"):
-            known, there = getattr(made, key, None), [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)]
+            known, there = (
+                getattr(made, key, None),
+                [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)],
+            )
             if isinstance(known, gym.Space) and known not in there:
-                raise ValueError(f"policy is {self.text!r}, made for the {key} {known}: the environment's is {there[0]}")
+                raise ValueError(
+                    f"policy is {self.text!r}, made for the {key} {known}: the environment's is"
+                    f" {there[0]}"
+                )
         return made
 
     def fingerprint(self) -> Any:
@@ -218,9 +326,11 @@ class UserPolicy(PolicyName):
 
 
 def policy_environment(env: Any, scene: Scene | None = None) -> Any:
-    """Environment with the spaces, control period and limits of another, single or vector, that shares nothing with it.
+    """Environment with the spaces, control period and limits of another, single or vector, that
+    shares nothing with it.
 
-    Its arm is the scene, or that of the environment, without what `randomize` draws but noise; its targets are the task's usual ones.
+    Its arm is the scene, or that of the environment, without what `randomize` draws but noise; its
+    targets are the task's usual ones.
     """
     episodes = episodes_of(env)
     options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
@@ -233,15 +343,17 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+    """Options of an environment in which a policy sees what it needs: its own, and those given.
+    Raises ValueError, OSError."""
     return PolicyName.parse(name, task).options(given)
 
 
 def load_policy(name: str, env: Any) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
-    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model has another fidelity; an agent's folder;
-    "agent" or another of those that ship for the environment's task, see agents/trained; module:name of what makes one.
-    Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model
+    has another fidelity; an agent's folder; "agent" or another of those that ship for the
+    environment's task, see agents/trained; module:name of what makes one. Raises TypeError for
+    environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     return PolicyName.parse(name, episodes_of(env).task.name).load(env)

@@ -1,4 +1,5 @@
-"""Scores, interquartile means, intervals and differences of pairs: against episodes and cases that are worked out by hand."""
+"""Scores, interquartile means, intervals and differences of pairs: against episodes and cases that
+are worked out by hand."""
 
 import csv
 import math
@@ -8,8 +9,24 @@ import pytest
 from scipy.stats import trim_mean
 
 from soft_tendon_env.evaluation import summaries
-from soft_tendon_env.evaluation.metrics import METRICS, Episode, EpisodeScore, ErrorScore, Metric, chatter, has_settled, score
-from soft_tendon_env.evaluation.summaries import Standing, bootstrap_interval, difference, interquartile_mean, summarise, tracking_cost
+from soft_tendon_env.evaluation.metrics import (
+    METRICS,
+    Episode,
+    EpisodeScore,
+    ErrorScore,
+    Metric,
+    chatter,
+    has_settled,
+    score,
+)
+from soft_tendon_env.evaluation.summaries import (
+    Standing,
+    bootstrap_interval,
+    difference,
+    interquartile_mean,
+    summarise,
+    tracking_cost,
+)
 from soft_tendon_env.evaluation.tables import records, summary_cells, write_csv
 
 PERIOD = 0.5  # [s]
@@ -51,24 +68,37 @@ def test_settled_is_to_stay_below_to_the_end_for_a_second(error, settled):
 
 def test_a_jump_in_the_last_step_is_nobodys_error():
     errors = (0.3, 0.005, 0.005, 0.005, 0.3)
-    assert score(episode(errors, jumped=True), skip=0.0).settled and not score(episode(errors), skip=0.0).settled
+    assert (
+        score(episode(errors, jumped=True), skip=0.0).settled
+        and not score(episode(errors), skip=0.0).settled
+    )
 
 
-@pytest.mark.parametrize("frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)])
+@pytest.mark.parametrize(
+    "frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)]
+)
 def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency, share):
-    """Of a sine whose changes from step to step have a known amplitude; at the Nyquist frequency all of them are of one size."""
+    """Of a sine whose changes from step to step have a known amplitude; at the Nyquist frequency
+    all of them are of one size."""
     period, amplitude = 0.02, 3.0
     time = period * np.arange(301)
-    tension = np.stack([amplitude * np.cos(2 * np.pi * frequency * time), np.zeros(time.size)], axis=1)
+    tension = np.stack(
+        [amplitude * np.cos(2 * np.pi * frequency * time), np.zeros(time.size)], axis=1
+    )
     change = math.sqrt(np.mean(np.diff(tension[:, 0]) ** 2) / 2)  # over both tendons
     assert chatter(tension, period) == pytest.approx(share * change, rel=0.02, abs=1e-4 * change)
-    assert chatter(tension + 5.0 * time[:, None], period) == pytest.approx(chatter(tension, period), rel=1e-3, abs=1e-3)
+    assert chatter(tension + 5.0 * time[:, None], period) == pytest.approx(
+        chatter(tension, period), rel=1e-3, abs=1e-3
+    )
 
 
 @pytest.mark.cases(
     "judge, said",
     [
-        (lambda: score(episode(), skip=2.5), "skip should be at most the episode's 2 s, not 2.5 s"),  # of one that lived
+        (
+            lambda: score(episode(), skip=2.5),
+            "skip should be at most the episode's 2 s, not 2.5 s",
+        ),  # of one that lived
         (lambda: score(episode(), skip=-1.0), "skip should be a number of seconds"),
         (lambda: summarise([]), "at least one episode"),
     ],
@@ -83,43 +113,77 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
     positions = rng.uniform(0.0, 1.0, (3, 9))
     summary = summarise([score(episode(position), skip=0.0) for position in positions])
     assert summary.errors["position_error"].rms == pytest.approx(math.sqrt(np.mean(positions**2)))
-    assert summary.errors["position_error"].percentile_95 == pytest.approx(np.percentile(positions, 95, axis=1).mean())
+    assert summary.errors["position_error"].percentile_95 == pytest.approx(
+        np.percentile(positions, 95, axis=1).mean()
+    )
     assert summary.metrics["effort"] == pytest.approx(math.sqrt(12.5))
     assert (summary.episodes, summary.diverged, summary.settled, summary.reached) == (3, 0, 0, None)
 
 
 def test_a_divergence_is_counted_and_stays_out_of_the_errors():
-    lived, died = episode((0.2, 0.2, 0.2)), episode((0.2, 9.0), cause="too fast", reward=np.zeros(1), reached=False)
+    lived, died = (
+        episode((0.2, 0.2, 0.2)),
+        episode((0.2, 9.0), cause="too fast", reward=np.zeros(1), reached=False),
+    )
     summary = summarise([score(e, skip=0.0) for e in (lived, died)])
     assert (summary.episodes, summary.diverged) == (2, 1)
     assert summary.errors["position_error"].rms == pytest.approx(0.2)
     assert summary.mean_return == pytest.approx(0.25), "of both: no reward follows a divergence"
     none_lived = summarise([score(died, skip=0.0)])
-    assert math.isnan(none_lived.errors["position_error"].rms) and math.isnan(none_lived.metrics["effort"])
+    assert math.isnan(none_lived.errors["position_error"].rms) and math.isnan(
+        none_lived.metrics["effort"]
+    )
 
 
 def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     still, fast = np.ones((151, 2)), np.ones((151, 2))
     fast[::2] += 0.5
-    judged = lambda error, tension, **more: score(episode(np.full(151, error), tension=tension, period=0.02, **more))  # noqa: E731
+
+    def judged(error, tension, **more):
+        return score(episode(np.full(151, error), tension=tension, period=0.02, **more))
+
     assert tracking_cost([judged(2e-3, still)]) == pytest.approx(2e-3)
-    assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx((2e-3 + summaries.WORST) / 2)
+    assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx(
+        (2e-3 + summaries.WORST) / 2
+    )
     assert tracking_cost([judged(2e-3, still, cause="diverged")]) == summaries.WORST
-    assert tracking_cost([score(episode(np.full(5, 2e-3), period=0.02), 0.0)]) == 2e-3, "too short for chatter"
+    assert tracking_cost([score(episode(np.full(5, 2e-3), period=0.02), 0.0)]) == 2e-3, (
+        "too short for chatter"
+    )
     shaken = judged(2e-3, fast)
     found = shaken.metrics["chatter"]
-    assert found == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + summaries.CHATTER_COST * found
+    assert (
+        found == pytest.approx(0.5, rel=1e-3)
+        and tracking_cost([shaken]) == 2e-3 + summaries.CHATTER_COST * found
+    )
 
 
 def standing(values, shared=False):
-    """values: (members, episodes) of an error, the only one; None where an episode diverged. shared: members play other episodes each."""
+    """values: (members, episodes) of an error, the only one; None where an episode diverged.
+    shared: members play other episodes each."""
 
     def score(seed, value):
         error, cause = (math.nan, "too fast") if value is None else (value, None)
         metrics = {"effort": 5.0, "chatter": 0.1}
-        return EpisodeScore(seed, 10, {"own": ErrorScore(error, error)}, False, metrics, 0.0, None, cause, 0.001, 1e3)
+        return EpisodeScore(
+            seed,
+            10,
+            {"own": ErrorScore(error, error)},
+            False,
+            metrics,
+            0.0,
+            None,
+            cause,
+            0.001,
+            1e3,
+        )
 
-    return Standing([[score(shared * place * len(row) + k, value) for k, value in enumerate(row)] for place, row in enumerate(values)])
+    return Standing(
+        [
+            [score(shared * place * len(row) + k, value) for k, value in enumerate(row)]
+            for place, row in enumerate(values)
+        ]
+    )
 
 
 def test_an_episode_that_diverged_is_worse_than_any_number():
@@ -132,20 +196,30 @@ def test_an_episode_that_diverged_is_worse_than_any_number():
 
 
 def test_comparisons_are_made_episode_by_episode():
-    """One is better by a little on every episode, of which some are far harder than others: their own intervals overlap."""
+    """One is better by a little on every episode, of which some are far harder than others: their
+    own intervals overlap."""
     hard = np.geomspace(1.0, 10.0, 20)
     one, other = standing([(0.9 * hard).tolist()]), standing([hard.tolist()])
     found = difference(one, other, KEY)
     assert one.mean(KEY).high > other.mean(KEY).low
-    assert found.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value) and found.low < found.value < found.high < 0.0
+    assert (
+        found.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value)
+        and found.low < found.value < found.high < 0.0
+    )
 
 
 def test_policies_that_differ_by_chance_alone_are_not_separated():
-    near, far, lost = standing([[1.0, 1.1, 0.9, 1.0]] * 5), standing([[5.0, 5.1, 4.9, 5.0]]), standing([[None] * 4])
+    near, far, lost = (
+        standing([[1.0, 1.1, 0.9, 1.0]] * 5),
+        standing([[5.0, 5.1, 4.9, 5.0]]),
+        standing([[None] * 4]),
+    )
     assert difference(near, far, KEY).high < 0.0 and difference(far, far, KEY) == (0.0, 0.0, 0.0)
     by_chance = difference(standing([[1.0, 5.0, 3.0]]), standing([[5.0, 1.0, 3.0]]), KEY)
     assert by_chance.low < 0.0 < by_chance.high
-    assert difference(near, lost, KEY).high == -math.inf and difference(lost, far, KEY).low == math.inf
+    assert (
+        difference(near, lost, KEY).high == -math.inf and difference(lost, far, KEY).low == math.inf
+    )
     assert math.isnan(difference(lost, lost, KEY).value)
 
 
@@ -157,9 +231,13 @@ def test_who_has_not_played_the_same_episodes_alone_is_not_compared(other):
 
 @pytest.mark.cases("count", range(1, 14))
 def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count):
-    assert interquartile_mean([5.0, 100.0, 3.0, -100.0, 4.0]) == 4.0, "a quarter of 5 is 1.25, so one at either end"
+    assert interquartile_mean([5.0, 100.0, 3.0, -100.0, 4.0]) == 4.0, (
+        "a quarter of 5 is 1.25, so one at either end"
+    )
     values = np.random.default_rng(count).normal(size=(3, count, 2))
-    np.testing.assert_allclose(interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15)
+    np.testing.assert_allclose(
+        interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15
+    )
 
 
 @pytest.mark.cases(
@@ -185,21 +263,37 @@ def test_a_run_without_a_number_is_the_worst():
 
 
 def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(monkeypatch, tmp_path):
-    """How far the target was from the tip at most, of episodes that know it; chatter is infinite where one diverged."""
-    far = lambda episode, first: float(np.abs(episode.target_position - episode.tip_position).max()) if episode.seed else math.nan  # noqa: E731
+    """How far the target was from the tip at most, of episodes that know it; chatter is infinite
+    where one diverged."""
+
+    def far(episode, first):
+        return (
+            float(np.abs(episode.target_position - episode.tip_position).max())
+            if episode.seed
+            else math.nan
+        )
+
     monkeypatch.setitem(METRICS, "farthest", Metric("farthest [mm]", far, 1e3))
     known, none = ([score(episode(seed=seed, period=0.02), skip=0.0)] for seed in (7, 0))
     assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
-    assert math.isnan(Standing([known * 3 + none]).mean("farthest").high) and Standing([known * 3 + none]).mean("farthest").value == 0.3
+    assert (
+        math.isnan(Standing([known * 3 + none]).mean("farthest").high)
+        and Standing([known * 3 + none]).mean("farthest").value == 0.3
+    )
     died = [score(episode(cause="too fast"), skip=0.0)]
-    found = {(name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))}
+    found = {
+        (name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))
+    }
     write_csv(tmp_path / "found.csv", records(found))
     rows = [*csv.DictReader((tmp_path / "found.csv").open())]
-    assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"] and [row["chatter_mean"] for row in rows] == ["", "", "inf"]
+    assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"] and [
+        row["chatter_mean"] for row in rows
+    ] == ["", "", "inf"]
 
 
 def test_seeds_and_episodes_are_drawn_apart(monkeypatch):
-    # Two seeds, 0 and 100, with episodes of +0 and +1. A resample has one of 0 and 100 twice in 1/2, both in 1/2; its episodes likewise.
+    # Two seeds, 0 and 100, with episodes of +0 and +1. A resample has one of 0 and 100 twice in
+    # 1/2, both in 1/2; its episodes likewise.
     values = [[0.0, 1.0], [100.0, 101.0]]
     assert bootstrap_interval(values, axes=2) == (0.0, 101.0)
     monkeypatch.setattr(summaries, "CONFIDENCE", 0.4)

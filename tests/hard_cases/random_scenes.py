@@ -1,4 +1,5 @@
-"""Random scenes through the statics: branch, stability, honest failure, and the number of quadrature intervals that they get.
+"""Random scenes through the statics: branch, stability, honest failure, and the number of
+quadrature intervals that they get.
 
 Scene number k is drawn with seed k, the same everywhere.
 """
@@ -15,7 +16,12 @@ from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS
 
-MOVES = (0.05, 0.01)  # [rad] at a time, in the slow loading that statics are compared with; the smaller where the larger differs
+MOVES = (
+    0.05,
+    0.01,
+    # [rad] at a time, in the slow loading that statics are compared with; the smaller where the
+    # larger differs
+)
 FIRST_PART = 1e-5  # of the load
 SMALLEST_PART = 1e-8  # of the load reached
 CLOSE = 1e-6  # of the rod's length
@@ -29,7 +35,8 @@ class Verdict(NamedTuple):
     kind: str  # "converged", or why not
     problems: tuple[str, ...]  # empty where all is as it should be
     distance: float  # tip to the slow loading [lengths]
-    quadrature: float  # tip to that with three times as many intervals, where nothing was warned of [tolerances]
+    # tip to that with three times as many intervals, where nothing was warned of [tolerances]
+    quadrature: float
 
 
 def direction(dice):
@@ -46,28 +53,56 @@ def drawn_segments(dice):
             profile = {"type": "linear", "base": radius, "tip": radius * dice.uniform(0.4, 1.0)}
         elif dice.random() < 0.15:
             table = list(radius * dice.uniform(0.6, 1.2, 4))
-            profile = {"type": "table", "arc_length": list(length * np.linspace(0, 1, 4)), "radius": table}
-        segments.append({
-            "length": length, "young_modulus": young * dice.uniform(0.5, 2.0), "poisson_ratio": dice.uniform(0.3, 0.5),
-            "density": dice.uniform(800, 1500), "damping": 0.05 * young, "radius": profile,
-            "curvature": list(direction(dice) * dice.uniform(0, 6)) if dice.random() < 0.2 else [0.0, 0.0, 0.0],
-        })  # fmt: skip
+            profile = {
+                "type": "table",
+                "arc_length": list(length * np.linspace(0, 1, 4)),
+                "radius": table,
+            }
+        segments.append(
+            {
+                "length": length,
+                "young_modulus": young * dice.uniform(0.5, 2.0),
+                "poisson_ratio": dice.uniform(0.3, 0.5),
+                "density": dice.uniform(800, 1500),
+                "damping": 0.05 * young,
+                "radius": profile,
+                "curvature": list(direction(dice) * dice.uniform(0, 6))
+                if dice.random() < 0.2
+                else [0.0, 0.0, 0.0],
+            }
+        )
     return segments
 
 
 def drawn_routing(dice, radius, length):
-    kind = dice.choice(["straight", "converging", "surface", "helix", "table"], p=[0.35, 0.15, 0.15, 0.2, 0.15])
-    offset = lambda: list(radius * dice.uniform(0.3, 0.9) * (v := dice.normal(size=2)) / np.linalg.norm(v))  # noqa: E731
+    kind = dice.choice(
+        ["straight", "converging", "surface", "helix", "table"], p=[0.35, 0.15, 0.15, 0.2, 0.15]
+    )
+
+    def offset():
+        return list(
+            radius * dice.uniform(0.3, 0.9) * (v := dice.normal(size=2)) / np.linalg.norm(v)
+        )
+
     if kind == "straight":
         return {"type": "straight", "offset": offset()}
     if kind == "converging":
         return {"type": "converging", "start_offset": offset(), "end_offset": offset()}
     if kind == "surface":
-        return {"type": "surface", "fraction": dice.uniform(0.3, 0.9), "angle": dice.uniform(0, 360)}
+        return {
+            "type": "surface",
+            "fraction": dice.uniform(0.3, 0.9),
+            "angle": dice.uniform(0, 360),
+        }
     if kind == "helix":
         turns = dice.choice([0.5, 1.0, 2.0, 4.0, 8.0]) * dice.choice([-1, 1])
         rate = 2 * np.pi * turns / length
-        return {"type": "helix", "radius": radius * dice.uniform(0.3, 0.9), "angular_rate": rate, "phase": dice.uniform(0, 360)}
+        return {
+            "type": "helix",
+            "radius": radius * dice.uniform(0.3, 0.9),
+            "angular_rate": rate,
+            "phase": dice.uniform(0, 360),
+        }
     knots = int(dice.integers(4, 9))
     y, z = (list(radius * dice.uniform(-0.7, 0.7, knots)) for _ in range(2))
     return {"type": "table", "arc_length": list(np.linspace(0, length, knots)), "y": y, "z": z}
@@ -76,31 +111,52 @@ def drawn_routing(dice, radius, length):
 def drawn_strain(dice):
     free = list(STRAINS) if dice.random() < 0.7 else list(STRAINS[:3])
     if dice.random() < 0.25:
-        modes = {"strains": free, "order": int(dice.integers(1, 4)), "span": str(dice.choice(["rod", "piece"]))}
+        modes = {
+            "strains": free,
+            "order": int(dice.integers(1, 4)),
+            "span": str(dice.choice(["rod", "piece"])),
+        }
         return {"type": "explicit", "modes": [modes]}
     strain = {"type": "statics_based", "strains": free}
     if dice.random() < 0.5:
-        strain["passive"] = [{"strains": list(STRAINS[:3]), "order": int(dice.integers(0, 3)), "span": "rod"}]
+        strain["passive"] = [
+            {"strains": list(STRAINS[:3]), "order": int(dice.integers(0, 3)), "span": "rod"}
+        ]
     return strain
 
 
 def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
-    """A scene and tensions (n_a,) [N] within its limits: slack to past what the section can bear, loads from none to many times it."""
+    """A scene and tensions (n_a,) [N] within its limits: slack to past what the section can bear,
+    loads from none to many times it."""
     dice = np.random.default_rng(number)
     segments = drawn_segments(dice)
     length = sum(segment["length"] for segment in segments)
-    radii = [np.min(s["radius"]["radius"]) if isinstance(s["radius"], dict) and "radius" in s["radius"] else
-             min(s["radius"]["base"], s["radius"]["tip"]) if isinstance(s["radius"], dict) else s["radius"] for s in segments]  # fmt: skip
+    radii = [
+        np.min(s["radius"]["radius"])
+        if isinstance(s["radius"], dict) and "radius" in s["radius"]
+        else min(s["radius"]["base"], s["radius"]["tip"])
+        if isinstance(s["radius"], dict)
+        else s["radius"]
+        for s in segments
+    ]
     radius, young = min(radii), min(segment["young_modulus"] for segment in segments)
     bending = young * np.pi * radius**4 / 4
-    greatest = 10 ** dice.uniform(-1, 0.7) * bending / (length * 0.6 * radius)  # bends the arm by 0.1 to 5 rad
+    greatest = (
+        10 ** dice.uniform(-1, 0.7) * bending / (length * 0.6 * radius)
+    )  # bends the arm by 0.1 to 5 rad
     if dice.random() < 0.05:
         greatest *= 30.0  # as much as the section can bear, or more
     tendons = []
     for _ in range(dice.integers(1, 7)):
         ends = {} if dice.random() < 0.7 else {"end": length * dice.uniform(0.3, 0.95)}
         least = -0.2 * greatest if dice.random() < 0.15 else 0.0
-        tendons.append({"routing": drawn_routing(dice, radius, length), "tension_limits": [least, greatest], **ends})
+        tendons.append(
+            {
+                "routing": drawn_routing(dice, radius, length),
+                "tension_limits": [least, greatest],
+                **ends,
+            }
+        )
     force = direction(dice) * bending / length**2
     load = {"mass": 0.0, "force": [0.0, 0.0, 0.0]}
     if dice.random() < 0.6:
@@ -115,26 +171,38 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
     if dice.random() < 0.15:  # upright, a little beyond or below what such a column bears
         gravity = np.array([-1.0, 0.0, 0.0]) * 9.81
         load["mass"] = 10 ** dice.uniform(-0.5, 1.0) * bending / length**2 / 9.81
-    scene = Scene.parse({
-        "name": f"random_{number}", "segments": segments, "tendons": tendons, "strain": drawn_strain(dice),
-        "effects": {"gravity": {"acceleration": list(gravity)}, "tip_load": load},
-    }, "scene")  # fmt: skip
+    scene = Scene.parse(
+        {
+            "name": f"random_{number}",
+            "segments": segments,
+            "tendons": tendons,
+            "strain": drawn_strain(dice),
+            "effects": {"gravity": {"acceleration": list(gravity)}, "tip_load": load},
+        },
+        "scene",
+    )
     limits = np.array([tendon.tension_limits for tendon in scene.tendons])
     tension = dice.uniform(limits[:, 0], limits[:, 1]) * (dice.random(len(limits)) < 0.7)
     return scene, tension
 
 
 def slow_loading(model, tension, move=MOVES[0]):
-    """Load the arm so slowly that it moves by at most `move` [rad] at a time: (q at the end, the part of the load reached).
+    """Load the arm so slowly that it moves by at most `move` [rad] at a time: (q at the end, the
+    part of the load reached).
 
-    Newton's method along the tangent; parts of the load are halved until the move is small and its end is stable.
+    Newton's method along the tangent; parts of the load are halved until the move is small and its
+    end is stable.
     """
     path = LoadPath(Balance(model, tension, make_workspace(model.arm)))
     here, part = path.balance.unloaded(), FIRST_PART
     while here.at.part < 1.0:
         aim = min(here.at.part + part, 1.0)
         ahead = path.equilibrium(here.at.q + (aim - here.at.part) * here.tangent, aim)
-        if ahead is not None and ahead.stability.stable and (moved := path.balance.angle(ahead.at.q - here.at.q)) <= move:
+        if (
+            ahead is not None
+            and ahead.stability.stable
+            and (moved := path.balance.angle(ahead.at.q - here.at.q)) <= move
+        ):
             here, part = ahead, 1.5 * part if moved < 0.5 * move else part
         elif (part := 0.5 * part) < SMALLEST_PART * aim:
             break
@@ -151,32 +219,62 @@ def verdict(number: int) -> Verdict:
     problems = []
     if not (np.isfinite(found.q).all() and np.isfinite(found.tip_pose).all()):
         problems.append("not finite")
-    if found.converged != (found.reason == "") or found.converged != (found.load == 1.0) or not found.stable:
-        problems.append(f"converged {found.converged}, stable {found.stable}, load {found.load}, reason {found.reason!r}")
+    if (
+        found.converged != (found.reason == "")
+        or found.converged != (found.load == 1.0)
+        or not found.stable
+    ):
+        problems.append(
+            f"converged {found.converged}, stable {found.stable}, load {found.load}, reason"
+            f" {found.reason!r}"
+        )
     distance = np.nan
     for move in MOVES:
         q, reached = slow_loading(model, tension, move)
-        agrees = (reached == 1.0) == found.converged and (found.converged or abs(reached - found.load) <= LIMIT * found.load)
+        agrees = (reached == 1.0) == found.converged and (
+            found.converged or abs(reached - found.load) <= LIMIT * found.load
+        )
         if reached == 1.0 and found.converged:
-            distance = float(np.linalg.norm(model.tip_pose(q)[:3, 3] - found.tip_pose[:3, 3]) / length)
+            distance = float(
+                np.linalg.norm(model.tip_pose(q)[:3, 3] - found.tip_pose[:3, 3]) / length
+            )
             agrees = distance <= CLOSE
         if agrees:
             break
     else:
-        problems.append(f"slow loading reached {reached:.4g}, statics {found.load:.4g} ({found.reason}), tips {distance:.2g} apart")
+        problems.append(
+            f"slow loading reached {reached:.4g}, statics {found.load:.4g} ({found.reason}), tips"
+            f" {distance:.2g} apart"
+        )
     quadrature = np.nan
     if found.converged and not warned:
-        quadrature = off_finer_quadrature(model, tension, found.tip_pose) / (scene.quadrature.tolerance * length)
+        quadrature = off_finer_quadrature(model, tension, found.tip_pose) / (
+            scene.quadrature.tolerance * length
+        )
         if quadrature > 1.0:
-            problems.append(f"{model.grid.per_piece} quadrature intervals put the tip {quadrature:.3g} tolerances off, without a warning")
-    kind = "converged" if found.converged else found.reason.split("load: ")[-1].split(":")[0].split("(")[-1][:40]
+            problems.append(
+                f"{model.grid.per_piece} quadrature intervals put the tip {quadrature:.3g}"
+                " tolerances off, without a warning"
+            )
+    kind = (
+        "converged"
+        if found.converged
+        else found.reason.split("load: ")[-1].split(":")[0].split("(")[-1][:40]
+    )
     return Verdict(number, kind, tuple(problems), distance, quadrature)
 
 
 def off_finer_quadrature(model, tension, tip_pose):
-    """Distance [m] of the tip from where three times as many quadrature intervals put it, on the same branch."""
+    """Distance [m] of the tip from where three times as many quadrature intervals put it, on the
+    same branch."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        finer = ste.build_model(model.scene.replace({"quadrature.intervals": min(3 * model.grid.per_piece, MOST_INTERVALS)}))
+        finer = ste.build_model(
+            model.scene.replace(
+                {"quadrature.intervals": min(3 * model.grid.per_piece, MOST_INTERVALS)}
+            )
+        )
     rest = ste.static_equilibrium(finer, tension)
-    return float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3])) if rest.converged else np.nan
+    return (
+        float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3])) if rest.converged else np.nan
+    )

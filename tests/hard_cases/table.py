@@ -1,4 +1,5 @@
-"""Writes docs/appendix/hard_cases.md and .csv: runs the hard cases, and lists each with what it measured.
+"""Writes docs/appendix/hard_cases.md and .csv: runs the hard cases, and lists each with what it
+measured.
 
 python tests/hard_cases/table.py
 """
@@ -22,18 +23,24 @@ HEAD = """\
 
 {stamp}
 
-Inputs and arms that are known to break simulators of soft arms: {count} tests in `tests/hard_cases`, twelve of them here.
-[All tests](hard_cases.csv) are in a CSV file, each with the reason why it is hard, what is expected and what was measured. A test with
-several parameters has its smallest and its largest number. `python tests/hard_cases/table.py` runs the tests and writes both files.
+Inputs and arms that are known to break simulators of soft arms: {count} tests in
+`tests/hard_cases`, twelve of them here. [All tests](hard_cases.csv) are in a CSV file, each with
+the reason why it is hard, what is expected and what was measured. A test with several parameters
+has its smallest and its largest number. `python tests/hard_cases/table.py` runs the tests and
+writes both files.
 """
 SHOWN = {
     "test_angles.py::test_rod_of_many_turns": "a rod wound up into many turns",
     "test_branches.py::test_payloads_that_fold_the_arm": "payloads that the arm can hardly carry",
     "test_branches.py::test_weight_that_grows_on_a_column": "a column that buckles",
-    "test_branches.py::test_follower_force_on_a_column": "a column that flutters under a force that follows its tip",
+    "test_branches.py::test_follower_force_on_a_column": (
+        "a column that flutters under a force that follows its tip"
+    ),
     "test_designs.py::test_catheter": "a stiff wire",
     "test_designs.py::test_four_tendons_make_three_coordinates": "redundant tendons",
-    "test_elastic_tendons.py::test_stiff_tendons_come_to_rest_where_the_statics_says": "cables of 2e5 to 1e7 N/m that go slack and taut",
+    "test_elastic_tendons.py::test_stiff_tendons_come_to_rest_where_the_statics_says": (
+        "cables of 2e5 to 1e7 N/m that go slack and taut"
+    ),
     "test_energy.py::test_arm_without_damping_for_ten_seconds": "an arm without damping",
     "test_hostile.py::test_numbers_that_no_arm_has": "numbers from 5e-324 to 1e308 in every key",
     "test_impacts.py::test_two_hundred_throws_and_shots": "impacts at up to 30 m/s",
@@ -50,8 +57,14 @@ def cases() -> dict[str, str]:
     found = {}
     for path in sorted(HERE.glob("test_*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and path.name != "test_table.py":
-                found[f"{path.name}::{node.name}"] = " ".join((ast.get_docstring(node) or "").split())
+            if (
+                isinstance(node, ast.FunctionDef)
+                and node.name.startswith("test_")
+                and path.name != "test_table.py"
+            ):
+                found[f"{path.name}::{node.name}"] = " ".join(
+                    (ast.get_docstring(node) or "").split()
+                )
     return found
 
 
@@ -91,17 +104,25 @@ def _span(values: list[float]) -> str:
 def page(summaries: dict[str, str], stamp: str) -> str:
     """The page: a row for every case of SHOWN."""
     rows = [[label, summaries[case]] for case, label in SHOWN.items()]
-    return f"{HEAD.format(stamp=stamp, count=len(summaries))}\n{markdown_table(('case', 'measured'), rows)}\n"
+    head = HEAD.format(stamp=stamp, count=len(summaries))
+    return f"{head}\n{markdown_table(('case', 'measured'), rows)}\n"
 
 
 def main() -> int:
     measurements = Measurements()
-    status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
+    status = pytest.main(
+        ["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements]
+    )
     known = cases()
     summaries = {case: measurements.summary(case) for case in known}
     PAGE.write_text(page(summaries, stamp()), encoding="utf-8")
     with open(TABLE, "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([("case", "why it is hard", "measured"), *((case, known[case], summaries[case]) for case in known)])
+        csv.writer(file).writerows(
+            [
+                ("case", "why it is hard", "measured"),
+                *((case, known[case], summaries[case]) for case in known),
+            ]
+        )
     print(f"{len(summaries)} tests, written: {PAGE} and {TABLE}")
     return int(status)
 

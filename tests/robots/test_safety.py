@@ -1,4 +1,5 @@
-"""Whatever ends a run, the tendons go slack within 100 ms, the robot is closed, and the log has every period until then; limits hold."""
+"""Whatever ends a run, the tendons go slack within 100 ms, the robot is closed, and the log has
+every period until then; limits hold."""
 
 import os
 import re
@@ -35,22 +36,57 @@ def out_of_reach():
     "faults, then, raised, cause, sent",
     [
         ({}, at(99, lost), None, "the run ended", 30),
-        ({"read": at(12, lost)}, at(99, lost), None, "reading failed: OSError, /dev/ttyUSB0: Input/output error", 11),
+        (
+            {"read": at(12, lost)},
+            at(99, lost),
+            None,
+            "reading failed: OSError, /dev/ttyUSB0: Input/output error",
+            11,
+        ),
         ({}, at(8, out_of_reach), ValueError, "ValueError, the target is out of reach", 7),
-        ({}, at(8, lambda: signal.raise_signal(signal.SIGINT)), KeyboardInterrupt, "interrupted", 7),
-        ({}, at(8, lambda: signal.raise_signal(signal.SIGTERM)), KeyboardInterrupt, "interrupted", 7),
-        ({}, at(8, lambda: signal.raise_signal(signal.SIGTSTP)), KeyboardInterrupt, "interrupted", 7),
+        (
+            {},
+            at(8, lambda: signal.raise_signal(signal.SIGINT)),
+            KeyboardInterrupt,
+            "interrupted",
+            7,
+        ),
+        (
+            {},
+            at(8, lambda: signal.raise_signal(signal.SIGTERM)),
+            KeyboardInterrupt,
+            "interrupted",
+            7,
+        ),
+        (
+            {},
+            at(8, lambda: signal.raise_signal(signal.SIGTSTP)),
+            KeyboardInterrupt,
+            "interrupted",
+            7,
+        ),
     ],
 )
-def test_every_end_lets_the_tendons_go(faults, then, raised, cause, sent, arm_of_test, drawing, pulling, columns_of_log, tmp_path):
-    arm, before = arm_of_test(**faults), [signal.signal(number, signal.SIG_DFL) for number in (signal.SIGTERM, signal.SIGHUP)]
+def test_every_end_lets_the_tendons_go(
+    faults, then, raised, cause, sent, arm_of_test, drawing, pulling, columns_of_log, tmp_path
+):
+    arm, before = (
+        arm_of_test(**faults),
+        [signal.signal(number, signal.SIG_DFL) for number in (signal.SIGTERM, signal.SIGHUP)],
+    )
     env = RobotEnv(drawing(), arm, settle=0.0, log=tmp_path / "run.csv")
     if raised is None:
         assert run_policy(pulling(then), env, 0.6).stop is env.stopped
     else:
         with pytest.raises(raised):
             run_policy(pulling(then), env, 0.6)
-    assert cause in env.stopped.cause and env.stopped.slack and arm.is_slack and arm.closed and env.stopped.seconds <= SOON
+    assert (
+        cause in env.stopped.cause
+        and env.stopped.slack
+        and arm.is_slack
+        and arm.closed
+        and env.stopped.seconds <= SOON
+    )
     heights = np.array([command.max() for _, command in arm.sent[-6:]])
     assert (np.diff(heights) < 0.0).all()  # a ramp, and no blow
     log = columns_of_log(tmp_path / "run.csv")
@@ -69,7 +105,12 @@ def test_a_port_that_is_lost_is_tried_again(arm_of_test, drawing, pulling):
     assert report.stop.slack and report.stop.seconds <= SOON and arm.is_slack
     arm = arm_of_test(write=at(5, lost))
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert not report.stop.slack and not report.finished and arm.closed and TRYING - SOON <= report.stop.seconds <= TRYING + SOON
+    assert (
+        not report.stop.slack
+        and not report.finished
+        and arm.closed
+        and TRYING - SOON <= report.stop.seconds <= TRYING + SOON
+    )
 
 
 def test_every_later_stop_tries_again(arm_of_test, drawing):
@@ -86,7 +127,9 @@ def test_every_later_stop_tries_again(arm_of_test, drawing):
 
 def test_measurements_that_are_not_new_are_no_readings(arm_of_test, drawing, pulling):
     arm = arm_of_test()
-    arm.read = lambda read=arm.read: read()._replace(time=min(arm.clock.now(), 0.2))  # a tracker that has lost sight
+    arm.read = lambda read=arm.read: read()._replace(
+        time=min(arm.clock.now(), 0.2)
+    )  # a tracker that has lost sight
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0, patience=1), 0.6)
     assert report.stop.cause == "no reading for 40 ms: patience is 1 control periods of 20 ms"
     assert report.stop.slack and report.stop.seconds <= SOON and report.timing.periods == 12
@@ -94,15 +137,30 @@ def test_measurements_that_are_not_new_are_no_readings(arm_of_test, drawing, pul
 
 def test_a_loop_that_is_too_slow_is_stopped(arm_of_test, drawing, pulling):
     arm = arm_of_test()
-    slow = pulling(lambda count: arm.clock.wait_until(arm.clock.now() + 0.03))  # of periods of 0.02 s
+    slow = pulling(
+        lambda count: arm.clock.wait_until(arm.clock.now() + 0.03)
+    )  # of periods of 0.02 s
     report = run_policy(slow, RobotEnv(drawing(), arm, settle=0.0), 5.0)
-    assert report.stop.cause == "the loop is 70 ms behind its deadlines: patience is 3 control periods of 20 ms"
-    assert report.stop.slack and report.stop.seconds <= SOON and report.timing.periods == report.timing.overruns == 7
+    assert (
+        report.stop.cause
+        == "the loop is 70 ms behind its deadlines: patience is 3 control periods of 20 ms"
+    )
+    assert (
+        report.stop.slack
+        and report.stop.seconds <= SOON
+        and report.timing.periods == report.timing.overruns == 7
+    )
 
 
 def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing, pulling):
     arm = arm_of_test()
-    with pytest.raises(ValueError, match=r"seconds: 60 s are 3000 control periods, and episodes end after 500: .*max_episode_steps=3000"):
+    with pytest.raises(
+        ValueError,
+        match=(
+            r"seconds: 60 s are 3000 control periods, and episodes end after 500:"
+            r" .*max_episode_steps=3000"
+        ),
+    ):
         run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 60.0)
     assert arm.closed and not arm.sent
 
@@ -142,7 +200,8 @@ class Arm:
     def read(self): return Measurement(time.perf_counter(), tip_pose=np.eye(4))
     def write(self, command): print(command.max(), flush=True)
     def close(self): pass
-env = gymnasium.make("TendonRod-Reach-v0", scene="three_tendon", fidelity="fast", observation=["tip_position"])
+options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_position"]}
+env = gymnasium.make("TendonRod-Reach-v0", **options)
 env = RobotEnv(env, Arm(), settle=0.0, patience=50)
 env.reset(seed=0)
 for _ in range(20): env.step(np.ones(3))
@@ -152,25 +211,52 @@ raise ValueError("and nothing is closed")
 
 @pytest.mark.slow
 def test_the_end_of_the_interpreter_lets_go():
-    ended = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, timeout=60, env={**os.environ})
+    ended = subprocess.run(
+        [sys.executable, "-c", CHILD],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ},
+    )
     assert "and nothing is closed" in ended.stderr
-    assert [float(line) for line in ended.stdout.splitlines() if re.fullmatch(r"[0-9.]+", line)][-1] == 0.0
+    assert [float(line) for line in ended.stdout.splitlines() if re.fullmatch(r"[0-9.]+", line)][
+        -1
+    ] == 0.0
 
 
 def measurement_of_a_tip(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0.0, 0.0, 1.0)):
     """Measurement of a tip."""
-    return Measurement(1.0, tip_pose=np.vstack([np.column_stack([np.diag(turned), at]), row]), tendon_length=np.zeros(3))
+    return Measurement(
+        1.0,
+        tip_pose=np.vstack([np.column_stack([np.diag(turned), at]), row]),
+        tendon_length=np.zeros(3),
+    )
 
 
 @pytest.mark.cases(
     "measured, cause",
     [
-        (Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)), "measurement.tip_pose should be finite"),
-        (Measurement(1.0, tip_pose=np.eye(4), tendon_length=np.zeros(2)), "measurement.tendon_length should have shape (3,), not (2,)"),
-        (measurement_of_a_tip(row=[0.1, 0.0, 0.2, 1.0]), "is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by 0.2"),
+        (
+            Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)),
+            "measurement.tip_pose should be finite",
+        ),
+        (
+            Measurement(1.0, tip_pose=np.eye(4), tendon_length=np.zeros(2)),
+            "measurement.tendon_length should have shape (3,), not (2,)",
+        ),
+        (
+            measurement_of_a_tip(row=[0.1, 0.0, 0.2, 1.0]),
+            "is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by 0.2",
+        ),
         (measurement_of_a_tip(turned=[1.0, -1.0, 1.0]), "by 2"),
-        (measurement_of_a_tip(at=(180.0, 90.0, 0.0)), "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m"),
-        (measurement_of_a_tip()._replace(time="12:30"), "measurement.time should be a finite number of seconds"),
+        (
+            measurement_of_a_tip(at=(180.0, 90.0, 0.0)),
+            "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m",
+        ),
+        (
+            measurement_of_a_tip()._replace(time="12:30"),
+            "measurement.time should be a finite number of seconds",
+        ),
     ],
 )
 def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test, drawing):
@@ -187,7 +273,11 @@ def test_what_write_cannot_return_stops_the_robot(arm_of_test, drawing, pulling)
     arm = arm_of_test()
     arm.write = lambda command, write=arm.write: (write(command), [2000, 3000, 3000])[1]
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert "it should be what was sent, in N, or nothing" in report.stop.cause and report.stop.slack and arm.is_slack
+    assert (
+        "it should be what was sent, in N, or nothing" in report.stop.cause
+        and report.stop.slack
+        and arm.is_slack
+    )
 
 
 @pytest.mark.cases("rounds", [lambda command: 0.5 * np.round(command / 0.5), lambda command: None])
@@ -196,7 +286,9 @@ def test_commands_stay_within_limits_and_rate(rounds, arm_of_test, drawing):
     arm.write = lambda command, write=arm.write: rounds(write(command))
     env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.4, rate=10.0)
     env.reset(seed=0)
-    np.testing.assert_allclose([command[0] for _, command in arm.sent[:22]], np.minimum(np.arange(1, 23) / 40.0, 0.5))  # evenly from slack
+    np.testing.assert_allclose(
+        [command[0] for _, command in arm.sent[:22]], np.minimum(np.arange(1, 23) / 40.0, 0.5)
+    )  # evenly from slack
     for _ in range(30):
         observation, *_ = env.step([1.0, -1.0, 5.0])
     sent = np.array([command for _, command in arm.sent])
