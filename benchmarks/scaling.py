@@ -371,7 +371,7 @@ def memory_table(quick: bool) -> str:
     environment, rows = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, []
     for task in tasks:
         commands = [
-            [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v1", own, str(few), str(many)]
+            [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", own, str(few), str(many)]
             for own in fidelities
         ]
         grown = [

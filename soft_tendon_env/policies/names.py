@@ -56,13 +56,15 @@ USUAL_NAMES = {
 }
 """Usual names of methods: the controller of this package, and the method."""
 
-ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py
-and name the policy mine:agent:
-    from stable_baselines3 import PPO  # or what trained it
-    # the statistics of a VecNormalize are not in the file
-    def agent(env): return PPO.load({path!r})
-    # and preview, history, sensors, action, tension_rate, as in its training
-    agent.options = {{"observation": [...]}}"""
+ZIP = (
+    "a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and"
+    " name the policy mine:agent:\n"
+    "    from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize"
+    " are not in the file\n"
+    "    def agent(env): return PPO.load({path!r})\n"
+    '    agent.options = {{"observation": [...]}}  # and preview, history, sensors, action,'
+    " tension_rate, as in its training"
+)
 
 
 @dataclass(frozen=True)

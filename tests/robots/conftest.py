@@ -107,7 +107,7 @@ def drawing():
             "action": "tension",
             "observation": observed,
         }
-        env = gym.make(f"TendonRod-{task}-v1", **{**usual, **options})
+        env = gym.make(f"TendonRod-{task}-v0", **{**usual, **options})
         env.reset(seed=0)
         env.step(np.zeros(3))
         return env
