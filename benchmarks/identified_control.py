@@ -94,7 +94,7 @@ class Holdable(Target):
 
     def draw(self, generator, setting):
         env = gym.make(
-            f"TendonRod-{TASK}-v1",
+            f"TendonRod-{TASK}-v0",
             scene=self.scene,
             fidelity=TRUE,
             target={"type": "random", "fraction": 0.4},
@@ -241,7 +241,7 @@ def error_of(policy: str, robot: Scene, scene: Scene, seed: int, seconds: float)
         **policy_options(policy, TASK, {"scene": scene, "fidelity": BELIEVED}),
         "target": target,
     }
-    env = gym.make(f"TendonRod-{TASK}-v1", **options)
+    env = gym.make(f"TendonRod-{TASK}-v0", **options)
     player = load_policy(policy, env)
     rehearse(player, env)
     arm = SimulatedRobot(

@@ -112,7 +112,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     """Results of a run with a fault."""
     steps = episode_steps(seconds, 0.0, ARM)
     options = policy_options(arguments.policy, TASK, ARM)
-    env = gym.make(f"TendonRod-{TASK}-v1", max_episode_steps=steps, **options)
+    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=steps, **options)
     policy = load_policy(arguments.policy, env)
     rehearse(policy, env)
     robot = Faulty(**ARM, sensors=options.get("sensors", 0), randomize={"stiffness": 0.8})
