@@ -143,7 +143,7 @@ def table(**changes):
     return write
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "spoil, said",
     [
         (
@@ -212,7 +212,7 @@ def ppo(tmp_path):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, options, said",
     [
         ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with observation = "),
@@ -251,7 +251,7 @@ def gravity(acceleration):
     return {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, acceleration]}
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),
