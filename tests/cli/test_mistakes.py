@@ -209,7 +209,6 @@ def test_damaged_checkpoints_and_agents_are_refused(
     refused, config, finished, tmp_path, damage, place, name, arguments
 ):
     run = tmp_path / "run"
-    shutil.rmtree(run, ignore_errors=True)
     damage(shutil.copytree(finished, run) / place / name)
     said = refused(*arguments.format(config=config, run=run).split())
     assert str(run / place) in said and name in said

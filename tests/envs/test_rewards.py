@@ -183,7 +183,6 @@ def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
         ValueError, match=r"'wrong' should have values of shape \(1,\) between 0 and 1, not"
     ):
         env.reset(seed=0)
-    OWN_TERMS.clear()
 
 
 def test_a_term_of_a_users_own_knows_the_time(forgotten):

@@ -180,7 +180,7 @@ def table(**changes):
     ],
 )
 def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, said):
-    folder = write_agent(tmp_path / str(len([*tmp_path.iterdir()])), *trained)
+    folder = write_agent(tmp_path / "agent", *trained)
     spoil(folder, *trained)
     with pytest.raises(ValueError, match=said) as error:
         agent.load_agent(str(folder), make())

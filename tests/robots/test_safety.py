@@ -94,7 +94,6 @@ def test_every_end_lets_the_tendons_go(
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     for number, handler in zip((signal.SIGTERM, signal.SIGHUP), before, strict=True):
         signal.signal(number, handler)
-    (tmp_path / "run.csv").unlink()
 
 
 def test_a_port_that_is_lost_is_tried_again(arm_of_test, drawing, pulling):
