@@ -124,6 +124,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     report = ended(lambda: run_policy(Failing(policy, robot), real, seconds), real)
     since = f"{1e3 * (robot.slack_at - robot.begins):.0f}" if fault in FAULTS else "-"
     timing, noticed = report.timing, 1e3 * report.stop.seconds
+    logged = log.read_text().count("\n") - 2 if log.exists() else 0
     late = [f"{1e3 * value:.3f}" for value in (timing.p50, timing.p99, timing.worst)]
     return (
         fault,
@@ -132,7 +133,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
         *late,
         f"{noticed:.0f}",
         since,
-        log.read_text().count("\n") - 2,
+        logged,
         report.stop.cause,
     )
 

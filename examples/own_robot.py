@@ -27,8 +27,8 @@ class LineArm:
     command_unit = "N"
     senses = ("tip_pose", "tendon_length")
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 5005) -> None:
-        self._socket = socket.create_connection((host, port), timeout=0.1)
+    def __init__(self, host: str = "127.0.0.1", port: int = 5005, timeout: float = 0.1) -> None:
+        self._socket = socket.create_connection((host, port), timeout=timeout)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # lines are sent at once
         self._lines = self._socket.makefile("rw")
 
@@ -71,7 +71,9 @@ def main() -> None:
     env = gym.make("TendonRod-Reach-v0", **ARM, action="tension", observation=OBSERVED)
     policy = load_policy("filtered:tracking", env)
     rehearse(policy, env)
-    robot = RobotEnv(env, LineArm(port=server.server_address[1]), settle=0.5, patience=25)
+    # A computer that plays both parts may be late; leave these two out for a robot.
+    arm = LineArm(port=server.server_address[1], timeout=60.0)
+    robot = RobotEnv(env, arm, settle=0.5, patience=3000)
     report = run_policy(policy, robot, seconds=2.0)
     print(f"{1e3 * report.errors['position_error'][-1]:.2f} mm from the goal; {report.timing}")
     server.shutdown()

@@ -95,7 +95,7 @@ def assert_moved(there, here):
     np.testing.assert_allclose(there, BASE.pose @ here, rtol=0.0, atol=3e-10)
 
 
-@pytest.mark.cases("changes", CASES)
+@pytest.mark.parametrize("changes", CASES)
 def test_equilibria_and_motions_move_along(changes):
     found = []
     for scene in twins(changes):
@@ -126,7 +126,7 @@ def test_inverse_statics_and_the_loss_of_stability_move_along():
     np.testing.assert_allclose(found[1].tension, found[0].tension, atol=1e-6)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, target",
     [("TipPose", "circle"), ("TipPose", "out_of_reach"), ("TipPose", "random"), ("Reach", "hold")],
 )

@@ -168,7 +168,7 @@ def check_options(line: str, words: list[str], script: bool) -> None:
             )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))]
 )
 def test_commands_exist(page):
@@ -187,7 +187,7 @@ def test_files_that_pages_show_are_examples_that_run():
             )
 
 
-@pytest.mark.cases("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere_and_configurations_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):
@@ -202,7 +202,7 @@ def test_links_lead_somewhere_and_configurations_exist(page):
         assert (ROOT / path).is_file(), path
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "command",
     [
         made["command"]

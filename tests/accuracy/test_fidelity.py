@@ -18,7 +18,7 @@ from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 
 
-@pytest.mark.cases("name", scene_names())
+@pytest.mark.parametrize("name", scene_names())
 def test_presets_of_shipped_scenes(name):
     """Four intervals, four to six, under water one more, and at least eight; the finest preset with
     more of the arm's own fields than the coarsest; no warning."""
@@ -49,7 +49,7 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
         )
 
 
-@pytest.mark.cases("name", ("paper", "four_tendon", "helical"))
+@pytest.mark.parametrize("name", ("paper", "four_tendon", "helical"))
 def test_standard_is_near_full_physics_and_fast_not_far(name):
     """As shares of the length, on a motion that no field was made from."""
     scene = load_scene(name)

@@ -50,7 +50,7 @@ def test_errors_fall_with_the_number_of_fields(quick):
     assert fields.needed(max(fields.errors[kind][1] for kind in USUAL), USUAL) == 3
 
 
-@pytest.mark.cases("name", WITH_FIELDS)
+@pytest.mark.parametrize("name", WITH_FIELDS)
 def test_abrupt_loads_make_no_phantom_tensions(name):
     """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10
     and 20 ms."""

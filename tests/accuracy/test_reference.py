@@ -49,7 +49,7 @@ def test_parts_turn_once_at_most():
     assert part_borders(ARM) == [] and len(part_borders(ARM, 4)) == 3
 
 
-@pytest.mark.cases("motion", MOTIONS)
+@pytest.mark.parametrize("motion", MOTIONS)
 def test_tensions_fill_their_band_and_are_those_of_their_seed(motion):
     tables = np.concatenate([motion_tensions(PAPER, motion, seed) for seed in range(20)])
     assert tables.shape == (20 * 2.0 / HOLD, 10)

@@ -102,7 +102,7 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     assert choose(ARM, PRESETS["fine"]).coordinates == 99
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "change, same",
     [
         (

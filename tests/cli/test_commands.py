@@ -147,7 +147,7 @@ def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, c
     )
 
 
-@pytest.mark.cases("name", COMMANDS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
     from soft_tendon_env.cli import options
 

@@ -50,7 +50,7 @@ def same(a, b):
     return a.tension.tobytes() == b.tension.tobytes() and a.report == b.report
 
 
-@pytest.mark.cases("scene", SCENES)
+@pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("entry", ENTRIES)
 def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
     """Inputs that jump from one to another, with the memory of the last; every controller does

@@ -79,8 +79,8 @@ def loop(gains, period, integral):
     return np.stack([rate, error, total])[:size, :size]
 
 
-@pytest.mark.cases("period", PERIODS)
-@pytest.mark.cases("integral_time", INTEGRAL_TIMES)
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("integral_time", INTEGRAL_TIMES)
 def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
     """Two of damping ratio zeta, the slowest at -4 / settling_time, and that of the integral.
     Compared as polynomials in (z - 1) / period, by their values at some points, which stay well

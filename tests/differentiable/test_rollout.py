@@ -260,7 +260,7 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
 ]
 
 
-@pytest.mark.cases("name, changes, share, least", ACCURACY)
+@pytest.mark.parametrize("name, changes, share, least", ACCURACY)
 def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, share, least):
     """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and
     elastic tendons go slack and taut."""
@@ -275,7 +275,7 @@ def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, 
 HANGING = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "scene, randomize, told",
     [
         ("catheter", {}, None),
@@ -308,7 +308,9 @@ def slopes(value, pose, h=1e-6):
     )
 
 
-@pytest.mark.cases("angle", [(0.0,), (1e-9,), (1e-4,), (0.3,), (2.0,), (3.1,), (np.pi - 1e-4,)])
+@pytest.mark.parametrize(
+    "angle", [(0.0,), (1e-9,), (1e-4,), (0.3,), (2.0,), (3.1,), (np.pi - 1e-4,)]
+)
 def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
     rng = np.random.default_rng(0)
     axis, weight = rng.normal(size=3), rng.normal(size=6)

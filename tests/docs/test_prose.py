@@ -143,7 +143,7 @@ def test_pages_are_written_plainly(check):
     assert wrong == {}, check.__doc__
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "check, text, wrong",
     [
         (lengths, "It is 3 mm off.", 1),
@@ -169,7 +169,7 @@ TRIED = [
 ]
 
 
-@pytest.mark.cases("page, tried", TRIED)
+@pytest.mark.parametrize("page, tried", TRIED)
 def test_what_a_page_says_is_refused_is_refused(page, tried, capsys):
     if tried.startswith("tests/"):
         file, _, test = tried.partition("::")

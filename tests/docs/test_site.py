@@ -31,7 +31,7 @@ def test_equations_become_mathml():
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "latex, message",
     [(r"\nothing x", r"\nothing in"), (r"\frac{a", "do not pair"), (r"a & b", "&")],
 )
@@ -43,7 +43,7 @@ def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
     assert message in str(error.value) and "how_to/a.md" in str(error.value)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "markdown, shown",
     [
         ("`examples/own_task.py`", "[`examples/own_task.py`](../sources/examples/own_task.py.md)"),

@@ -20,7 +20,7 @@ def loads(*tables):
 
 
 @pytest.mark.no_jit
-@pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
+@pytest.mark.parametrize("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place):
     """F = d(force . r)/dq of the backbone itself, to fourth order in the distance of the nodes, in
     the first interval too."""

@@ -121,7 +121,7 @@ def test_every_effect_is_tried_here():
     } == set(CASES)
 
 
-@pytest.mark.cases("name, table, message", MISTAKES)
+@pytest.mark.parametrize("name, table, message", MISTAKES)
 def test_mistakes_are_named(build, name, table, message):
     with pytest.raises(ConfigurationError, match=message):
         build_model(build("three_tendon").scene.replace({f"effects.{name}": table}))
@@ -224,7 +224,7 @@ def test_configuration_survives_a_round_trip_and_covers_its_variations(name, bui
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name, table, message",
     [
         (

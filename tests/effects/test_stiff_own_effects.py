@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
 from soft_tendon_env.effects.base import EFFECTS
 
@@ -55,9 +56,8 @@ def stiff(monkeypatch):
             def parameters(self, rod):
                 return parameters
 
-        return ste.build_model(
-            ste.load_scene("three_tendon").replace({"effects.stiff": {}}), "standard"
-        )
+        bare = at_fidelity(ste.load_scene("three_tendon"), "standard")
+        return ste.build_model(bare.replace({"effects.stiff": {}}), "scene")
 
     return make
 

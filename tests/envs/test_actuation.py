@@ -26,11 +26,11 @@ def test_tensions_go_from_limit_to_limit():
     np.testing.assert_allclose(tension_after(env, [-1.0, 0.0, 1.0]), [-1.0, 1.0, 3.0])
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "limits, start",
     [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)],
 )
-@pytest.mark.cases("action", ["tension", "increment"])
+@pytest.mark.parametrize("action", ["tension", "increment"])
 def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start, action):
     env = TipPoseEnv(
         **SMALL, tension_limits=limits, action=action, observation=["last_action", "rates"]

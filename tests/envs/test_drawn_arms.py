@@ -193,7 +193,7 @@ def test_info_has_what_was_drawn_where_episodes_begin():
     )
 
 
-@pytest.mark.cases("how", WRONG)
+@pytest.mark.parametrize("how", WRONG)
 def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     ranges, text = WRONG[how]
     effects = {
@@ -215,7 +215,7 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, ranges, message",
     [
         (

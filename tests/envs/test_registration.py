@@ -62,7 +62,7 @@ def test_a_task_from_outside_is_an_environment(forgotten):
     np.testing.assert_array_equal(again.reset(seed=3)[0], expected)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, message",
     [
         (

@@ -167,7 +167,7 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
         ][0] == info["reward_straightness"]
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "value",
     [
         lambda tracking: 0.5,
@@ -183,7 +183,6 @@ def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
         ValueError, match=r"'wrong' should have values of shape \(1,\) between 0 and 1, not"
     ):
         env.reset(seed=0)
-    OWN_TERMS.clear()
 
 
 def test_a_term_of_a_users_own_knows_the_time(forgotten):
@@ -203,7 +202,7 @@ def test_a_term_of_a_users_own_knows_the_time(forgotten):
         assert found == [(0.0, [0.0] * 2)] * 2 + [(1.0, [1.0] * 2)] * 2
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name, scale, shown",
     [("effort", 2.0, "2.0"), ("smoothness", [1.0, 2.0], "1.0, 2.0"), ("own", 0.1, "0.1")],
 )
@@ -224,7 +223,7 @@ def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, show
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*has no passive fields")
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "options",
     [
         {"scene": "three_tendon", "threshold": 0.02},

@@ -180,7 +180,7 @@ def test_another_target_is_followed_from_now_on(same):
     assert same(single[0].reset(seed=3)[0], TipPoseEnv(**options).reset(seed=3)[0])
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "kind, target",
     [
         (TipPoseEnv, "hald"),
@@ -273,7 +273,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.cases("made, options, message", REFUSED)
+@pytest.mark.parametrize("made, options, message", REFUSED)
 def test_bad_options_are_refused_before_anything_changes(made, options, message, same):
     env, twin = (
         made(num_envs=2, **SMALL) if made is ReachVectorEnv else made(**SMALL) for _ in range(2)

@@ -154,7 +154,7 @@ DIFFICULT = [
 ]
 
 
-@pytest.mark.cases("kind, difficulty, target, expected", DIFFICULT)
+@pytest.mark.parametrize("kind, difficulty, target, expected", DIFFICULT)
 def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target, expected):
     if isinstance(expected, str):
         with pytest.raises(ConfigurationError, match=expected):
@@ -170,7 +170,7 @@ def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target,
     )  # of which it sets nothing, or what it sets of others
 
 
-@pytest.mark.cases("limits", [None, [-2.0, 4.0], [1.0, 4.0]])
+@pytest.mark.parametrize("limits", [None, [-2.0, 4.0], [1.0, 4.0]])
 @pytest.mark.parametrize("target", ["random", "hold", "ramp"])
 def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):
     env = TipPoseEnv(**SMALL, target={"type": target, "fraction": 0.5}, tension_limits=limits)
@@ -251,7 +251,7 @@ UNHELD = {
 says of the limit."""
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "kind, target", [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")]
 )
 @pytest.mark.parametrize("where", UNHELD)
@@ -359,7 +359,7 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "row, said",
     [
         ("1,250,100,50,1,0,0,0", "a pose 250 m from the base: it should lie within ±0.6 m"),
@@ -408,7 +408,7 @@ def test_every_episode_draws_one_of_several_targets():
     ) == len(TIMES)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "target, said",
     [
         ({"type": "either", "of": []}, r"target\.of"),

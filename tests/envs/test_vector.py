@@ -159,7 +159,7 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
 
 
 @pytest.mark.slow
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "given, message",
     [
         ({"seed": -1}, "seed should be a whole number of at least 0, not -1"),
@@ -200,7 +200,7 @@ def test_bad_arguments_of_reset_are_refused_before_anything_changes(
     )
 
 
-@pytest.mark.cases("rows, threads", [(None, None), (1, None), (32, 2)])
+@pytest.mark.parametrize("rows, threads", [(None, None), (1, None), (32, 2)])
 def test_nothing_goes_on_after_close(rows, threads):
     """Whether there are threads or not; closing again is harmless."""
     env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
@@ -220,7 +220,7 @@ def test_nothing_goes_on_after_close(rows, threads):
             call()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "key, value, said",
     [
         ("num_envs", 0, "num_envs"),

@@ -100,7 +100,7 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
         trained_alike(PolicyName.parse(str(tmp_path), "Reach"))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "observed, regime, reason",
     [
         *(
@@ -119,7 +119,7 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "given, text",
     [
         (

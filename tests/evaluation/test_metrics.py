@@ -92,7 +92,7 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "judge, said",
     [
         (
@@ -229,7 +229,7 @@ def test_who_has_not_played_the_same_episodes_alone_is_not_compared(other):
         difference(standing([[1.0, 1.1, 0.9, 1.0]]), standing(other), KEY)
 
 
-@pytest.mark.cases("count", range(1, 14))
+@pytest.mark.parametrize("count", range(1, 14))
 def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count):
     assert interquartile_mean([5.0, 100.0, 3.0, -100.0, 4.0]) == 4.0, (
         "a quarter of 5 is 1.25, so one at either end"
@@ -240,7 +240,7 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "values, tails",
     [
         ([[3.0] * 6, [3.0] * 3 + [70.0] * 3], (19.75, 70.0)),  # whose interquartile mean is 3

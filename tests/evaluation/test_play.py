@@ -98,7 +98,7 @@ def test_a_row_that_diverges_ends_alone():
     assert scores[1].steps < 10 and scores[0].steps == scores[2].steps == 10
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "play_on, make_env, seeds, error, said",
     [
         (evaluate_rows, make_rows, [0, 1], ValueError, "one for each of the 3 rows, not 2"),
@@ -132,7 +132,7 @@ def test_environments_that_cannot_be_evaluated_are_refused(play_on, make_env, se
         play_on(Constant(0.0, 0.0, 0.0), make_env(), seeds)
 
 
-@pytest.mark.cases("error", MODEL_ERRORS)
+@pytest.mark.parametrize("error", MODEL_ERRORS)
 def test_a_seed_has_the_same_target_whatever_the_arm_has(error):
     env, nominal = (
         make(randomize=MODEL_ERRORS[error].randomize, preview=[0.02], action="increment"),
@@ -162,7 +162,7 @@ def test_an_arm_has_several_model_errors_at_once():
 
 
 @pytest.mark.parametrize("rows", [False, True])
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "target, jumped",
     [({"type": "steps", "duration": 0.08}, True), ("random", False), ("hold", False)],
 )

@@ -82,7 +82,7 @@ class Measurements:
         self.outcomes: dict[str, set[str]] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        case = report.nodeid.rsplit("/", 1)[-1].split("[")[0]
+        case = report.nodeid.split("[")[0].rsplit("/", 1)[-1]
         if report.when == "call" or report.outcome != "passed":
             outcome = "known defect" if hasattr(report, "wasxfail") else report.outcome
             self.outcomes.setdefault(case, set()).add(outcome)

@@ -20,8 +20,8 @@ INTERVALS = 6
 @pytest.mark.filterwarnings(
     "ignore:.*coordinates are too many"
 )  # at 2 pi every interval closes a circle: its end does not move
-@pytest.mark.cases("axis", AXES)
-@pytest.mark.cases("angle", SWITCHES)
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("angle", SWITCHES)
 def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis, angle):
     """An interval of a pre-curved rod turns by just less than, exactly and just more than 1 rad
     (where the series ends), pi and 2 pi. Expected: pose and mass matrix are continuous across the

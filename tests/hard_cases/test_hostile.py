@@ -15,7 +15,7 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-LONGEST = 2.0  # [s] that a refusal may take on a busy machine
+MOST = 100.0  # CPU time that a refusal may take, in those of building the plain arm
 
 
 def _model(changes, name="three_tendon"):
@@ -25,13 +25,16 @@ def _model(changes, name="three_tendon"):
 
 
 def refused(call, kinds=(ValueError, OSError)):
-    """The one line that a call is refused with, in LONGEST at most, and how long it took."""
-    started = time.perf_counter()
+    """The one line that a call is refused with, in less than MOST times the CPU time of building
+    the plain arm."""
+    begun = time.process_time()
+    _model({})
+    built = time.process_time()
     with pytest.raises(kinds) as caught:
         call()
-    took, said = time.perf_counter() - started, str(caught.value)
-    assert took < LONGEST and "\n" not in said and len(said) < 600
-    return said, took
+    told, message = time.process_time(), str(caught.value)
+    assert told - built < MOST * (built - begun)
+    assert "\n" not in message and len(message) < 600
 
 
 BASE = {
@@ -190,10 +193,10 @@ BEYOND = {
 }
 
 
-@pytest.mark.cases("changes, message", BEYOND.values())
+@pytest.mark.parametrize("changes, message", BEYOND.values())
 def test_more_than_can_be_computed(changes, message):
     """Steps of a nanosecond, 10^9 Hz, 10^15 turns, tensions that grow by exp(300): hours, gigabytes
-    or overflow. Expected: within 2 s one line with the number and what is allowed."""
+    or overflow. Expected: soon one line with the number and what is allowed."""
 
     with pytest.raises(ConfigurationError, match=message):
         _model(changes)  # what it needs is compiled once

@@ -54,7 +54,7 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
     assert 0.4999999 < nu.high <= 0.5
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "asked, message",
     [
         ("segments.0,7.density", "segments.7.density is no number of the scene"),
@@ -111,7 +111,7 @@ def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
     assert np.allclose(measurement.gain, [1.1, 1.0, 1.0])
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, moves",
     [
         ({}, False),

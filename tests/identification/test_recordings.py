@@ -39,7 +39,7 @@ def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "text, message",
     [
         (
@@ -83,7 +83,7 @@ def test_a_share_or_a_column_is_held_out(arm, holds, placed):
     assert len(split(found, "tension_0")[1]) == 10
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "held_out, message",
     [
         ("-1", "a share from 0"),
@@ -105,7 +105,7 @@ def recordings_of(*commands, period=0.0):
     ]
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "commands, groups",
     [
         ([[1.0, 0.0], [1.004, 0.001], [2.0, 0.0], [0.996, 0.0], [1.0, 0.1]], [0, 0, 1, 0, 2]),
@@ -119,7 +119,7 @@ def test_repeats_of_the_same_commands_are_found(commands, groups):
     assert same_commands(recordings_of(*commands)).tolist() == groups
 
 
-@pytest.mark.cases("share, count", [("0.25", 4), ("0.5", 8)])
+@pytest.mark.parametrize("share, count", [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
     tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
     parts = split(
@@ -162,7 +162,7 @@ def read(tmp_path, content, markers=MARKERS, scene="three_tendon"):
     return read_recordings([path], load_scene(scene), markers)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "content",
     [
         table().encode("utf-8-sig"),
@@ -187,7 +187,7 @@ def test_dialects_give_the_same_numbers(tmp_path, content):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "columns, factors, header",
     [
         (
@@ -279,7 +279,7 @@ def motion(times, tensions=None):
     return "\n".join(",".join(row) for row in [["time", *HEADER[1:]], *rows]) + "\n"
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "content, message",
     [
         (
@@ -348,7 +348,7 @@ def test_what_cannot_be_read_is_told_with_its_place(tmp_path, content, message):
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "period, begin, unit",
     [
         (0.01, 1.7634e9, "s"),
@@ -372,7 +372,7 @@ def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
             read(tmp_path, motion(times))
 
 
-@pytest.mark.cases("text", ["nan", "NaN", "", "NA", "null", "None", "0"])
+@pytest.mark.parametrize("text", ["nan", "NaN", "", "NA", "null", "None", "0"])
 def test_cells_without_a_number_are_markers_that_were_not_seen(tmp_path, text):
     found = read(tmp_path, table().replace("0.251,-0.08,0.06", ",".join([text] * 3)))
     assert np.isnan(found[1].positions).all() and np.isfinite(found[2].positions).all()

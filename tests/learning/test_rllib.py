@@ -49,7 +49,7 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
         assert (found.num_env_runners, found.num_envs_per_env_runner) == (2, chosen.arms // 2)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, said",
     [
         ({"algorithm": "SAC", "hyperparameters": {}}, "algorithm has no counterpart"),

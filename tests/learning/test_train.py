@@ -150,7 +150,7 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path
 @pytest.mark.slow
 def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     path = tmp_path / "long.toml"
-    path.write_text(tomli_w.dumps({**table, "steps": 100_000}))
+    path.write_text(tomli_w.dumps({**table, "steps": 10_000_000}))  # which no machine does
     out, command = (
         tmp_path / "run",
         [sys.executable, "-m", "soft_tendon_env", "train", path, "--out", tmp_path / "run"],
@@ -159,14 +159,13 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
         command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL
     )
     try:
-        until = time.monotonic() + 240.0
-        while time.monotonic() < until and process.poll() is None and not (out / "last").exists():
+        while process.poll() is None and not (out / "last").exists():
             time.sleep(0.05)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
     done = checkpoints.read_checkpoint(checkpoints.find_checkpoint(out / "last"))["steps_done"]
-    assert 64 <= done < 100_000
+    assert 64 <= done < 10_000_000
     more = config.read_training(path, [f"steps={done + 128}"])
     train.train(more, out, train.checkpoint_to_resume(out, more, resume=True))
     rows = [row["steps"] for row in curve(out)]
@@ -221,7 +220,7 @@ def hyperparameters(**given):
     return {"hyperparameters": given}
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, said",
     [
         ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
@@ -266,7 +265,7 @@ def test_mistakes_in_a_file_are_named(training, changes, said):
     assert str(error.value).startswith("file: ") and said in str(error.value)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, said",
     [
         (
@@ -317,7 +316,7 @@ def test_arguments_go_before_the_file(table, tmp_path):
     )
 
 
-@pytest.mark.cases("path", [config.find_config(name) for name in config.config_names()])
+@pytest.mark.parametrize("path", [config.find_config(name) for name in config.config_names()])
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem

@@ -86,7 +86,7 @@ def assert_close(found, expected, tolerance=1e-5):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name, changes",
     [
         ("three_tendon", {}),
@@ -143,7 +143,7 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, key, message",
     [
         ({}, "quadrature.intervals", "quadrature.intervals is no number of the scene"),

@@ -26,8 +26,8 @@ def grid_of(name, intervals):
     return scene, make_grid(scene, intervals)
 
 
-@pytest.mark.cases("intervals", (1, 2, 3, 6))
-@pytest.mark.cases("name", scene_names())
+@pytest.mark.parametrize("intervals", (1, 2, 3, 6))
+@pytest.mark.parametrize("name", scene_names())
 def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     scene, grid = grid_of(name, intervals)
     start, end = grid.start[grid.real], (grid.start + grid.length)[grid.real]
@@ -59,8 +59,8 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
     assert np.count_nonzero(difference) == 6
 
 
-@pytest.mark.cases("name", ("paper", "three_tendon"))
-@pytest.mark.cases("lead", ((), (3,), (2, 3)))
+@pytest.mark.parametrize("name", ("paper", "three_tendon"))
+@pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):
     """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get
     the last point's."""

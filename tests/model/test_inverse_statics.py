@@ -30,7 +30,7 @@ def circle(angle):
     return pose
 
 
-@pytest.mark.cases("angle", [0.0, 2.0])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
 def test_the_circle_needs_pushes(paper, angle):
     pose, pushing = circle(angle), paper.scene.replace({"tendons.*.tension_limits": [-20.0, 20.0]})
     either = tension_for_tip_pose(paper.with_scene(pushing), pose)
@@ -44,7 +44,7 @@ def test_the_circle_needs_pushes(paper, angle):
     assert pulls.tension.min() >= 0.0
 
 
-@pytest.mark.cases("name", ["paper_16dof", "four_tendon", "helical", "catheter"])
+@pytest.mark.parametrize("name", ["paper_16dof", "four_tendon", "helical", "catheter"])
 def test_round_trip(name):
     model = build_model(load_scene(name))
     least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
@@ -91,7 +91,7 @@ def test_a_start_next_to_the_strain_limit_is_answered():
         np.testing.assert_allclose(found.tension, [start, 0.0, 0.0], atol=1e-8)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "pose, options, message",
     [
         (np.diag([1.0, 1.0, 1.1, 1.0]), {}, "pose should be a rigid transform"),

@@ -25,7 +25,7 @@ def paper(build):
     return build("paper", {"quadrature.intervals": 2})
 
 
-@pytest.mark.cases("method", OF_Q)
+@pytest.mark.parametrize("method", OF_Q)
 def test_every_method_names_bad_coordinates_and_says_where_the_strain_ends(method, paper):
     with pytest.raises(ValueError, match=r"^q should have shape \(10,\), not \(9,\)"):
         OF_Q[method](paper, np.zeros(9))

@@ -78,8 +78,8 @@ KINDS = {
 }
 
 
-@pytest.mark.cases("intervals", [4, 8])
-@pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
+@pytest.mark.parametrize("intervals", [4, 8])
+@pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate, true = (
         QuadratureTest(scene).error_estimate(intervals).error,
@@ -126,7 +126,7 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
         build_model(scene.replace({"quadrature.intervals": enough}))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, message",
     [
         ({"strain__strains": ["torsion"]}, "gives no coordinates"),

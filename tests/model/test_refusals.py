@@ -51,7 +51,7 @@ def set_state(simulation, **changes):
     simulation.state = dataclasses.replace(simulation.state, **changes)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "call, message",
     [
         (lambda s: s.model.terms(OK, OK, BAD), "tension should be finite"),
@@ -99,7 +99,7 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
     assert message in str(caught.value) and numbers(moving) == before
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "theirs, ours, message",
     [
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),

@@ -90,7 +90,7 @@ def test_the_jacobians_are_near_those_of_the_simulation(moving):
     assert off(moving.model, found.by_tension[0], by_tension, np.ones(3)) < 0.03
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, message",
     [
         ({"commands": [[0.0] * 2]}, r"commands should have shape \(any, 3\)"),

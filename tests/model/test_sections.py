@@ -112,7 +112,7 @@ def frequencies(model):
     return np.sqrt(eigh(terms.stiffness, terms.mass, eigvals_only=True))
 
 
-@pytest.mark.cases("section, known", SECTIONS)
+@pytest.mark.parametrize("section, known", SECTIONS)
 def test_cantilevers_about_both_axes_and_torsion(section, known):
     """A small force F at the tip bends by F L^3 / (3 E I), and a moment T twists by T L / (G J); J
     is tabled to 4 digits."""
@@ -125,7 +125,7 @@ def test_cantilevers_about_both_axes_and_torsion(section, known):
     np.testing.assert_allclose(np.arctan2(pose[2, 1], pose[1, 1]), 0.5, rtol=3e-4)
 
 
-@pytest.mark.cases("section, known", SECTIONS)
+@pytest.mark.parametrize("section, known", SECTIONS)
 def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
     """Euler-Bernoulli, less Rayleigh's share of rotary inertia to first order, and sqrt(G J / (rho
     Ip)) of a twisted bar."""
@@ -150,7 +150,7 @@ def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
     )
 
 
-@pytest.mark.cases("correction", (1.0, 0.53))
+@pytest.mark.parametrize("correction", (1.0, 0.53))
 def test_a_short_tube_bends_and_shears_as_timoshenko_says(correction):
     """At L / d = 6: F L^3 / (3 E I) + F L / (k G A)."""
     area, bending, *_ = tube(0.006, 0.005)
@@ -195,7 +195,7 @@ def test_what_is_a_circle_too_equals_the_circle():
     )
 
 
-@pytest.mark.cases("section", TAPERED)
+@pytest.mark.parametrize("section", TAPERED)
 def test_sizes_follow_tapers(section):
     """The outer radius' slope is its derivative, and a scene survives as a table, with the old key
     of tabled radii too."""
@@ -240,7 +240,7 @@ def beam_with_masses(places, mass, rotary, bending, line_mass, line_rotary):
     return np.sqrt(eigh(K[2:, 2:], M[2:, 2:], eigvals_only=True))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "where", ({"number": 1}, {"number": 6}, {"number": 20}, {"places": [0.09, 0.21]})
 )
 def test_discs_are_lumped_masses_with_rotary_inertia(where):
@@ -254,7 +254,9 @@ def test_discs_are_lumped_masses_with_rotary_inertia(where):
     np.testing.assert_allclose(frequencies(model)[:3], exact[:3], rtol=1e-3)
 
 
-@pytest.mark.cases("where", ({"number": 7}, {"number": 20}, {"places": [0.113, 0.222, 0.287]}))
+@pytest.mark.parametrize(
+    "where", ({"number": 7}, {"number": 20}, {"places": [0.113, 0.222, 0.287]})
+)
 def test_weight_of_discs_on_few_intervals(where):
     """Sag under small weight, sum m g x^2 (3 L - x) / (6 E I), on intervals that the places do not
     meet."""
@@ -323,7 +325,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.cases("changes, message", REFUSED)
+@pytest.mark.parametrize("changes, message", REFUSED)
 def test_mistakes_are_refused_by_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         arm(TUBE, **changes)

@@ -16,7 +16,7 @@ def model_of(name, **changes):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name", sorted({*scene_names()} - {"paper_among_obstacles"})
 )  # where friction holds, many states are at rest
 def test_every_scene_balances_the_forces(name):
@@ -91,9 +91,9 @@ def test_what_redundant_tendons_leave_out_is_told():
         assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
 
 
-@pytest.mark.cases("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])
-@pytest.mark.cases("name", ["paper", "paper_16dof"])
-@pytest.mark.cases("step", [0.01, 0.5])
+@pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])
+@pytest.mark.parametrize("name", ["paper", "paper_16dof"])
+@pytest.mark.parametrize("step", [0.01, 0.5])
 def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, changes, step):
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to
     be given up."""

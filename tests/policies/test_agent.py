@@ -143,7 +143,7 @@ def table(**changes):
     return write
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "spoil, said",
     [
         (
@@ -180,7 +180,7 @@ def table(**changes):
     ],
 )
 def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, said):
-    folder = write_agent(tmp_path / str(len([*tmp_path.iterdir()])), *trained)
+    folder = write_agent(tmp_path / "agent", *trained)
     spoil(folder, *trained)
     with pytest.raises(ValueError, match=said) as error:
         agent.load_agent(str(folder), make())
@@ -212,7 +212,7 @@ def ppo(tmp_path):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, options, said",
     [
         ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with observation = "),
@@ -251,7 +251,7 @@ def gravity(acceleration):
     return {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, acceleration]}
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),

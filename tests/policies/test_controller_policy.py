@@ -174,7 +174,7 @@ def test_preview_times_increase(preview):
         probed(short("single", IDS["TipPose"], preview=preview))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "task, controller, latency, preview, told",
     [
         (

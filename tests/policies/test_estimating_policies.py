@@ -84,7 +84,7 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "more, options",
     [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
 )

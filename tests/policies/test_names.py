@@ -23,7 +23,7 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "odd.toml").write_text('policy = "tracking"\nparameters = { effort = 0.01 }\n')
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "text, kind, known",
     [
         ("tracking", Controller, {"name": "tracking", "estimator": None, "belief": None}),
@@ -46,7 +46,7 @@ def test_every_name_is_one_of_three(here, text, kind, known):
     assert type(found) is kind and found.text == text and vars(found).items() >= known.items()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "text, said",
     [
         (

@@ -62,7 +62,7 @@ def test_a_state_of_other_rows_is_refused(policy, seen):
         policy.predict(seen[0, 0], state)
 
 
-@pytest.mark.cases("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
+@pytest.mark.parametrize("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
 def test_sizes_that_cannot_be_are_refused(given):
     with pytest.raises(
         ValueError,

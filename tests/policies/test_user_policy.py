@@ -68,7 +68,7 @@ def scores_of(monkeypatch, rows=False, mine=None, **members):
 
 
 @pytest.mark.parametrize("rows", [False, True])
-@pytest.mark.cases("cheat", [by_environment, lambda self, observation: observation.fill(0.0)])
+@pytest.mark.parametrize("cheat", [by_environment, lambda self, observation: observation.fill(0.0)])
 def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat, rows):
     assert scores_of(monkeypatch, rows, cheat=cheat) == scores_of(monkeypatch)
 
@@ -106,7 +106,7 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     assert episodes_of(policy_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "members, said",
     [
         ({"act": lambda self, action: action + np.nan}, "action"),

@@ -1,28 +1,65 @@
 """Robots for tests: an arm that answers as it is told to, and environments for it."""
 
+import threading
+import time
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import Measurement
+from soft_tendon_env.robots import Measurement, safety
 from soft_tendon_env.robots.safety import Clock
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3
+LONGEST = 1800.0
+"""Real time [s] that a busy machine does not take: what lasts longer hangs."""
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Slack is tried for as long as a busy machine may take over it."""
+    monkeypatch.setattr(safety, "TRYING", 30.0)
+
+
+@pytest.fixture(scope="session")
+def wait_until():
+    """wait_until(holds): returns as soon as `holds()`."""
+
+    def wait(holds):
+        until = time.monotonic() + LONGEST
+        while not holds():
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+    return wait
+
+
+class WatchedClock(Clock):
+    """Stepped time that the watchdog looks at, as it does at real time."""
+
+    def __init__(self):
+        super().__init__(real=False)
+        self.real = True
+
+    def now(self):
+        return max(self._times.values())
+
+    def wait_until(self, time):
+        self._times[threading.get_ident()] = max(time, self.now())
 
 
 class Arm:
-    """A motionless arm of three tendons, in stepped time unless told otherwise, that keeps what it
-    was sent, and when.
+    """A motionless arm of three tendons, in stepped time, that keeps what it was sent, and when.
 
     faults: functions by the name of a method, called before it with its count; what they raise, it
-    raises.
+    raises. is_watched: whether the watchdog looks at the time.
     """
 
     command_unit, senses = "N", ("tip_pose", "tendon_length")
 
-    def __init__(self, real_time=False, **faults):
-        self.clock = Clock(real_time)
+    def __init__(self, is_watched=False, **faults):
+        self.clock = WatchedClock() if is_watched else Clock(real=False)
         self.faults, self.counts, self.sent, self.closed = (
             faults,
             {"read": 0, "write": 0},

@@ -2,6 +2,7 @@
 
 Frames are FF FF FD 00, id, length (2), instruction, parameters, CRC-16 (polynomial 0x8005),
 little-endian; see the Robotis e-Manual, "Protocol 2.0". The tables of registers are the X series'.
+Time is what a test says it is, so that nothing hangs on the speed of the machine.
 """
 
 import contextlib
@@ -9,10 +10,9 @@ import os
 import pty
 import struct
 import threading
-import time
 import tty
 
-from dynamixel_sdk import PacketHandler
+from dynamixel_sdk import PacketHandler, PortHandler
 
 HEADER = b"\xff\xff\xfd\x00"
 READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
@@ -24,11 +24,25 @@ def crc(data):
     return PacketHandler(2.0).updateCRC(0, data, len(data))
 
 
+class Ticking:
+    """A clock that stands still but for a tick whenever it is read: `time` [s] is set by the
+    test."""
+
+    TICK = 1e-7  # [s]
+
+    def __init__(self):
+        self.time = 0.0
+
+    def __call__(self):
+        self.time += self.TICK
+        return self.time
+
+
 class Motor:
     """A motor that is at once where it should be."""
 
-    def __init__(self, position):
-        self.table, self.heard = bytearray(256), 0.0
+    def __init__(self, position, clock):
+        self.table, self.heard, self._clock = bytearray(256), 0.0, clock
         struct.pack_into("<H", self.table, 38, 1193)  # current limit
         struct.pack_into("<i", self.table, 132, position)
 
@@ -45,11 +59,8 @@ class Motor:
     @property
     def has_stopped(self):
         """Whether the bus was silent for as long as the watchdog waits."""
-        return (
-            0.02 * self.table[WATCHDOG] < time.perf_counter() - self.heard
-            if self.table[WATCHDOG]
-            else False
-        )
+        patience = 0.02 * self.table[WATCHDOG]
+        return patience > 0.0 and self._clock() - self.heard > patience
 
     @property
     def goal_current(self):
@@ -61,8 +72,12 @@ class Bus:
     answer any more."""
 
     def __init__(self, positions):
-        self.motors = {number: Motor(position) for number, position in positions.items()}
-        self.silent = set()
+        self.clock = Ticking()
+        self.motors = {
+            number: Motor(position, self.clock) for number, position in positions.items()
+        }
+        self.silent, self.is_unplugged = set(), False
+        self.taken, self.answered = 0, 0  # bytes of commands that were carried out, and of answers
         self._master, slave = pty.openpty()
         tty.setraw(self._master)
         tty.setraw(slave)
@@ -72,6 +87,7 @@ class Bus:
 
     def unplug(self):
         """The cable is gone: the port hangs up."""
+        self.is_unplugged = True
         for end in (self._slave, self._master):
             os.close(end)
 
@@ -86,12 +102,14 @@ class Bus:
                         break
                     self._take(buffer[start:end])
                     buffer = buffer[end:]
+                    self.taken += end
 
     def _take(self, frame):
         assert crc(frame[:-2]) == struct.unpack("<H", frame[-2:])[0]
         number, instruction, body = frame[4], frame[7], frame[8:-2]
         for motor in self.motors.values():
-            motor.heard = time.perf_counter() if not motor.has_stopped else motor.heard
+            if not motor.has_stopped:
+                motor.heard = self.clock()
         if number not in (*self.motors, EVERYBODY):
             return
         address, size = struct.unpack_from("<HH", body) if len(body) >= 4 else (0, 0)
@@ -100,7 +118,7 @@ class Bus:
         elif instruction == WRITE:
             for motor in self.motors.values() if number == EVERYBODY else [self.motors[number]]:
                 if struct.unpack_from("<H", body)[0] == WATCHDOG:
-                    motor.heard = time.perf_counter()
+                    motor.heard = self.clock()
                 motor.write(struct.unpack_from("<H", body)[0], body[2:])
             self._answer(number, b"")
         elif instruction == SYNC_READ:
@@ -116,4 +134,34 @@ class Bus:
         frame = (
             HEADER + bytes([number]) + struct.pack("<H", len(data) + 4) + bytes([STATUS, 0]) + data
         )
-        os.write(self._master, frame + struct.pack("<H", crc(frame)))
+        frame += struct.pack("<H", crc(frame))
+        self.answered += len(frame)
+        os.write(self._master, frame)
+
+
+class Port(PortHandler):
+    """The serial port at the other end of a bus. It gives up an answer once the bus has carried out
+    all that was sent and said all that it will say, and not after a time."""
+
+    def __init__(self, name, bus):
+        super().__init__(name)
+        self._bus, self._sent, self._heard = bus, bus.taken, bus.answered
+
+    def writePort(self, packet):
+        count = super().writePort(packet)
+        self._sent += count
+        return count
+
+    def readPort(self, length):
+        found = super().readPort(length)
+        self._heard += len(found)
+        return found
+
+    def clearPort(self):
+        """Leaves out answers to earlier commands, also those that are still on their way."""
+        while self._heard < self._bus.answered and not self._bus.is_unplugged:
+            self.readPort(1)
+
+    def isPacketTimeout(self):
+        has_taken = self._bus.taken >= self._sent
+        return self._bus.is_unplugged or (has_taken and self._heard >= self._bus.answered)

@@ -1,12 +1,11 @@
 """Dynamixel motors, byte by byte: newtons become steps of the registers, motors that are lost are
 an error and go slack."""
 
-import time
-
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import RobotEnv, run_policy
+from soft_tendon_env.robots import RobotEnv, dynamixel, run_policy
+from soft_tendon_env.robots.safety import Clock
 
 pytest.importorskip("dynamixel_sdk")
 bus_module = pytest.importorskip("tests.robots.dynamixel_bus")
@@ -19,22 +18,20 @@ UNIT = 0.00269 * 1.8 / 0.01  # [N] of a step of current
 
 @pytest.fixture
 def bus(monkeypatch):
-    monkeypatch.setattr(
-        "dynamixel_sdk.port_handler.LATENCY_TIMER", 200
-    )  # [ms], of a busy machine that runs the motors too
-    return bus_module.Bus({1: 2048, 2: -500, 5: 100_000})
+    """Three motors, in whose time robots live."""
+    motors = bus_module.Bus({1: 2048, 2: -500, 5: 100_000})
+    monkeypatch.setattr("dynamixel_sdk.PortHandler", lambda name: bus_module.Port(name, motors))
+    monkeypatch.setattr(dynamixel, "perf_counter", motors.clock)
+    return motors
 
 
 @pytest.fixture
 def connect(bus):
-    """connect(**arguments): the robot on the bus, whose motors bear longer silence than a busy
-    machine may make."""
-    return lambda **arguments: DynamixelRobot(
-        bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments}
-    )
+    """connect(**arguments): the robot on the bus."""
+    return lambda **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, **arguments})
 
 
-def test_tensions_are_currents(bus, connect):
+def test_tensions_are_currents(bus, connect, wait_until):
     robot = connect()
     assert robot.command_unit == "N" and [motor.table[11] for motor in bus.motors.values()] == [
         0,
@@ -52,23 +49,20 @@ def test_tensions_are_currents(bus, connect):
         robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193
     ) and robot.read().time > measured.time
     robot.close()
-    assert_limp(bus)
+    assert_limp(bus, wait_until)
 
 
-def assert_limp(bus):
+def assert_limp(bus, wait_until):
     """Torque is off, as soon as the bus comes to it."""
-    until = time.perf_counter() + 5.0
-    while any(motor.table[64] for motor in bus.motors.values()):
-        assert time.perf_counter() < until
-        time.sleep(0.01)
+    wait_until(lambda: not any(motor.table[64] for motor in bus.motors.values()))
 
 
 def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
-    robot = connect(watchdog=0.1)
+    robot = connect()
     robot.write(np.full(3, 5.0))
     robot.read()
     assert bus.motors[1].table[98] == 5 and not bus.motors[1].has_stopped
-    time.sleep(0.15)
+    bus.clock.time += 0.15
     assert bus.motors[1].has_stopped
     robot.write(np.full(3, 1.0))
     robot.read()
@@ -76,9 +70,10 @@ def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
 
 
 @pytest.mark.parametrize("lose", [lambda bus: bus.silent.add(2), lambda bus: bus.unplug()])
-def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling):
+def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, wait_until):
     robot = connect(tip_pose=lambda: np.eye(4))
-    env = RobotEnv(drawing(), robot, settle=0.0, patience=250)
+    robot.clock = Clock(real=False)
+    env = RobotEnv(drawing(), robot, settle=0.0)
     report = run_policy(pulling(lambda count: lose(bus) if count == 5 else None), env, 3.0)
     assert (
         "failed: " in report.stop.cause
@@ -86,7 +81,7 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling):
         and report.stop.slack == bool(bus.silent)
     )
     if report.stop.slack:
-        assert_limp(bus)
+        assert_limp(bus, wait_until)
         assert [motor.goal_current for motor in bus.motors.values()] == [
             0,
             0,
@@ -94,7 +89,7 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling):
         ]  # the one that cannot answer hears it still
 
 
-@pytest.mark.cases("arguments", [{"radius": 0.0}, {"watchdog": 5.0}, {"radius": [1.0, 2.0]}])
+@pytest.mark.parametrize("arguments", [{"radius": 0.0}, {"watchdog": 5.0}, {"radius": [1.0, 2.0]}])
 def test_bad_arguments_are_refused(arguments, connect):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         connect(**arguments)

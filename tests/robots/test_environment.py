@@ -32,7 +32,7 @@ def play_episode(env, seed=3, steps=40):
     return found
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "scene, drawn, task",
     [
         (
@@ -107,7 +107,7 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
         env.reset()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "options, changes, message",
     [
         (
@@ -178,7 +178,7 @@ def moving(arm, motion):
     return arm
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "motion, rest, seconds",
     [
         (noise(3e-3), REST_SPEED, 3.2),
@@ -197,7 +197,7 @@ def test_rest_is_found_in_noise(motion, rest, seconds, arm_of_test, drawing):
     env.close()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "motion, rest, message",
     [
         (swing(0.01), REST_SPEED, r"its tip moves at 0\.0132 m/s, 60 s after the first command"),

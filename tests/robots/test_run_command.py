@@ -16,6 +16,7 @@ from soft_tendon_env.identification import Marker, MarkerSet
 from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import RobotEnv, SimulatedRobot, rehearse, run_policy
+from soft_tendon_env.robots.safety import Clock
 from soft_tendon_env.scene.file import load_scene
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
@@ -27,9 +28,12 @@ TIP = MarkerSet(markers={"tip": Marker(arc_length=0.3)})
 
 
 class Deaf:
-    """A robot that cannot be reached."""
+    """A robot that cannot be reached, in stepped time."""
 
     command_unit, senses = "N", ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+
+    def __init__(self):
+        self.clock = Clock(real=False)
 
     def read(self):
         raise ConnectionError("the arm is deaf")
@@ -137,7 +141,7 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
     assert isinstance(load_robot("my_arm_of_this_folder:Arm", {}), Deaf)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name, options, message",
     [
         (

@@ -44,7 +44,7 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "name, message",
     [
         (

@@ -61,7 +61,7 @@ def test_a_file_beside_a_scene_is_named_relative_to_it(shipped, tmp_path, monkey
     assert load_scene(folder / "copy.toml") == scene
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "passive, message",
     [
         ({"fields": 3, "file": "missing.json"}, "strain.passive.file is 'missing.json'"),
@@ -75,7 +75,7 @@ def test_mistakes_name_their_key(passive, message):
         build_model(ARM.replace({"strain.passive": {"type": "snapshots", **passive}}))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "change, message",
     [
         (lambda table: {}, r"strain\.passive\.file is .*odd\.fields\.json"),
@@ -114,7 +114,7 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
         fields_of(naming(path, digest=shipped.digest))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, words",
     [
         ({"segments.0.young_modulus": 4e6}, "young_modulus of"),
@@ -128,7 +128,7 @@ def test_what_fields_were_not_made_for_is_warned_of(changes, words):
         fields_of(scene)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes",
     ({}, {"segments.0.density": 900.0}, {"tendons.0.tension_limits": [0.0, 5.0]}, GRAVITY),
 )

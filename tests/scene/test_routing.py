@@ -35,7 +35,7 @@ def evaluate(routing, arc_length):
     return routing.offset_and_slope(arc_length, radius, -0.02 + 0.02 * arc_length, ENDS)
 
 
-@pytest.mark.cases("routing", ROUTINGS.values())
+@pytest.mark.parametrize("routing", ROUTINGS.values())
 def test_slope_is_the_derivative_of_the_offset(routing):
     x, h = np.linspace(0.11, 0.49, 41), 1e-6
     offset, slope = evaluate(routing, x)
@@ -45,7 +45,7 @@ def test_slope_is_the_derivative_of_the_offset(routing):
     )
 
 
-@pytest.mark.cases("profile", [LinearTaper(base=0.03, tip=0.02), RADII])
+@pytest.mark.parametrize("profile", [LinearTaper(base=0.03, tip=0.02), RADII])
 def test_slope_is_the_derivative_of_the_radius(profile):
     s, h = np.linspace(0.011, 0.389, 50), 1e-6
     ahead, behind = (profile.size_and_slope(s + d, LENGTH)[0] for d in (h, -h))
@@ -68,7 +68,7 @@ def test_misfits_say_what_is_wrong():
     ].misfit((0.1, 0.7))
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "kind, columns, message",
     [
         (

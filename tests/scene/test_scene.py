@@ -115,7 +115,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.cases("changes, message", REFUSED)
+@pytest.mark.parametrize("changes, message", REFUSED)
 def test_mistakes_are_refused_by_name(scene, changes, message):
     before = scene_to_dict(scene)
     with pytest.raises(ConfigurationError) as caught:
@@ -221,7 +221,7 @@ def test_breakpoints_are_every_end_and_border_once(scene):
     assert breakpoints(close)[0] == 0 and breakpoints(close)[-1] == rod_length(close)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, columns",
     [
         ({}, 3),
@@ -235,7 +235,7 @@ def test_extrapolation_columns_follow_the_damping_unless_given(changes, columns)
     assert extrapolation_columns(load_scene("paper").replace(changes)) == columns
 
 
-@pytest.mark.cases("name", scene_names())
+@pytest.mark.parametrize("name", scene_names())
 def test_shipped_scene_loads_and_round_trips(name, tmp_path):
     scene = load_scene(name)
     assert scene.name == name and scene.description
@@ -281,7 +281,7 @@ def test_paper_tendons_follow_the_papers_table():
         )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "content, message",
     [
         (b"", "segments is missing: it is required"),

@@ -64,7 +64,7 @@ def said(scene):
     return " ".join(str(warning.message) for warning in caught)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "base, factor, words",
     [
         (
@@ -120,7 +120,7 @@ def test_other_units_get_a_word(base, factor, words):
     assert text and all(word in text for word in words), text
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "numbers",
     [
         SILICONE,

@@ -53,7 +53,7 @@ def test_numbers_arrays_and_paths_are_taken_as_they_come():
     assert repr(part) == "Part(sections=(Round(radius=1.0),), count=2, gains=(3.0, 4.0))"
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "changes, said",
     [
         (
@@ -110,7 +110,7 @@ def test_changes_are_values_of_toml_or_texts():
     assert table == {"a": {"b": 1, "b.c": 2}}
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "content, said",
     [
         (None, "cannot be read: No such file"),
@@ -126,7 +126,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
         read_toml(path)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "text, metres",
     [
         ("1mm", 1e-3),
@@ -143,13 +143,17 @@ def test_lengths_are_read_and_what_is_written_reads_back(text, metres):
     )
 
 
-@pytest.mark.cases("text", ("1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", ""))
+@pytest.mark.parametrize(
+    "text", ("1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", "")
+)
 def test_what_is_no_length_is_refused(text):
     with pytest.raises(ValueError, match="should be a positive length with its unit"):
         read_length(text)
 
 
-@pytest.mark.cases("text", ["a,b\n1,2\n", "# made by us\n\na; b\n1; 2\n#\n", "a\tb\n1\t2\n\t\n"])
+@pytest.mark.parametrize(
+    "text", ["a,b\n1,2\n", "# made by us\n\na; b\n1; 2\n#\n", "a\tb\n1\t2\n\t\n"]
+)
 def test_dialects(tmp_path, text):
     path = tmp_path / "table.csv"
     path.write_text(text)
@@ -164,7 +168,7 @@ def test_dialects(tmp_path, text):
     assert where.startswith(f"{path}, line {line} ") and row == f"{path}, line {line + 1}"
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "text, said",
     [("a,b\n1\n", "line 2: there are 1 cells"), ('a,b\n1,2\n"1,2\n', "line 3 cannot be read")],
 )
@@ -174,7 +178,7 @@ def test_tables_that_cannot_be_read_are_refused(tmp_path, text, said):
         read_table(tmp_path / "table.csv")
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4))
 )
 def test_numbers_of_any_kind_become_float64(value):
@@ -198,7 +202,7 @@ def test_numbers_become_floats_and_counts_of_numpy_are_taken():
     )
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "check, value, allowed, error, message",
     [
         (checked_array, [1.0, 2.0], [(3,)], ValueError, r"q should have shape \(3,\), not \(2,\)"),

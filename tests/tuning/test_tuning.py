@@ -129,7 +129,7 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
         tune(Bowl(trials=3, fails=True), tmp_path, workers=1)
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "kind, changes, message",
     [
         (ControllerSearch, {"search": {}}, "search is {}: it should have at least 1 item"),

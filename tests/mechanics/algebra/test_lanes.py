@@ -80,7 +80,7 @@ def reduce_pack(x):
     return sums, out
 
 
-@pytest.mark.cases("seed", range(3))
+@pytest.mark.parametrize("seed", range(3))
 def test_sums_and_extremes_agree_with_numpy(seed):
     x = np.random.default_rng(seed).normal(size=LANES)
     sums, out = reduce_pack(x)
@@ -89,8 +89,8 @@ def test_sums_and_extremes_agree_with_numpy(seed):
     np.testing.assert_array_equal(out[1:], [x.max(), x.min(), *x])
 
 
-@pytest.mark.cases("where", range(LANES))
-@pytest.mark.cases("others", (0.0, np.inf, -np.inf))
+@pytest.mark.parametrize("where", range(LANES))
+@pytest.mark.parametrize("others", (0.0, np.inf, -np.inf))
 def test_extremes_are_nan_if_any_lane_is(where, others):
     x = np.full(LANES, others)
     x[where] = np.nan

@@ -118,7 +118,7 @@ def test_errors_are_matrix_logarithms():
 
 
 @pytest.mark.no_jit
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "angle", [0.0, 1e-12, 1e-8, 1e-4, 1.0, np.pi - 1e-3, np.pi - 1e-6, np.pi - 1e-9, np.pi]
 )
 def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
