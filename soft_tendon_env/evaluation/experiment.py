@@ -181,7 +181,7 @@ class Experiment(Generic[Label]):
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is
-        there. Raises as `measure`."""
+        there. The title begins the names of the progress bars. Raises as `measure`."""
         where, left = origin(), self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
 
@@ -199,10 +199,14 @@ class Experiment(Generic[Label]):
                     )
                 )
 
-        for alone, processes, address in ((True, 1, None), (False, workers, cluster)):
+        for alone, part, processes, address in (
+            (True, "times per action", 1, None),
+            (False, "episodes", workers, cluster),
+        ):
             labels = [label for label in left if self.cells[label].alone == alone]
             runs, done = [self.cells[label] for label in labels], partial(keep, labels)
-            run_all(measure, runs, processes, title, unit="cell", cluster=address, done=done)
+            label = f"{title}: {part}"
+            run_all(measure, runs, processes, label, unit="cell", cluster=address, done=done)
 
     def scores(self, label: Label) -> list[EpisodeScore]:
         """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
