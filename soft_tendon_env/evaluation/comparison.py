@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
@@ -25,6 +25,7 @@ from soft_tendon_env.policies.agent import ARM
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.progress import progress_bar
 
 Arms = Mapping[str, dict[str, Any]]
 """Options of every policy's environment, by policy, less model errors."""
@@ -192,16 +193,32 @@ def results_record(
     }
 
 
+class SideBySide(NamedTuple):
+    """Recorded policies, by name: scores of all their episodes, and the last episode of each."""
+
+    scores: dict[str, list[EpisodeScore]]
+    rollouts: dict[str, recording.Rollout]
+
+
 def record_side_by_side(
     players: Mapping[str, tuple[Policy, Any]],
     file: Any,
     seeds: Sequence[int],
     skip: float,
+    label: str = "recording",
     new: bool = True,
-) -> dict[str, list[EpisodeScore]]:
-    """Scores of every policy, by name, in its single environment; all play the same episodes, which
-    go to the arm of that name in an open RerunFile. skip: errors count from then on [s]. new: the
-    file has no episode of these arms yet."""
+) -> SideBySide:
+    """Episodes of several policies, each in its single environment; all play the same seeds, which
+    go to the arm of the policy's name in an open RerunFile.
+
+    Args:
+        players: policies and their environments, by name.
+        file: the open RerunFile.
+        seeds: of the episodes, at least one.
+        skip: errors count from then on [s].
+        label: of the progress bar.
+        new: the file has no episode of these arms yet.
+    """
     envs = {
         name: recording.RecordRollout(
             env, file, flush_period=None, name=name, place="beside" if new else None
@@ -209,11 +226,14 @@ def record_side_by_side(
         for name, (_, env) in players.items()
     }
     scores: dict[str, list[EpisodeScore]] = {name: [] for name in players}
-    for seed in seeds:
-        file.align()
-        for name, (policy, _) in players.items():
-            scores[name] += evaluate(policy, envs[name], [seed], skip)
-    return scores
+    with progress_bar(len(seeds) * len(players), label, "episode") as bar:
+        for seed in seeds:
+            file.align()
+            for name, (policy, _) in players.items():
+                scores[name] += evaluate(policy, envs[name], [seed], skip)
+                bar.update()
+    rollouts = {name: env.rollout for name, env in envs.items() if env.rollout is not None}
+    return SideBySide(scores, rollouts)
 
 
 def opening_hint(path: Path) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import gymnasium as gym
 
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.recording.rollout import RolloutBuffer
+from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
@@ -43,6 +43,8 @@ class RowRecorder:
             0.0,
             False,
         )
+
+        self.rollout: Rollout | None = None  # the newest that was written
 
     def begin(self, seed: int | None = None) -> None:
         """Take the state after a reset as the first sample of the next episode; one that has not
@@ -79,7 +81,8 @@ class RowRecorder:
             self._write()
 
     def _write(self) -> None:
-        self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
+        self.rollout = self._buffer.rollout(self._title)
+        self._file.write(self.rollout, self._arm, continues=self._continues)
         self._buffer.clear()
         self._continues, self._written = True, perf_counter()
 
@@ -112,6 +115,12 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         if place is not None:
             self._file.add_arm(name, episodes.model, None if place == "beside" else place)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
+
+    @property
+    def rollout(self) -> Rollout | None:
+        """Newest stretch of an episode that was written: with `flush_period=None` the whole episode
+        that ended last. None: nothing was."""
+        return self._recorder.rollout
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
