@@ -136,11 +136,24 @@ class ArmRenderer:
         model = self._model
         scene = picture.scene or model.scene
         strain = picture.strain[None]
-        base = shapes.base_poses(model, np.array([picture.time]), picture.scene)
+        base = shapes.base_poses(
+            model,
+            np.array([picture.time]),
+            picture.scene,
+        )
         backbone = shapes.backbones(model, strain, self._arc_length, base)
-        discs = shapes.backbones(model, strain, self._discs[:, 0], base)
+        discs = shapes.backbones(
+            model,
+            strain,
+            self._discs[:, 0],
+            base,
+        )
         pieces = [
-            *self._arm(backbone[0], base[0], discs[0]),
+            *self._arm(
+                backbone[0],
+                base[0],
+                discs[0],
+            ),
             *self._tendons(backbone, picture.tension),
             *trail(picture.trail, self.turn),
         ]
@@ -188,14 +201,21 @@ class ArmRenderer:
     ) -> list[Pieces]:
         """Mount, rod and spacer discs, closed by rings without radius; backbone (m, 4, 4), base (4,
         4), poses of discs (d, 4, 4)."""
-        closed = np.concatenate([backbone, backbone[-1:]])
+        # a ring without radius closes the tip
+        tip = backbone[-1:]
+        sections = np.concatenate([backbone, tip])
         point = np.zeros((1, *CIRCLE.shape))
-        rod = tube(closed, np.append(self._outline, point, axis=0))
+        outline = np.append(self._outline, point, axis=0)
+        rod = tube(sections, outline)
         depth, radius = shapes.mount_size(self._model.scene)
         mount = cylinder(base, -depth, 0.0, radius)
-        pieces = [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn)]
+        pieces = [
+            solid(mount, MOUNT, self.turn),
+            solid(rod, TUBE, self.turn),
+        ]
         for pose, (_, _, wide, thick) in zip(discs, self._discs, strict=True):
-            disc = cylinder(pose, -0.5 * thick, 0.5 * thick, wide)
+            half = 0.5 * thick
+            disc = cylinder(pose, -half, half, wide)
             pieces.append(solid(disc, TUBE, self.turn))
         return pieces
 
@@ -205,8 +225,8 @@ class ArmRenderer:
         towards = self.turn[2]
         colours = shapes.tension_colors(self._model, tension) / 255.0
         tube_depth = -shapes.positions(backbone[0]) @ towards
+        # painted after all sections around, whatever its tendons' own depth
         step = np.gradient(self._arc_length)  # by which neighbours differ in depth
-        # the near surface is in front of all sections around, whatever its tendons' own depth
         far_side = tube_depth - 1.5 * self._radius - step
         near_side = far_side - 0.1 * self._radius - step
         faded = FADED * DIMMED * TUBE
@@ -214,14 +234,13 @@ class ArmRenderer:
         lines = []
         for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
             depth = -curve @ towards
-            is_behind = middle(depth - tube_depth[inside]) > 0.0
+            behind_axis = middle(depth - tube_depth[inside])
+            is_behind = behind_axis > 0.0
             pale = (1.0 - FADED) * colour + faded
             shade = np.where(is_behind[:, None], pale, colour)
-            painted = np.where(
-                is_behind,
-                middle(far_side[inside]),
-                middle(near_side[inside]),
-            )
+            far = middle(far_side[inside])
+            near = middle(near_side[inside])
+            painted = np.where(is_behind, far, near)
             lines.append(line(curve, shade, TENDON, painted))
         return lines
 
@@ -320,20 +339,24 @@ def solid(
     `viewpoint`."""
     towards = turn[2]
     normal = normals(corners)
-    visible = normal @ towards > 0.0
-    normal = normal[visible]
-    seen = corners[visible]
-    diffuse = np.clip(normal @ (LIGHT @ turn), 0.0, None)[:, None]
-    mirrored = np.clip(normal @ (HALF_WAY @ turn), 0.0, None)[:, None]
-    glossy = mirrored**SHININESS
-    shade = colour * (AMBIENT + DIFFUSE * diffuse) + GLOSSY * glossy
-    depth = -seen.mean(axis=1) @ towards
-    return Pieces(
-        seen,
-        np.clip(shade, 0.0, 1.0),
-        np.full(len(seen), SEAM),
-        depth,
+    is_visible = normal @ towards > 0.0
+    normal = normal[is_visible]
+    seen = corners[is_visible]
+    light = LIGHT @ turn
+    half_way = HALF_WAY @ turn
+    # the model of Blinn and Phong
+    diffuse = np.clip(normal @ light, 0.0, None)
+    mirrored = np.clip(normal @ half_way, 0.0, None)
+    glossy = mirrored[:, None] ** SHININESS
+    lit = AMBIENT + DIFFUSE * diffuse[:, None]
+    shade = np.clip(
+        colour * lit + GLOSSY * glossy,
+        0.0,
+        1.0,
     )
+    depth = -seen.mean(axis=1) @ towards
+    width = np.full(len(seen), SEAM)
+    return Pieces(seen, shade, width, depth)
 
 
 def line(
@@ -346,17 +369,23 @@ def line(
     start = points[:-1]
     end = points[1:]
     corners = np.stack([start, start, end, end], axis=1)
-    return Pieces(corners, colour, np.full(len(corners), width), depth)
+    return Pieces(
+        corners,
+        colour,
+        np.full(len(corners), width),
+        depth,
+    )
 
 
 def trail(points: Array, turn: Array) -> list[Pieces]:
     """A line through past positions (k, 3) [m] that pales with age."""
     if len(points) < 2:
         return []
+    paper = np.array(PAPER)
     age = np.linspace(PALEST, 0.0, len(points) - 1)[:, None]
-    colour = age * np.array(PAPER) + (1.0 - age) * TRAIL
-    depth = middle(-points @ turn[2])
-    return [line(points, colour, THREAD, depth)]
+    colour = age * paper + (1.0 - age) * TRAIL
+    depth = -points @ turn[2]
+    return [line(points, colour, THREAD, middle(depth))]
 
 
 def middle(values: Array) -> Array:

@@ -162,11 +162,19 @@ def _square() -> Array:
     above."""
     side = np.linspace(-1.0, 1.0, FINENESS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
-    grid = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    near = grid[:-1]
-    far = grid[1:]
-    around = [near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]]
-    return np.stack(around, axis=2).reshape(-1, 4, 3)
+    z = np.zeros_like(x)
+    grid = np.stack([x, y, z], axis=-1)
+    # the corners of each piece, from its least x and y counterclockwise
+    left = grid[:-1]
+    right = grid[1:]
+    corners = [
+        left[:, :-1],
+        right[:, :-1],
+        right[:, 1:],
+        left[:, 1:],
+    ]
+    pieces = np.stack(corners, axis=2)
+    return pieces.reshape(-1, 4, 3)
 
 
 @functools.cache
@@ -190,7 +198,13 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
     row = np.concatenate([[kind], motion, sizes, position, np.eye(3).ravel(), velocity])
     nearest = np.empty((1, 4 * len(box), 3))
     distances = np.empty(nearest.shape[:2])
-    read_distances(row[None], box.reshape(-1, 3), 0.0, distances, nearest)
+    read_distances(
+        row[None],
+        box.reshape(-1, 3),
+        0.0,
+        distances,
+        nearest,
+    )
     return nearest.reshape(box.shape)
 
 
@@ -277,9 +291,13 @@ def cylinders(position: Array) -> tuple[Array, Array]:
 def rotation_from_z(direction: Array) -> Array:
     """Quaternions (..., 4), x y z w, of the shortest rotations that take z to these directions
     (..., 3) of any length."""
+    # the cross product of z and the direction, then its length and their inner product: a
+    # quaternion of half the angle between them
     x, y, z = np.moveaxis(direction, -1, 0)
-    length = np.sqrt(x**2 + y**2 + z**2)
-    quaternion = np.stack([-y, x, np.zeros_like(x), length + z], axis=-1)
+    squares = x**2 + y**2 + z**2
+    length = np.sqrt(squares)
+    about_z = np.zeros_like(x)
+    quaternion = np.stack([-y, x, about_z, length + z], axis=-1)
     size = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     is_unique = size > 0.0
     # to -z any half turn across z is as short

@@ -185,7 +185,11 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
     return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
 
 
-def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
+def misfit(
+    policy: PolicyName,
+    options: Mapping[str, Any],
+    regime: str,
+) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can.
     Raises ValueError."""
     parsed = Options.parse(dict(options), "options")
@@ -252,7 +256,11 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
-def gaps(standings: Standings, learned: set[str], key: str) -> dict[str, Mean]:
+def gaps(
+    standings: Standings,
+    learned: set[str],
+    key: str,
+) -> dict[str, Mean]:
     """By how much the best learned policy has more of an error, or less return, than the best
     controller, by setting where both play."""
     sign = -1.0 if key == "return" else 1.0
@@ -272,7 +280,11 @@ def gaps(standings: Standings, learned: set[str], key: str) -> dict[str, Mean]:
     return by_setting
 
 
-def _least(standings: Sequence[Standing], key: str, sign: float) -> Standing:
+def _least(
+    standings: Sequence[Standing],
+    key: str,
+    sign: float,
+) -> Standing:
     """The standing with the least mean of a number times a sign; NaN counts as the largest."""
     means = [sign * standing.mean(key).value for standing in standings]
     return standings[int(np.argsort(means, kind="stable")[0])]

@@ -37,7 +37,11 @@ TIME = "time per action"
 """Stands in place of a model error where the time per action is measured."""
 
 
-def shared_arms(settings: EpisodeSettings, task: str, files: Files) -> Arms:
+def shared_arms(
+    settings: EpisodeSettings,
+    task: str,
+    files: Files,
+) -> Arms:
     """Environments in which policies act on the same arm: that of the settings' options, and where
     these leave it open the one that the agents were trained on, which is printed on the error
     stream. Raises ValueError, also where agents differ in that, OSError."""
@@ -114,7 +118,12 @@ def make_cell(
     )
 
 
-def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
+def compare(
+    settings: Settings,
+    task: str,
+    arms: Arms,
+    folder: Path,
+) -> Experiment[tuple[str, str]]:
     """Experiment of every policy with every model error, and under TIME alone on the arm of its
     model. Raises ValueError, OSError for policies that cannot act there."""
     seeds = EVALUATION_SEEDS[: settings.episodes]
@@ -147,7 +156,11 @@ def standings_of(
     return standings, summaries
 
 
-def numbers_table(task: str, files: Files, summaries: Summaries) -> str:
+def numbers_table(
+    task: str,
+    files: Files,
+    summaries: Summaries,
+) -> str:
     """Table of all numbers: a row per model error of a single policy; of several a row each, on the
     arm of the model, or under the first model error that there is. Raises ValueError, OSError."""
     models = dict[str, str]()
@@ -165,7 +178,11 @@ def numbers_table(task: str, files: Files, summaries: Summaries) -> str:
 
 
 def results_record(
-    settings: Settings, task: str, arms: Arms, standings: Standings, summaries: Summaries
+    settings: Settings,
+    task: str,
+    arms: Arms,
+    standings: Standings,
+    summaries: Summaries,
 ) -> dict[str, Any]:
     """All results of a task for JSON: settings, every policy's environment as resolved, summaries
     and episodes."""

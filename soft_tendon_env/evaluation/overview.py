@@ -68,7 +68,8 @@ class Overview(NamedTuple):
 
 
 def draw_overview(overview: Overview, path: Path) -> None:
-    """Draw shapes, paths, errors and numbers into one picture. Raises OSError."""
+    """Draw shapes, paths, errors and numbers into one picture. Raises ValueError for rollouts
+    without target poses, OSError."""
     figure = plt.figure(figsize=SIZE, layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=HEIGHTS, width_ratios=WIDTHS)
     figure.suptitle(overview.headline, fontsize=HEADLINE, fontweight="bold")
@@ -80,7 +81,11 @@ def draw_overview(overview: Overview, path: Path) -> None:
     save_figure(figure, path)
 
 
-def draw_arm(axes: Axes, overview: Overview, looks: Mapping[str, Style]) -> None:
+def draw_arm(
+    axes: Axes,
+    overview: Overview,
+    looks: Mapping[str, Style],
+) -> None:
     """Draw backbones of one arm and its target's path, as the camera of frames sees them from
     higher up."""
     rollout = overview.rollouts[overview.bent]
@@ -88,11 +93,9 @@ def draw_arm(axes: Axes, overview: Overview, looks: Mapping[str, Style]) -> None
     camera = shapes.viewpoint(vertical, upright, ELEVATION)
     across = camera[:2].T  # (3, 2), from the world to the picture
     backbones = backbones_on_the_way(rollout) @ across
-    points = backbones.reshape(-1, 2)
-    if rollout.target_pose is not None:
-        target = rollout.target_pose[:, :3, 3] @ across
-        axes.plot(*target.T, color=TARGET, linewidth=0.5 * TARGET_WIDTH)
-        points = np.concatenate([points, target])
+    target = target_path(rollout) @ across
+    axes.plot(*target.T, color=TARGET, linewidth=0.5 * TARGET_WIDTH)
+    # the later a shape, the less of it shows through
     opacities = np.linspace(FAINTEST, 1.0, len(backbones))
     for backbone, opacity in zip(backbones, opacities, strict=True):
         axes.plot(
@@ -102,6 +105,7 @@ def draw_arm(axes: Axes, overview: Overview, looks: Mapping[str, Style]) -> None
             linewidth=ROD_WIDTH,
             solid_capstyle="round",
         )
+    points = np.concatenate([target, *backbones])
     show_around(axes, points, ROOM_OF_ARM)
     axes.set_title(f"arm: {overview.bent}", fontsize=LETTERS, color=GREY)
 
@@ -113,24 +117,42 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
     stations = shapes.drawing_stations(rollout.model, STATIONS)
     base = shapes.base_poses(rollout.model, samples * rollout.period, rollout.scene)
     poses = shapes.backbones(rollout.model, rollout.strain[samples], stations, base)
-    return np.asarray(poses[..., :3, 3])
+    return shapes.positions(poses)
 
 
-def draw_paths(axes: Axes, overview: Overview, looks: Mapping[str, Style]) -> None:
+def target_path(rollout: Rollout) -> Array:
+    """Positions (samples, 3) [m] of a rollout's target. Raises ValueError where it has no poses."""
+    if rollout.target_pose is None:
+        raise ValueError("rollouts should have target_pose, as those of TipPose have")
+    return shapes.positions(rollout.target_pose)
+
+
+def draw_paths(
+    axes: Axes,
+    overview: Overview,
+    looks: Mapping[str, Style],
+) -> None:
     """Draw the paths of all tips and of their target, as seen along the straight arm from its
     tip."""
     first = next(iter(overview.rollouts.values()))
     across = first.model.scene.base.pose[:3, 1:3]  # (3, 2), from the world to the picture
-    if first.target_pose is None:
-        around = np.concatenate([rollout.tip_pose for rollout in overview.rollouts.values()])
-    else:
-        around = first.target_pose
-    target = around[:, :3, 3] @ across
-    axes.plot(*target.T, color=TARGET, linewidth=TARGET_WIDTH, label="target")
-    for name, width in line_widths(overview).items():
-        tip = overview.rollouts[name].tip_pose[:, :3, 3] @ across
-        axes.plot(*tip.T, color=looks[name].rgb, linewidth=width, label=name)
+    target = target_path(first) @ across
+    axes.plot(
+        *target.T,
+        color=TARGET,
+        linewidth=TARGET_WIDTH,
+        label="target",
+    )
+    # a path that leaves the surroundings of the target is cut off
     show_around(axes, target, ROOM)
+    for name, width in line_widths(overview).items():
+        tip = shapes.positions(overview.rollouts[name].tip_pose) @ across
+        axes.plot(
+            *tip.T,
+            color=looks[name].rgb,
+            linewidth=width,
+            label=name,
+        )
     axes.set_title("paths of the tips (grey: target)", fontsize=LETTERS, color=GREY)
 
 
@@ -146,9 +168,14 @@ def line_widths(overview: Overview) -> dict[str, float]:
     return by_policy
 
 
-def show_around(axes: Axes, points: Array, room: float) -> None:
+def show_around(
+    axes: Axes,
+    points: Array,
+    room: float,
+) -> None:
     """Set limits around points (m, 2), with one scale for both axes, which are not drawn."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
+    lower = points.min(axis=0)
+    upper = points.max(axis=0)
     margin = room * (upper - lower)
     left, bottom = lower - margin
     right, top = upper + margin
@@ -157,7 +184,11 @@ def show_around(axes: Axes, points: Array, room: float) -> None:
     axes.set_axis_off()
 
 
-def draw_errors_over_time(axes: Axes, overview: Overview, looks: Mapping[str, Style]) -> None:
+def draw_errors_over_time(
+    axes: Axes,
+    overview: Overview,
+    looks: Mapping[str, Style],
+) -> None:
     """Draw an error of every policy over time, and the bound below which an episode has settled."""
     unit = error_unit(overview.error)
     for name, width in line_widths(overview).items():
@@ -175,6 +206,7 @@ def draw_errors_over_time(axes: Axes, overview: Overview, looks: Mapping[str, St
         )
     bound = unit.factor * SETTLED * overview.rollouts[overview.bent].model.length
     axes.axhline(bound, color=GREY, linewidth=1.5, linestyle="--")
+    # errors of the policies differ by factors
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("time [s]", fontsize=LETTERS)
@@ -189,7 +221,9 @@ def draw_errors_over_time(axes: Axes, overview: Overview, looks: Mapping[str, St
 
 
 def draw_numbers(
-    axes: Axes, numbers: Mapping[str, Mapping[str, str]], looks: Mapping[str, Style]
+    axes: Axes,
+    numbers: Mapping[str, Mapping[str, str]],
+    looks: Mapping[str, Style],
 ) -> None:
     """Draw a table of cells by policy and heading, with the policies' colours and markers."""
     axes.set_axis_off()
@@ -201,7 +235,13 @@ def draw_numbers(
         axes.text(edge, above, heading, fontsize=LETTERS, color=GREY, ha="right", va="bottom")
     for row, (name, cells) in enumerate(numbers.items()):
         look = looks[name]
-        axes.plot(MARKER_PLACE, row, look.marker, color=look.rgb, markersize=1.4 * MARKER_SIZE)
+        axes.plot(
+            MARKER_PLACE,
+            row,
+            look.marker,
+            color=look.rgb,
+            markersize=1.4 * MARKER_SIZE,
+        )
         axes.text(NAME_EDGE, row, name, fontsize=LETTERS, va="center")
         for heading, edge in zip(headings, right_edges, strict=True):
             axes.text(edge, row, cells[heading], fontsize=LETTERS, ha="right", va="center")

@@ -38,7 +38,11 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _draw_panel(axes: Axes, panel: Standings, looks: Mapping[str, Style]) -> None:
+def _draw_panel(
+    axes: Axes,
+    panel: Standings,
+    looks: Mapping[str, Style],
+) -> None:
     """Draw means and intervals by policy, side by side for each condition."""
     policies = list(dict.fromkeys(policy for policy, _ in panel))
     conditions = list(dict.fromkeys(condition for _, condition in panel))

@@ -31,7 +31,10 @@ Env = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
 
 
 def evaluate(
-    policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0
+    policy: Policy,
+    env: gym.Env[Any, Any],
+    seeds: Iterable[int],
+    skip: float = 1.0,
 ) -> list[EpisodeScore]:
     """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
 
@@ -86,7 +89,11 @@ class Step(NamedTuple):
     seconds: float
 
 
-def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
+def play_steps(
+    policy: Policy,
+    env: Env,
+    seeds: Sequence[int],
+) -> Iterator[Step]:
     """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector
     environment has a row per seed, any other one seed. `env` stands where the step left it when a
     step is yielded."""
@@ -107,7 +114,11 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
         yield Step(np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
 
 
-def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
+def play(
+    policy: Policy,
+    env: Env,
+    seeds: Sequence[int],
+) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
     episodes = episodes_of(env)
     rows = len(seeds)

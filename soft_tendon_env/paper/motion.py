@@ -98,13 +98,15 @@ def integrate(
         jac=loop.jacobian,
         t_eval=times,
     )
+    # tensions are no states: the law gives them once more at the samples
     states = solution.y.T
     tip = []
     tension = []
     for t, x in zip(solution.t, states, strict=True):
         q, q_dot = np.split(x, 2)
         tip.append(loop.model.tip_pose(q)[:3, 3])
-        tension.append(loop.law(t, q, q_dot, loop.model.terms(q, q_dot)))
+        terms = loop.model.terms(q, q_dot)
+        tension.append(loop.law(t, q, q_dot, terms))
     return Motion(
         solution.t,
         states[:, :n],
@@ -151,6 +153,7 @@ def track(
     model = episodes.model
     limits = episodes.limits
     aim = TipPose(ANGLE_LENGTH * model.length)
+    # inverse statics leads, and (39) for sampled commands follows what it can reach
     controller = ReferenceGovernor(
         StaticFeedforward(model, limits, PERIOD, aim),
         TipTracking(model, limits, PERIOD, aim, **GAINS),
@@ -159,7 +162,9 @@ def track(
     q = []
     tip = []
     tension = []
-    for step in play_steps(ControllerPolicy(controller, env), env, [0]):
+    policy = ControllerPolicy(controller, env)
+    for step in play_steps(policy, env, [0]):
+        # the next step overwrites what the environment has now
         q.append(episodes.arms.rows.q[0].copy())
         tip.append(episodes.arms.reading.tip_pose[0, :3, 3].copy())
         tension.append(episodes.tension[0].copy())

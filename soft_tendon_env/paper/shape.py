@@ -70,6 +70,7 @@ def reproduce(seconds: float, folder: Path) -> Result:
             errors[name, law] = np.linalg.norm(error, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
+    # the size of an error is a share of feedforward's largest: units of coordinates differ
     numbers: dict[str, dict[str, dict[str, float]]] = {name: {} for name in MODELS}
     for (name, law), error in errors.items():
         largest = errors[name, "feedforward"].max()
@@ -132,13 +133,19 @@ def draw_laws(
     tension = np.array([target(t).tension for t in time])
     draw_tensions(wanted, time, tension, "(a) wanted shape, as the tensions that hold it")
     courses = {}
+    # the first sample, at rest, has no error: a logarithmic axis has no place for it
     for (name, law), values in errors.items():
         times = motions[name, law].time
         courses[f"{MODELS[name]}, {law}"] = (times[1:], values[1:])
     draw_errors(error, courses, "shape error", "(b) shape error")
     for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
         title = f"({letter}) tensions with feedback, {MODELS[name]}"
-        draw_tensions(axes, time, motions[name, "feedback"].tension, title)
+        draw_tensions(
+            axes,
+            time,
+            motions[name, "feedback"].tension,
+            title,
+        )
     save_figure(figure, path)
 
 

@@ -99,14 +99,17 @@ def reproduce(seconds: float, folder: Path) -> Result:
     duration = min(seconds, DURATION)
     models = dict[str, ste.Model]()
     motions = dict[str, Motion]()
+    # the paper's law, continuous in time
     for name, (scene, passive, inverse) in DESIGNS.items():
         changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
         models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
         loop = ClosedLoop(models[name], law_of(inverse))
         motions[name] = integrate(loop, duration, f"Figures 5 and 6, {name}")
+    # what the package makes of it at a control period
     for design, name in SAMPLED.items():
         scene, _, _ = DESIGNS[design]
         motions[name] = track(scene, CIRCLE, duration)
+    # the other variants have no figure of their own: their errors stand beside these
     for name in (FULL, UNDER):
         draw(
             name,
@@ -138,6 +141,7 @@ def summary(motion: Motion, duration: float) -> dict[str, float]:
     numbers = {"until_s": float(motion.time[-1]), "start_mm": 1e3 * float(error[0])}
     if numbers["until_s"] < duration - SMOOTH:
         return numbers
+    # the second turn, or the second half of a shorter motion
     late = motion.time >= min(CIRCLE.period, 0.5 * duration)
     smooth = motion.time >= SMOOTH
     first = np.abs(motion.tension[~smooth])
@@ -155,9 +159,11 @@ def summary(motion: Motion, duration: float) -> dict[str, float]:
 
 def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
     """Claims of Figures 5 and 6, from numbers by variant."""
+    # (c) errors
     claims = []
     for name, figure in SHOWN.items():
         claims.append(staying_below(f"{figure}(c)", name, numbers[name]))
+    # (b) tensions
     for name in (FULL, UNDER):
         first = numbers[name]["largest_tension_first_N"]
         then = numbers[name]["largest_tension_then_N"]
@@ -169,6 +175,7 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
         is_smooth = then < CALM * first and change < CALM * then
         saying = f"strengths high at first, then smooth, {name}"
         claims.append(Claim(f"{SHOWN[name]}(b)", saying, text, is_smooth))
+    # both figures
     full = numbers[FULL]
     under = numbers[UNDER]
     better = full["late_rms_mm"] <= under["late_rms_mm"]
@@ -217,7 +224,12 @@ def draw(
     tensions = figure.add_subplot(grid[0, 1:])
     errors = figure.add_subplot(grid[1, 1:])
     draw_arms(arms, model, motion.q, ACTUAL)
-    box(arms, f"(a) {name}", actual=motion.tip, wanted=target_path(motion))
+    box(
+        arms,
+        f"(a) {name}",
+        actual=motion.tip,
+        wanted=target_path(motion),
+    )
     draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
     largest = np.abs(motion.tension[motion.time >= SMOOTH]).max()
     tensions.set_ylim(-1.5 * largest, 1.5 * largest)  # cuts off what is high at first

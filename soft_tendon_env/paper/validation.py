@@ -77,6 +77,7 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
         "rms": root_mean_square(error),
         "end": float(error[-1]),
     }
+    # a shorter motion says nothing of the step
     if time[-1] < STEP + AFTER_STEP:
         return numbers
     before = time < STEP
@@ -110,6 +111,7 @@ def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
             under["rms"] < full["rms"],
         ),
     ]
+    # by how much passive coordinates help around the step, and by how much before it
     if "largest_around_step" in full:
         calm = full["largest_before_step"]
         around = full["largest_around_step"]
@@ -143,7 +145,12 @@ def draw(
     reduced = motions["paper"]
     time = motions[FULL].time
     tensions = np.array([tension(t) for t in time])
-    draw_tensions(figure.add_subplot(grid[0, 0]), time, tensions, "(b) inputs")
+    draw_tensions(
+        figure.add_subplot(grid[0, 0]),
+        time,
+        tensions,
+        "(b) inputs",
+    )
     title = "(c) coordinates of the fully actuated system"
     draw_tensions(
         figure.add_subplot(grid[0, 1]),
@@ -156,6 +163,7 @@ def draw(
     box(arms, "(d) shapes of the fully actuated system", actual=reduced.tip_pose[:, :3, 3])
     tips = figure.add_subplot(grid[1, 0])
     for name, style in zip((FULL, *REDUCED), ("-", "--", ":"), strict=True):
+        # the same colours for x, y, z of every model
         position = motions[name].tip_pose[:, :3, 3]
         tips.plot(
             time,
@@ -168,5 +176,10 @@ def draw(
     tips.legend(frameon=False, fontsize="small", ncols=3)
     courses = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
     title = f"(f) distance of the tip from that of {FULL}"
-    draw_errors(figure.add_subplot(grid[1, 1:]), courses, "mismatch [mm]", title)
+    draw_errors(
+        figure.add_subplot(grid[1, 1:]),
+        courses,
+        "mismatch [mm]",
+        title,
+    )
     save_figure(figure, path)

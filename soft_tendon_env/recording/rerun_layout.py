@@ -167,7 +167,16 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     grids = Views()
     for kind, (title, span) in kinds.items():
         if _names(arms, kind):
-            plots = [_plot(f"/{kind}/{part(arm)}", arm, axis, legend, span) for arm in arms]
+            plots = [
+                _plot(
+                    f"/{kind}/{part(arm)}",
+                    arm,
+                    axis,
+                    legend,
+                    span,
+                )
+                for arm in arms
+            ]
             grids.append(rrb.Grid(*plots, name=title, grid_columns=columns))
     return grids
 

@@ -252,7 +252,12 @@ class RerunStream:
         self._send(f"{root}/backbone", times, _lines(position))
         discs = disc_rows(model.scene)
         if discs.size:
-            poses = shapes.backbones(model, rollout.strain, discs[:, 0], base)
+            poses = shapes.backbones(
+                model,
+                rollout.strain,
+                discs[:, 0],
+                base,
+            )
             turned = shapes.rotation_from_z(poses[..., :3, 0])
             plates = _cylinders(shapes.positions(poses), turned)
             self._send(f"{root}/discs", times, plates)
@@ -327,7 +332,11 @@ class RerunStream:
             if obstacle.moves:
                 poses = np.array([obstacle.pose(time) for time in moments])
                 from_first = poses @ np.linalg.inv(obstacle.pose(0.0))
-                self._send(f"{root}/solids/{number}", times, _poses(from_first))
+                self._send(
+                    f"{root}/solids/{number}",
+                    times,
+                    _poses(from_first),
+                )
 
     def _send_numbers(
         self,

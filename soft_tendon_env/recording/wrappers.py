@@ -75,7 +75,11 @@ class RowRecorder:
 
     def _write(self) -> None:
         self.rollout = self._buffer.rollout(self._title)
-        self._file.write(self.rollout, self._arm, continues=self._continues)
+        self._file.write(
+            self.rollout,
+            self._arm,
+            continues=self._continues,
+        )
         self._buffer.clear()
         self._continues = True
         self._written = perf_counter()
