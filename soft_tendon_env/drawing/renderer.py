@@ -121,6 +121,7 @@ class ArmRenderer:
         self._box = (lower, upper)
         self.turn = shapes.viewpoint(vertical, upright)
 
+        # lines and letters grow with the frame
         dpi = 100.0 * min(width / 640, height / 480)
         rest = 0.1  # pixels are rounded down
         size = ((width + rest) / dpi, (height + rest) / dpi)
@@ -161,6 +162,7 @@ class ArmRenderer:
             corners = shapes.surface(obstacle, picture.time, self._box)
             pieces.append(solid(corners, OBSTACLE, self.turn))
         self._show(pieces, picture)
+        # the floor is there, what moves is painted over it
         self._canvas.restore_region(self._background)
         for artist in self.artists:
             artist.draw(self._canvas.get_renderer())
@@ -180,6 +182,7 @@ class ArmRenderer:
         areas.set_facecolor(colour[from_afar])
         areas.set_linewidth(width[from_afar])
         nothing = np.empty((0, 3))
+        # the target: a curve, a point and three axes, as far as there are any
         stations = nothing if picture.target_backbone is None else picture.target_backbone
         backbone.set_data(*(stations @ across).T)
         positions = nothing
@@ -252,6 +255,7 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     from matplotlib.lines import Line2D
 
     shared: dict[str, Any] = {"animated": True, "clip_on": False, "transform": axes.transData}
+    # areas, the target's backbone, its axes, its place: each is painted over those before it
     artists: list[Any] = [
         PolyCollection([], edgecolors="face", joinstyle="round", **shared),
         Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared),
@@ -407,6 +411,7 @@ def paint_floor(
     corners = shapes.corners_of_box(lower, upper) @ across
     lowest = corners.min(axis=0)
     highest = corners.max(axis=0)
+    # one scale for both axes: that of the narrower one
     pixels = figure.bbox.size
     per_pixel = np.max((highest - lowest) / (ROOM * pixels))  # [m]
     half = 0.5 * per_pixel * pixels
@@ -420,6 +425,7 @@ def paint_floor(
         ylim=(low, high),
     )
     axes.set_axis_off()
+    # lines on the floor, along both of its axes
     first, second = [axis for axis in range(3) if axis != vertical]
     floor = (lower if upright else upper)[vertical]
     spacing = GRID * rod_length(scene)

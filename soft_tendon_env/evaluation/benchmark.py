@@ -132,6 +132,7 @@ class Benchmark(Workers):
         members = entrant.members(self.task)
         share = math.ceil(self.episodes / len(members))
         for place, (seed, policy) in enumerate(members.items()):
+            # the last seed of training takes the last episodes, even if others play them too
             first = min(place * share, self.episodes - share)
             episodes = tuple(SEEDS["arena"][first : first + share])
             for regime in self.regimes:
@@ -150,6 +151,7 @@ class Benchmark(Workers):
                 }
                 for setting in self.settings:
                     condition = SETTINGS[setting]
+                    # the controller's model has the effects only where it is told of them
                     believed: dict[str, Any] = {"scene": self.scene}
                     if entrant.told:
                         believed |= condition.scene(load_scene(self.scene))
@@ -237,6 +239,7 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
             if not isinstance(policy, Controller):
                 learned.add(entrant.name)
     texts = list[str]()
+    # by how much the best learned policy differs, in every error and in the return
     for regime, standings in by_regime.items():
         first = next(iter(standings.values()))
         apart = dict[str, dict[str, Mean]]()
@@ -245,6 +248,7 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
             apart[label] = gaps(standings, learned, f"{name}_rms")
         apart["return"] = gaps(standings, learned, "return")
         factor = error_unit(first.error).factor
+        # the table has the task's first error alone
         row = {"": "best learned minus best controller"}
         for setting, mean in next(iter(apart.values())).items():
             value, low, high = (number(factor * value) for value in mean)

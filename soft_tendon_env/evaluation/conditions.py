@@ -156,6 +156,7 @@ def model_error(names: str) -> Condition:
                 " between them"
             )
         parts.append(MODEL_ERRORS[name])
+    # of two that set the same value one would be lost
     keys = [key for part in parts for key in part.randomize]
     twice = sorted({key for key in keys if keys.count(key) > 1})
     if twice:

@@ -44,7 +44,7 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     others = seed_folders(folder)
     if seed in others:
         raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
-    folders: dict[int | None, Path] = {seed: folder, **others}
+    folders = dict[int | None, Path]([(seed, folder), *others.items()])
     check_alike(list(folders.values()), policy.task)
     return {seed: str(path) for seed, path in folders.items()}
 
@@ -99,7 +99,8 @@ def seed_folders(folder: Path) -> dict[int, Path]:
 
 def read_run(run: Path) -> dict[str, Any]:
     """Configuration of a run. Raises ValueError, FileNotFoundError without one."""
-    if not (path := run / "config.json").is_file():
+    path = run / "config.json"
+    if not path.is_file():
         raise FileNotFoundError(
             f"{run} is no run: it has no config.json, as `soft-tendon train` writes it"
         )

@@ -199,6 +199,7 @@ class Experiment(Generic[Label]):
                 # NaN and infinity stand in the file, as json has them
                 path.write_text(json.dumps(content))
 
+        # times per action are those of this process with nothing beside it
         for alone, part, processes, address in (
             (True, "times per action", 1, None),
             (False, "episodes", workers, cluster),

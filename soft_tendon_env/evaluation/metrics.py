@@ -144,6 +144,7 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     first = math.ceil(skip / episode.period - 1e-9)
     steps = len(episode.reward)
     seconds = episode.seconds[1:]
+    # an episode that diverged before has errors of no sample: NaN
     if first > steps and episode.cause is None:
         raise ValueError(
             f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s"

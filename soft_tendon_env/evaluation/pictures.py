@@ -47,6 +47,7 @@ def _draw_panel(
     policies = list(dict.fromkeys(policy for policy, _ in panel))
     conditions = list(dict.fromkeys(condition for _, condition in panel))
     unit = error_unit(next(iter(panel.values())).error)
+    # a point and its interval per policy and condition, where it was played
     for index, policy in enumerate(policies):
         look = looks[policy]
         places = []
@@ -68,6 +69,7 @@ def _draw_panel(
             label="/".join(Path(policy).parts[-2:]),
         )
         axes.vlines(x, low, high, color=look.rgb, linewidth=1.5)
+    # lines between the conditions
     for border in range(len(conditions) - 1):
         axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
     set_log_scale(axes, axes.yaxis)

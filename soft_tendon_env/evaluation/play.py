@@ -98,10 +98,9 @@ def play_steps(
     environment has a row per seed, any other one seed. `env` stands where the step left it when a
     step is yielded."""
     rows = len(seeds)
-    if isinstance(env, gym.vector.VectorEnv):
-        observation, _ = env.reset(seed=list(seeds))  # of an int Gymnasium makes others
-    else:
-        observation, _ = env.reset(seed=seeds[0])
+    # of an int Gymnasium would make the seeds of rows itself
+    seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]
+    observation, _ = env.reset(seed=seed)
     state = None
     ended = np.ones(rows, dtype=bool)
     yield Step(np.zeros(rows), np.zeros(rows, dtype=bool), 0.0)
@@ -126,6 +125,7 @@ def play(
     course: list[tuple[Array, ...]] = []
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
+        # the next step overwrites what the environment has now
         sample = (
             step.reward,
             np.full(rows, step.seconds),
@@ -138,6 +138,7 @@ def play(
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
             reached = None
+            # an episode that diverged did not reach its goal, wherever the tip was
             if episodes.task.goal:
                 error = episodes.errors["position_error"][row]
                 reached = cause is None and bool(error <= episodes.threshold)

@@ -111,6 +111,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     """Summary of episodes of one policy and task. Raises ValueError without any."""
     if not scores:
         raise ValueError("scores should have at least one episode")
+    # errors and metrics are of the episodes that lived
     lived = [score for score in scores if score.diverged is None]
     errors = dict[str, ErrorScore]()
     metrics = dict[str, float]()
@@ -190,7 +191,7 @@ class Standing(NamedTuple):
 
 
 def difference(
-    one: Standing,
+    first: Standing,
     other: Standing,
     key: str,
 ) -> Mean:
@@ -198,12 +199,12 @@ def difference(
     the paired bootstrap: negative where the first has less error. Raises ValueError unless the
     other has played all episodes of the first."""
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
-    if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
+    if len(other.scores) > 1 or any(score.seed not in theirs for score in first.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")
     pairs = np.array(
         [
             [(score.numbers[key], theirs[score.seed]) for score in of_member]
-            for of_member in one.scores
+            for of_member in first.scores
         ],
         dtype=float,
     )

@@ -106,6 +106,7 @@ def open_viewer(port: int) -> None:
             ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'
             " --headless`)"
         )
+    # a process of its own group: Ctrl-C ends the simulation and leaves the viewer
     command = [
         sys.executable,
         "-m",
@@ -119,6 +120,7 @@ def open_viewer(port: int) -> None:
     quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
     process = subprocess.Popen(command, env=environment, start_new_session=True, **quiet)
+    # it listens before it finds out whether it can open a window
     end = time.monotonic() + OPENS_WITHIN
     while not is_open(port) and process.poll() is None and time.monotonic() < end:
         time.sleep(LOOKS_EVERY)

@@ -3,6 +3,7 @@ plots of what is compared."""
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -116,11 +117,13 @@ def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     places = np.array([arm.place for arm in arms.values()])
     position, target, up = camera(first, places, ASPECT)
     lower, upper, vertical, upright = view_box(first.scene)
+    # the floor lies below all arms, wherever they are drawn
     floor = (lower if upright else upper)[vertical] * up[vertical]
     height = min(place @ up for place in places) + floor
     now = rrb.TimeRangeBoundary.cursor_relative
     recent = rrb.VisibleTimeRange("sim_time", start=now(seconds=-trail), end=now())
-    trails = dict[str, rrb.VisibleTimeRanges]()
+    # of tips and targets the view shows the last seconds, of all else the present
+    trails = dict[Any, Any]()
     for name in arms:
         for line in ("trail", "target_trail"):
             trails[f"world/{part(name)}/{line}"] = rrb.VisibleTimeRanges([recent])
@@ -156,6 +159,7 @@ def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
 
 def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """Tensions and actions, a plot per arm: one that shakes hides no other."""
+    # one scale for all arms: who pulls more is seen to
     tendons = [tendon for arm in arms.values() for tendon in arm.model.scene.tendons]
     limits = np.array([tendon.tension_limits for tendon in tendons])
     kinds = {

@@ -144,6 +144,7 @@ class RerunStream:
             )
         if not rollout.samples:
             return
+        # an episode begins: nothing of the one before is joined with it
         if not continues or known.episode < 0:
             known.episode += 1
             known.tip = None
@@ -164,6 +165,7 @@ class RerunStream:
             rr.Points3D.columns(labels=[label] * rollout.samples),
         )
         self._send_numbers(arm, known, rollout, times)
+        # where the next stretch goes on
         known.step += rollout.samples
         known.shown += rollout.samples
         known.time += rollout.samples * _nanoseconds(rollout.period)
@@ -196,6 +198,7 @@ class RerunStream:
         end = new.station[1:]
         radii, _ = rod_radius(scene, 0.5 * (end + start))
         colors = (*new.style.colour, TRANSPARENCY)
+        # what moves is sent with the samples; here is how it looks
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
             "/name": rr.Points3D.from_fields(
@@ -245,6 +248,7 @@ class RerunStream:
         base = shapes.base_poses(model, _moments(known, rollout), rollout.scene)
         if (base != np.eye(4)).any():
             self._send(f"{root}/mount", times, _poses(base))
+        # the rod, as cylinders between its stations
         frames = shapes.backbones(model, rollout.strain, known.station, base)
         position = shapes.positions(frames)
         centers, quaternions = shapes.cylinders(position)
@@ -261,6 +265,7 @@ class RerunStream:
             turned = shapes.rotation_from_z(poses[..., :3, 0])
             plates = _cylinders(shapes.positions(poses), turned)
             self._send(f"{root}/discs", times, plates)
+        # tendons, each in the colour of its tension
         curves = shapes.tendon_curves(model, frames, known.station)
         colors = shapes.tension_colors(model, rollout.tension)
         strips = rr.LineStrips3D.columns(
@@ -269,6 +274,7 @@ class RerunStream:
         per_sample = [len(curves)] * rollout.samples
         self._send(f"{root}/tendons", times, strips.partition(per_sample))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
+        # the tip, and the way that it came
         tip = shapes.positions(rollout.tip_pose)
         self._send(
             f"{root}/trail",
@@ -327,6 +333,7 @@ class RerunStream:
                 corners = shapes.surface(obstacle, 0.0, (lower, upper))
                 look = _seen_through(corners) if obstacle.is_endless else _mesh(corners)
                 self._send(f"{root}/solids/{number}", first, look)
+        # surfaces are sent where they are at time 0, and then how they have moved since
         moments = _moments(known, rollout).tolist()
         for number, obstacle in enumerate(obstacles):
             if obstacle.moves:
@@ -356,6 +363,7 @@ class RerunStream:
                 times,
                 columns.partition(per_sample),
             )
+        # plots have errors in the units in which people read them
         for name, values in rollout.scalars.items():
             numbers = rr.Scalars.columns(scalars=values)
             self._send(
