@@ -72,7 +72,7 @@ def play(
     what, texts = f"{settings.episodes} episodes of {settings.seconds:g} s", dict[str, str]()
     print(f"{what}; {machine()}")
     for task, experiment in experiments.items():
-        experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
+        experiment.play(task, settings.workers, settings.cluster)
         found, summaries = comparison.standings_of(experiment, files[task])
         errors = tables.error_table(found)
         texts[task] = f"{what.capitalize()}.\n\n{errors}"

@@ -1,8 +1,8 @@
 """`soft-tendon demo`: the paper's controller, model-based controllers, PPO and the agent that
 ships, side by side on the paper's arm.
 
-All arms are recorded side by side, first along the circle, then along one of the random targets,
-which also gives the times per action.
+All arms are recorded side by side, first along the circle, then along one of the random targets.
+The picture shows the recorded circle and the numbers of the tables.
 """
 
 from pathlib import Path
@@ -12,8 +12,10 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.comparison import (
     TIME,
+    Files,
     compare,
     opening_hint,
     record_side_by_side,
@@ -25,14 +27,16 @@ from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.settings import Settings, Workers
-from soft_tendon_env.evaluation.summaries import Standing
-from soft_tendon_env.evaluation.tables import summary_table
+from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.evaluation.tables import summary_cells, summary_table
 from soft_tendon_env.policies.agent import AGENT
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.tools.parallel import check_cluster
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
+ERROR = "position_error"  # that the picture shows over time
+SKIPPED = 0.1  # share of an episode, at its beginning, that errors leave out
 SHOWN = {
     "paper": "paper (printed law)",
     "tracking": "tracking (sampled law)",
@@ -100,40 +104,77 @@ def run(settings: Demo) -> None:
 def play(settings: Demo, file: "recording.RerunFile", out: Path) -> str:
     """Tables of both targets; writes the recording into an open file, and demo.png and the episodes
     into a folder."""
-    from soft_tendon_env.evaluation.pictures import draw_errors
+    from soft_tendon_env.evaluation.overview import Overview, draw_overview
 
-    tables, standings, seconds = list[str](), dict[tuple[str, str], Standing](), settings.seconds
     files: dict[str, dict[int | None, str]] = {
         name: {None: policy} for policy, name in SHOWN.items()
     }
     models = {
         name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()
     }
-    experiments = dict[str, Experiment[tuple[str, str]]]()
-    for target, count, label in (
-        ("circle", 1, "circle"),
-        ("random", settings.episodes, f"{settings.episodes} random targets"),
-    ):
-        given = {
-            "seconds": seconds,
-            "skip": 0.1 * seconds,
-            "errors": (NOMINAL,),
-            "episodes": count,
-            "options": {**ARM, "target": target},
-        }
-        chosen = Settings.parse(given, "demo")
-        experiments[label] = compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
+    circle, random = "circle", f"{settings.episodes} random targets"
+    # both are made before the first is played: what is wrong is said before anything takes long
+    experiments = {
+        circle: make_experiment(settings, files, "circle", 1, out),
+        random: make_experiment(settings, files, "random", settings.episodes, out),
+    }
+    tables = list[str]()
+    rollouts = dict[str, dict[str, recording.Rollout]]()
+    summaries = dict[str, dict[str, Summary]]()
     with file:
         for label, experiment in experiments.items():
             players = {
                 name: experiment.cells[policy, TIME].open() for policy, name in SHOWN.items()
             }
-            record_side_by_side(players, file, EVALUATION_SEEDS[:1], 0.0, new=label == "circle")
-            experiment.play(label, settings.workers, settings.cluster)
-            found, summaries = standings_of(experiment, files)
-            tables.append(
-                summary_table(label, {name: summaries[name, NOMINAL] for name in files}, models)
+            recorded = record_side_by_side(
+                players,
+                file,
+                EVALUATION_SEEDS[:1],
+                skip=0.0,
+                label=f"{label}: recording",
+                new=label == circle,
             )
-            standings |= {(name, label): standing for (name, _), standing in found.items()}
-    draw_errors({TASK: standings}, out / "demo.png")
+            rollouts[label] = recorded.rollouts
+            experiment.play(label, settings.workers, settings.cluster)
+            _, by_error = standings_of(experiment, files)
+            summaries[label] = {name: by_error[name, NOMINAL] for name in files}
+            tables.append(summary_table(label, summaries[label], models))
+    overview = Overview(
+        headline="One arm, five policies, one circle",
+        rollouts=rollouts[circle],
+        bent=SHOWN[AGENT],
+        error=ERROR,
+        numbers={
+            name: numbers_in_picture(summaries[circle][name], summaries[random][name])
+            for name in files
+        },
+    )
+    draw_overview(overview, out / "demo.png")
     return "\n\n".join(tables)
+
+
+def make_experiment(
+    settings: Demo, files: Files, target: str, episodes: int, out: Path
+) -> Experiment[tuple[str, str]]:
+    """Experiment of all policies on a target, whose results are kept in a folder."""
+    options = {
+        "seconds": settings.seconds,
+        "skip": SKIPPED * settings.seconds,
+        "errors": (NOMINAL,),
+        "episodes": episodes,
+        "options": {**ARM, "target": target},
+    }
+    chosen = Settings.parse(options, "demo")
+    return compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
+
+
+def numbers_in_picture(circle: Summary, random: Summary) -> dict[str, str]:
+    """Cells of a policy's row in the picture by heading, as the tables have them."""
+    position, angle = error_unit(ERROR), error_unit("angle_error")
+    on_circle, on_random = summary_cells(circle), summary_cells(random)
+    return {
+        f"circle\n[{position.symbol}]": on_circle[f"{position.heading} RMS"],
+        f"random\n[{position.symbol}]": on_random[f"{position.heading} RMS"],
+        f"random\n[{angle.symbol}]": on_random[f"{angle.heading} RMS"],
+        "action\n[ms]": on_random["time [ms]"],
+    }

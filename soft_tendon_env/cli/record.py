@@ -45,7 +45,7 @@ def run(settings: Record) -> None:
         f" {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n"
     )
     with file:
-        scores = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
-    summaries = {policy: summarise(of_policy) for policy, of_policy in scores.items()}
+        recorded = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
+    summaries = {policy: summarise(of_policy) for policy, of_policy in recorded.scores.items()}
     models = {policy: model_in_the_loop(PolicyName.parse(policy, task)) for policy in summaries}
     print(f"{tables.summary_table('policy', summaries, models)}\n\n{comparison.opening_hint(out)}")

@@ -6,23 +6,24 @@ behind a filter diamonds.
 
 import colorsys
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from typing import NamedTuple
 
 RGB = tuple[int, int, int]
-OTHERS: tuple[RGB, ...] = (
-    (78, 154, 240),
-    (242, 142, 43),
-    (64, 184, 96),
-    (240, 84, 120),
-    (170, 120, 240),
-    (222, 200, 60),
-    (50, 190, 190),
-    (200, 140, 110),
-)
+BLUE: RGB = (78, 154, 240)
+ORANGE: RGB = (242, 142, 43)
+GREEN: RGB = (64, 184, 96)
+PINK: RGB = (240, 84, 120)
+VIOLET: RGB = (170, 120, 240)
+YELLOW: RGB = (222, 200, 60)
+TEAL: RGB = (50, 190, 190)
+BROWN: RGB = (200, 140, 110)
+MAGENTA: RGB = (190, 60, 200)
+OLIVE: RGB = (150, 160, 60)
+
+OTHERS: tuple[RGB, ...] = (BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN)
 """Colours of arms whose names say nothing of their policies, in their order of appearance: distinct
 on black and on white."""
-BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS
 MODEL_BASED = {
     "paper": BLUE,
     "printed": BLUE,
@@ -33,17 +34,23 @@ MODEL_BASED = {
 }
 LEARNED = {
     "agent": PINK,
-    "dagger": (190, 60, 200),
+    "dagger": MAGENTA,
     "ppo": VIOLET,
     "sac": YELLOW,
-    "tqc": (150, 160, 60),
+    "tqc": OLIVE,
     "apg": TEAL,
 }
 FILTERS = {"filtered": 0.8, "filter": 0.8, "adaptive": 0.6}
+"""Shares of the lightness, of policies behind a filter."""
 SIBLINGS = (1.0, 0.75, 1.25, 0.5, 1.45, 0.62)
-"""Shares of the lightness: of policies behind a filter, and of those that are alike otherwise, such
-as trainings by one algorithm."""
-LIGHTEST = 0.92
+"""Shares of the lightness, of policies that are alike otherwise, such as trainings by one
+algorithm."""
+LIGHTEST = 0.92  # lightness that no colour exceeds, of 1 for white
+
+CIRCLE = "o"  # Matplotlib's markers
+SQUARE = "s"
+DIAMOND = "D"
+TRIANGLE = "^"  # of a name that says nothing
 
 
 class Style(NamedTuple):
@@ -61,40 +68,49 @@ class Style(NamedTuple):
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
     """The style of a policy, by any of its names. Where others have `taken` its colour, another
     lightness of it; where its name says nothing, or no lightness is left, the next free colour."""
-    words, colours, marker = (
-        re.split(r"[^a-z0-9]+", policy.lower()),
-        [other.colour for other in taken],
-        "^",
-    )
-    kinds = {**MODEL_BASED, **LEARNED}
-    if (kind := next((word for word in words if word in kinds), None)) is not None:
-        share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
-        marker = "o" if kind in LEARNED else "s" if share == 1.0 else "D"
-        shades = (
-            kinds[kind] if share * sibling == 1.0 else lighten(kinds[kind], share * sibling)
-            for sibling in SIBLINGS
-        )
-        if (free := next((shade for shade in shades if shade not in colours), None)) is not None:
-            return Style(free, marker)
-    return Style(
-        next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]),
-        marker,
-    )
+    words = re.split(r"[^a-z0-9]+", policy.lower())
+    colours = [other.colour for other in taken]
+    kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
+    share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
+    marker = _marker(kind, share)
+    if kind is not None:
+        for shade in _shades(kind, share):
+            if shade not in colours:
+                return Style(shade, marker)
+    repeated = OTHERS[len(taken) % len(OTHERS)]  # where none is free
+    return Style(next((other for other in OTHERS if other not in colours), repeated), marker)
 
 
 def styles(policies: Iterable[str]) -> dict[str, Style]:
     """Styles of policies that are drawn together."""
-    found = dict[str, Style]()
+    by_policy = dict[str, Style]()
     for policy in policies:
-        found[policy] = style(policy, found.values())
-    return found
+        by_policy[policy] = style(policy, by_policy.values())
+    return by_policy
 
 
 def lighten(colour: RGB, share: float) -> RGB:
     """A colour of another lightness, as a share of its own."""
     hue, lightness, saturation = colorsys.rgb_to_hls(*(value / 255 for value in colour))
-    red, green, blue = (
-        round(255 * value)
-        for value in colorsys.hls_to_rgb(hue, min(LIGHTEST, share * lightness), saturation)
-    )
-    return red, green, blue
+    lighter = min(LIGHTEST, share * lightness)
+    red, green, blue = colorsys.hls_to_rgb(hue, lighter, saturation)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def _marker(kind: str | None, share: float) -> str:
+    """Marker of a kind of policy, whose filter, if it has one, takes a share of its lightness."""
+    if kind is None:
+        return TRIANGLE
+    if kind in LEARNED:
+        return CIRCLE
+    return SQUARE if share == 1.0 else DIAMOND
+
+
+def _shades(kind: str, share: float) -> Iterator[RGB]:
+    """Colours of a kind of policy, in the order in which they are taken, at a share of its
+    lightness."""
+    colour = LEARNED[kind] if kind in LEARNED else MODEL_BASED[kind]
+    for sibling in SIBLINGS:
+        lightness = share * sibling
+        # no lightness is changed by way of HLS that need not be: its numbers are rounded
+        yield colour if lightness == 1.0 else lighten(colour, lightness)

@@ -24,40 +24,43 @@ from soft_tendon_env.scene.scene import (
 )
 from soft_tendon_env.tools.types import Array
 
-SECTIONS, AROUND = (
-    40,
-    32,
-    # sections along the rod (more where it has many borders), and corners around each: eighths for
-    # rectangles
-)
-CIRCLE = np.stack([np.cos(angle := 2.0 * np.pi / AROUND * np.arange(AROUND)), np.sin(angle)])
+SECTIONS = 40  # along the rod, more where it has many borders
+AROUND = 32  # corners around a section: eighths for rectangles
+ANGLES = 2.0 * np.pi / AROUND * np.arange(AROUND)  # [rad]
+CIRCLE = np.stack([np.cos(ANGLES), np.sin(ANGLES)])  # (2, AROUND)
 
-TUBE, MOUNT, TRAIL, OBSTACLE = np.array(
-    [[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]]
-)
-PAPER, FLOOR, TEXT, TARGET = (
-    (1.0, 1.0, 1.0),
-    (0.86, 0.87, 0.89),
-    (0.30, 0.30, 0.33),
-    (0.05, 0.58, 0.30),
-)
+# red, green and blue, 0 to 1
+TUBE = np.array([0.62, 0.71, 0.82])
+MOUNT = np.array([0.40, 0.42, 0.46])
+TRAIL = np.array([0.42, 0.24, 0.66])
+OBSTACLE = np.array([0.80, 0.72, 0.58])
+PAPER = (1.0, 1.0, 1.0)
+FLOOR = (0.86, 0.87, 0.89)
+TEXT = (0.30, 0.30, 0.33)
+TARGET = (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
-GRID, AXES = (
-    0.25,
-    0.09,
-)  # distance between lines on the floor, and length of a target's axes, in lengths of the rod
-ROOM = (
-    0.9,
-    0.84,
-    # shares of a frame's width and height that the box around the arm fills at most; the title is
-    # above
-)
-SEAM, FADED = (
-    0.5,
-    0.7,
-    # width [pt] of edges that close gaps, and how far the colour of a tendon on the far side goes
-    # over into the tube's
-)
+
+GRID = 0.25  # distance between lines on the floor, in lengths of the rod
+AXES = 0.09  # length of a target's axes, in lengths of the rod
+# share of a frame's width that the box around the arm fills at most, and of its height, as the
+# title is above
+ROOM = np.array([0.9, 0.84])
+RAISED = 0.3  # share of the rest of the height by which the box moves down from the middle
+
+TENDON = 1.7  # width of a tendon [pt]
+THREAD = 1.2  # width of the tip's trail [pt]
+SEAM = 0.5  # width of edges that close gaps [pt]
+FADED = 0.7  # how far the colour of a tendon on the far side goes over into the tube's
+DIMMED = 0.9  # lightness of the tube there
+PALEST = 0.75  # how far the oldest part of a trail goes over into the paper's colour
+
+# shaded as by Blinn and Phong: colours at the light, and what they have in shadow
+LIGHT = np.array([-0.45, 0.65, 0.62])  # direction in the camera's frame: from above left
+HALF_WAY = np.array([-0.25, 0.36, 0.90])  # between light and viewer
+AMBIENT = 0.60
+DIFFUSE = 0.46
+GLOSSY = 0.20
+SHININESS = 24  # exponent of the glossy part
 
 
 class Picture(NamedTuple):
@@ -70,9 +73,8 @@ class Picture(NamedTuple):
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
     time: float = 0.0  # [s] since the episode began, for what moves by itself
-    scene: Scene | None = (
-        None  # of the arm, where its numbers are not those of the renderer's model
-    )
+    # of the arm, where its numbers are not those of the renderer's model
+    scene: Scene | None = None
 
 
 class Pieces(NamedTuple):
@@ -89,7 +91,12 @@ class ArmRenderer:
     """Draws frames of one arm in parallel projection. It has a figure of its own, so that every
     thread or process can have a renderer."""
 
-    def __init__(self, model: Model, width: int = 640, height: int = 480) -> None:
+    def __init__(
+        self,
+        model: Model,
+        width: int = 640,
+        height: int = 480,
+    ) -> None:
         """Frames of width x height pixels. Raises gymnasium's DependencyNotInstalled if matplotlib
         is missing."""
         try:
@@ -100,113 +107,144 @@ class ArmRenderer:
                 'pictures need matplotlib: pip install "soft_tendon_env[pictures]"'
             ) from error
         scene = model.scene
-        self._model, self._arc_length = model, shapes.drawing_stations(model, SECTIONS + 1)
+        self._model = model
+        self._arc_length = shapes.drawing_stations(model, SECTIONS + 1)
         self._radius, _ = rod_radius(scene, self._arc_length)
-        self._outline = along_rod(scene, self._arc_length, outline).T.reshape(-1, *CIRCLE.shape)
+        corners = along_rod(scene, self._arc_length, outline)
+        self._outline = corners.T.reshape(-1, *CIRCLE.shape)
         self._discs = disc_rows(scene)
-        ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
-        self._inside = [
-            (self._arc_length >= start) & (self._arc_length <= end) for start, end in ends
-        ]
-        self._box, self.turn = (
-            shapes.view_box(scene)[:2],
-            shapes.viewpoint(*shapes.view_box(scene)[2:]),
-        )
+        self._inside = []  # of every tendon, which sections it passes
+        for tendon in scene.tendons:
+            start, end = tendon_ends(scene, tendon)
+            self._inside.append((self._arc_length >= start) & (self._arc_length <= end))
+        lower, upper, vertical, upright = shapes.view_box(scene)
+        self._box = (lower, upper)
+        self.turn = shapes.viewpoint(vertical, upright)
 
+        # lines and letters grow with the frame
         dpi = 100.0 * min(width / 640, height / 480)
-        figure = Figure(
-            figsize=((width + 0.1) / dpi, (height + 0.1) / dpi), dpi=dpi, facecolor=PAPER
-        )  # 0.1: pixels are rounded down
+        rest = 0.1  # pixels are rounded down
+        size = ((width + rest) / dpi, (height + rest) / dpi)
+        figure = Figure(figsize=size, dpi=dpi, facecolor=PAPER)
         self._canvas = FigureCanvasAgg(figure)
-        self.artists = moving_artists(figure, paint_floor(figure, scene, self.turn))
+        axes = paint_floor(figure, scene, self.turn)
+        self.artists = moving_artists(figure, axes)
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, picture: Picture) -> NDArray[np.uint8]:
         """The picture (height, width, 3), red, green, blue."""
-        base = shapes.base_poses(self._model, np.array([picture.time]), picture.scene)
-        backbone = shapes.backbones(self._model, picture.strain[None], self._arc_length, base)
-        discs = shapes.backbones(self._model, picture.strain[None], self._discs[:, 0], base)[0]
+        model = self._model
+        scene = picture.scene or model.scene
+        strain = picture.strain[None]
+        base = shapes.base_poses(
+            model,
+            np.array([picture.time]),
+            picture.scene,
+        )
+        backbone = shapes.backbones(model, strain, self._arc_length, base)
+        discs = shapes.backbones(
+            model,
+            strain,
+            self._discs[:, 0],
+            base,
+        )
         pieces = [
-            *self._arm(backbone[0], base[0], discs),
+            *self._arm(
+                backbone[0],
+                base[0],
+                discs[0],
+            ),
             *self._tendons(backbone, picture.tension),
             *trail(picture.trail, self.turn),
         ]
-        obstacles = shapes.obstacles_of((picture.scene or self._model.scene).effects)
-        pieces += [
-            solid(shapes.surface(obstacle, picture.time, self._box), OBSTACLE, self.turn)
-            for obstacle in obstacles
-        ]
+        for obstacle in shapes.obstacles_of(scene.effects):
+            corners = shapes.surface(obstacle, picture.time, self._box)
+            pieces.append(solid(corners, OBSTACLE, self.turn))
         self._show(pieces, picture)
+        # the floor is there, what moves is painted over it
         self._canvas.restore_region(self._background)
         for artist in self.artists:
             artist.draw(self._canvas.get_renderer())
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        pixels = np.asarray(self._canvas.buffer_rgba())
+        return pixels[..., :3].copy()
 
     def _show(self, pieces: list[Pieces], picture: Picture) -> None:
         """Let the artists take over what a frame shows."""
-        areas, target, pose, place, title = self.artists
-        corners, colour, width, depth = (
-            np.concatenate(values) for values in zip(*pieces, strict=True)
-        )
-        order, across = np.argsort(-depth, kind="stable"), self.turn[:2].T
-        areas.set_verts(corners[order] @ across)
-        areas.set_facecolor(colour[order])
-        areas.set_linewidth(width[order])
-        target.set_data(
-            *(
-                np.empty((0, 2))
-                if picture.target_backbone is None
-                else picture.target_backbone @ across
-            ).T
-        )
-        poses = np.empty((0, 4, 4)) if picture.target_pose is None else picture.target_pose[None]
-        place.set_data(*(poses[:, :3, 3] @ across).T)
-        size = AXES * self._model.length
-        ends = [
-            np.stack([frame[:3, 3], frame[:3, 3] + size * frame[:3, k]]) @ across
-            for frame in poses
-            for k in range(3)
-        ]
-        pose.set_segments([*ends, *ends])
+        areas, backbone, axes, place, title = self.artists
+        across = self.turn[:2].T  # (3, 2), from the world to the picture
+        corners = np.concatenate([part.corners for part in pieces])
+        colour = np.concatenate([part.colour for part in pieces])
+        width = np.concatenate([part.width for part in pieces])
+        depth = np.concatenate([part.depth for part in pieces])
+        from_afar = np.argsort(-depth, kind="stable")
+        areas.set_verts(corners[from_afar] @ across)
+        areas.set_facecolor(colour[from_afar])
+        areas.set_linewidth(width[from_afar])
+        nothing = np.empty((0, 3))
+        # the target: a curve, a point and three axes, as far as there are any
+        stations = nothing if picture.target_backbone is None else picture.target_backbone
+        backbone.set_data(*(stations @ across).T)
+        positions = nothing
+        segments = []
+        if picture.target_pose is not None:
+            positions = picture.target_pose[None, :3, 3]
+            directions = picture.target_pose[:3, :3].T
+            for end in positions + AXES * self._model.length * directions:
+                segments.append(np.stack([*positions, end]) @ across)
+        place.set_data(*(positions @ across).T)
+        axes.set_segments([*segments, *segments])  # each lies on a wider white line
         title.set_text(picture.title)
 
-    def _arm(self, backbone: Array, base: Array, discs: Array) -> list[Pieces]:
+    def _arm(
+        self,
+        backbone: Array,
+        base: Array,
+        discs: Array,
+    ) -> list[Pieces]:
         """Mount, rod and spacer discs, closed by rings without radius; backbone (m, 4, 4), base (4,
         4), poses of discs (d, 4, 4)."""
-        rod = tube(
-            np.concatenate([backbone, backbone[-1:]]),
-            np.append(self._outline, np.zeros((1, *CIRCLE.shape)), axis=0),
-        )
+        # a ring without radius closes the tip
+        tip = backbone[-1:]
+        sections = np.concatenate([backbone, tip])
+        point = np.zeros((1, *CIRCLE.shape))
+        outline = np.append(self._outline, point, axis=0)
+        rod = tube(sections, outline)
         depth, radius = shapes.mount_size(self._model.scene)
         mount = cylinder(base, -depth, 0.0, radius)
-        sizes = self._discs[:, 2:].tolist()
-        spacers = [
-            cylinder(pose, -0.5 * thick, 0.5 * thick, wide)
-            for pose, (wide, thick) in zip(discs, sizes, strict=True)
-        ]
-        return [
+        pieces = [
             solid(mount, MOUNT, self.turn),
             solid(rod, TUBE, self.turn),
-            *(solid(disc, TUBE, self.turn) for disc in spacers),
         ]
+        for pose, (_, _, wide, thick) in zip(discs, self._discs, strict=True):
+            half = 0.5 * thick
+            disc = cylinder(pose, -half, half, wide)
+            pieces.append(solid(disc, TUBE, self.turn))
+        return pieces
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far
         side are faded."""
-        towards, colours = self.turn[2], shapes.tension_colors(self._model, tension) / 255.0
-        axis, reach = (
-            -backbone[0, :, :3, 3] @ towards,
-            np.gradient(self._arc_length),
-        )  # by which neighbours differ in depth
-        far_side = axis - 1.5 * self._radius - reach
-        near_side = far_side - 0.1 * self._radius - reach
-        curves, lines = shapes.tendon_curves(self._model, backbone, self._arc_length), []
+        towards = self.turn[2]
+        colours = shapes.tension_colors(self._model, tension) / 255.0
+        tube_depth = -shapes.positions(backbone[0]) @ towards
+        # painted after all sections around, whatever its tendons' own depth
+        step = np.gradient(self._arc_length)  # by which neighbours differ in depth
+        far_side = tube_depth - 1.5 * self._radius - step
+        near_side = far_side - 0.1 * self._radius - step
+        faded = FADED * DIMMED * TUBE
+        curves = shapes.tendon_curves(self._model, backbone, self._arc_length)
+        lines = []
         for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
-            behind = middle(-curve @ towards - axis[inside]) > 0.0
-            shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
-            depth = np.where(behind, middle(far_side[inside]), middle(near_side[inside]))
-            lines.append(line(curve, shade, 1.7, depth))
+            depth = -curve @ towards
+            behind_axis = middle(depth - tube_depth[inside])
+            is_behind = behind_axis > 0.0
+            pale = (1.0 - FADED) * colour + faded
+            shade = np.where(is_behind[:, None], pale, colour)
+            far = middle(far_side[inside])
+            near = middle(near_side[inside])
+            painted = np.where(is_behind, far, near)
+            lines.append(line(curve, shade, TENDON, painted))
         return lines
 
 
@@ -217,6 +255,7 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     from matplotlib.lines import Line2D
 
     shared: dict[str, Any] = {"animated": True, "clip_on": False, "transform": axes.transData}
+    # areas, the target's backbone, its axes, its place: each is painted over those before it
     artists: list[Any] = [
         PolyCollection([], edgecolors="face", joinstyle="round", **shared),
         Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared),
@@ -258,59 +297,99 @@ def outline(segment: Segment, places: Array) -> Array:
     """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND,
     m)."""
     half = 0.5 * segment.shape.hull(places, segment.length)[:2]
-    return (half[:, None] * segment.shape.outline(CIRCLE)[..., None]).reshape(CIRCLE.size, -1)
+    corners = segment.shape.outline(CIRCLE)
+    return (half[:, None] * corners[..., None]).reshape(CIRCLE.size, -1)
 
 
-def cylinder(pose: Array, start: float, end: float, radius: float) -> Array:
+def cylinder(
+    pose: Array,
+    start: float,
+    end: float,
+    radius: float,
+) -> Array:
     """Quadrilaterals (3 * AROUND, 4, 3) of a cylinder with its ends, about the x axis of a pose (4,
     4) from start to end [m]."""
-    ends = np.tile(np.eye(4), (4, 1, 1))
-    ends[:, 0, 3] = start, start, end, end
-    return tube(pose @ ends, radius * np.array([0.0, 1.0, 1.0, 0.0])[:, None, None] * CIRCLE)
+    rings = np.tile(np.eye(4), (4, 1, 1))
+    rings[:, 0, 3] = (start, start, end, end)
+    radii = radius * np.array([0.0, 1.0, 1.0, 0.0])  # the outer rings close its ends
+    return tube(pose @ rings, radii[:, None, None] * CIRCLE)
 
 
 def tube(poses: Array, outline: Array) -> Array:
     """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, on outlines (m,
     2, AROUND) [m] at poses (m, 4, 4)."""
-    rings = poses[:, None, :3, 3] + (poses[:, :3, 1:3] @ outline).swapaxes(1, 2)
+    across = poses[:, :3, 1:3] @ outline
+    rings = poses[:, None, :3, 3] + across.swapaxes(1, 2)
     turned = np.roll(rings, -1, axis=1)
-    return np.stack([rings[:-1], turned[:-1], turned[1:], rings[1:]], axis=2).reshape(-1, 4, 3)
+    around = [rings[:-1], turned[:-1], turned[1:], rings[1:]]
+    return np.stack(around, axis=2).reshape(-1, 4, 3)
 
 
 def normals(corners: Array) -> Array:
     """Outward normals (n, 3) of the quadrilaterals of a tube, zero for those without area."""
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    first, second, third, fourth = np.moveaxis(corners, 1, 0)
+    normal = np.cross(third - first, fourth - second)
+    size = np.linalg.norm(normal, axis=1)
+    smallest = 1e-300  # in place of zero, by which nothing can be divided
+    return normal / np.maximum(size, smallest)[:, None]
 
 
-def solid(corners: Array, colour: Array, turn: Array) -> Pieces:
+def solid(
+    corners: Array,
+    colour: Array,
+    turn: Array,
+) -> Pieces:
     """The visible quadrilaterals of a closed surface, lit from above left; turn: see
     `viewpoint`."""
+    towards = turn[2]
     normal = normals(corners)
-    visible = normal @ turn[2] > 0.0
-    normal, seen = normal[visible], corners[visible]
-    diffuse = np.clip(normal @ (np.array([-0.45, 0.65, 0.62]) @ turn), 0.0, None)[:, None]
-    glossy = (
-        np.clip(normal @ (np.array([-0.25, 0.36, 0.90]) @ turn), 0.0, None)[:, None] ** 24
-    )  # half way between light and viewer
-    shade = np.clip(colour * (0.60 + 0.46 * diffuse) + 0.20 * glossy, 0.0, 1.0)
-    return Pieces(seen, shade, np.full(len(seen), SEAM), -seen.mean(axis=1) @ turn[2])
+    is_visible = normal @ towards > 0.0
+    normal = normal[is_visible]
+    seen = corners[is_visible]
+    light = LIGHT @ turn
+    half_way = HALF_WAY @ turn
+    # the model of Blinn and Phong
+    diffuse = np.clip(normal @ light, 0.0, None)
+    mirrored = np.clip(normal @ half_way, 0.0, None)
+    glossy = mirrored[:, None] ** SHININESS
+    lit = AMBIENT + DIFFUSE * diffuse[:, None]
+    shade = np.clip(
+        colour * lit + GLOSSY * glossy,
+        0.0,
+        1.0,
+    )
+    depth = -seen.mean(axis=1) @ towards
+    width = np.full(len(seen), SEAM)
+    return Pieces(seen, shade, width, depth)
 
 
-def line(points: Array, colour: Array, width: float, depth: Array) -> Pieces:
+def line(
+    points: Array,
+    colour: Array,
+    width: float,
+    depth: Array,
+) -> Pieces:
     """A line through points (m, 3) whose parts have colours (m - 1, 3) and depths (m - 1,) [m]."""
-    corners = np.stack([points[:-1], points[:-1], points[1:], points[1:]], axis=1)
-    return Pieces(corners, colour, np.full(len(corners), width), depth)
+    start = points[:-1]
+    end = points[1:]
+    corners = np.stack([start, start, end, end], axis=1)
+    return Pieces(
+        corners,
+        colour,
+        np.full(len(corners), width),
+        depth,
+    )
 
 
 def trail(points: Array, turn: Array) -> list[Pieces]:
     """A line through past positions (k, 3) [m] that pales with age."""
     if len(points) < 2:
         return []
-    age = np.linspace(0.75, 0.0, len(points) - 1)[:, None]
-    return [
-        line(points, age * np.array(PAPER) + (1.0 - age) * TRAIL, 1.2, middle(-points @ turn[2]))
-    ]
+    paper = np.array(PAPER)
+    age = np.linspace(PALEST, 0.0, len(points) - 1)[:, None]
+    colour = age * paper + (1.0 - age) * TRAIL
+    depth = -points @ turn[2]
+    return [line(points, colour, THREAD, middle(depth))]
 
 
 def middle(values: Array) -> Array:
@@ -318,24 +397,45 @@ def middle(values: Array) -> Array:
     return np.asarray(0.5 * (values[:-1] + values[1:]))
 
 
-def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:
+def paint_floor(
+    figure: Any,
+    scene: Scene,
+    turn: Array,
+) -> Any:
     """Flat axes in which the box around the arm fills the figure, with lines on its floor;
     coordinates are those of the camera [m]."""
     from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = shapes.view_box(scene)
-    corners = shapes.corners_of_box(lower, upper) @ turn[:2].T
-    size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
-    middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]
-    (left, low), (right, high) = middle - half, middle + half
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
+    across = turn[:2].T  # (3, 2), from the world to the picture
+    corners = shapes.corners_of_box(lower, upper) @ across
+    lowest = corners.min(axis=0)
+    highest = corners.max(axis=0)
+    # one scale for both axes: that of the narrower one
+    pixels = figure.bbox.size
+    per_pixel = np.max((highest - lowest) / (ROOM * pixels))  # [m]
+    half = 0.5 * per_pixel * pixels
+    middle_of_box = 0.5 * (lowest + highest)
+    middle_of_box[1] += RAISED * (1.0 - ROOM[1]) * half[1]
+    left, low = middle_of_box - half
+    right, high = middle_of_box + half
+    axes = figure.add_axes(
+        (0.0, 0.0, 1.0, 1.0),
+        xlim=(left, right),
+        ylim=(low, high),
+    )
     axes.set_axis_off()
-    (a, b), spacing, lines = [k for k in range(3) if k != vertical], GRID * rod_length(scene), []
-    for along, across in ((a, b), (b, a)):
-        for place in np.arange(np.ceil(lower[across] / spacing), upper[across] / spacing) * spacing:
-            ends = np.full((2, 3), (lower if upright else upper)[vertical])
-            ends[:, across], ends[:, along] = place, (lower[along], upper[along])
-            lines.append(ends @ turn[:2].T)
+    # lines on the floor, along both of its axes
+    first, second = [axis for axis in range(3) if axis != vertical]
+    floor = (lower if upright else upper)[vertical]
+    spacing = GRID * rod_length(scene)
+    lines = []
+    for along, aside in ((first, second), (second, first)):
+        numbers = np.arange(np.ceil(lower[aside] / spacing), upper[aside] / spacing)
+        for place in numbers * spacing:
+            ends = np.full((2, 3), floor)
+            ends[:, aside] = place
+            ends[:, along] = (lower[along], upper[along])
+            lines.append(ends @ across)
     axes.add_collection(LineCollection(lines, colors=[FLOOR], linewidths=0.8))
     return axes

@@ -2,7 +2,7 @@
 episodes for all."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,22 +104,18 @@ class Benchmark(Workers):
     @model_validator(mode="after")
     def _fits(self) -> "Benchmark":
         names = [entrant.name for entrant in self.entrants]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise ConfigurationError(
-                [
-                    Problem(
-                        ("entrants",),
-                        f"has {twice[0]!r} several times: give each a name of its own",
-                    )
-                ]
-            )
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            text = f"has {twice[0]!r} several times: give each a name of its own"
+            raise ConfigurationError([Problem(("entrants",), text)])
         episode_steps(self.seconds, self.skip, TARGET)
         return self
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
         """All that is to be played; and a line for every policy that is left out, since its files
         are missing or no regime suffices for it. Raises ValueError where nobody is left."""
-        cells, notes = dict[Label, Cell](), list[str]()
+        cells = dict[Label, Cell]()
+        notes = list[str]()
         for entrant in self.entrants:
             try:
                 cells |= dict(self._cells_of(entrant))
@@ -130,34 +126,39 @@ class Benchmark(Workers):
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
-        reasons, plays, members = dict[str, None](), False, entrant.members(self.task)
+        """Labels and cells of a policy. Raises ValueError, OSError where it cannot play."""
+        reasons = list[str]()
+        plays = False
+        members = entrant.members(self.task)
         share = math.ceil(self.episodes / len(members))
         for place, (seed, policy) in enumerate(members.items()):
+            # the last seed of training takes the last episodes, even if others play them too
             first = min(place * share, self.episodes - share)
             episodes = tuple(SEEDS["arena"][first : first + share])
             for regime in self.regimes:
                 observed = interface_options(policy, regime)
-                if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
-                    reasons[f"{regime}: {reason}"] = None
+                reason = misfit(policy, {"scene": self.scene, **observed}, regime)
+                if reason:
+                    reasons.append(f"{regime}: {reason}")
                     continue
-                plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
+                plays = True
+                nominal = {
+                    **observed,
+                    **TARGET,
+                    "scene": self.scene,
+                    "fidelity": PLANT,
+                    "randomize": {"noise": dict(REGIMES[regime].noise)},
+                }
                 for setting in self.settings:
-                    given = {
-                        **observed,
-                        **TARGET,
-                        "scene": self.scene,
-                        "fidelity": PLANT,
-                        "randomize": noise,
-                    }
-                    believed = {
-                        "scene": self.scene,
-                        **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {}),
-                    }
-                    options = SETTINGS[setting].options(given)
+                    condition = SETTINGS[setting]
+                    # the controller's model has the effects only where it is told of them
+                    believed: dict[str, Any] = {"scene": self.scene}
+                    if entrant.told:
+                        believed |= condition.scene(load_scene(self.scene))
                     cell = Cell(
                         self.task,
                         policy.text,
-                        options,
+                        condition.options(nominal),
                         episodes,
                         self.seconds,
                         self.skip,
@@ -165,10 +166,11 @@ class Benchmark(Workers):
                     )
                     yield Label(entrant.name, seed, regime, setting), cell
         if reasons and not plays:
+            every = "; ".join(dict.fromkeys(reasons))  # those of several seeds are alike
             only = "policies may observe what does not depend on the discretisation of the arm"
             raise ValueError(
-                f"{entrant.name} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES"
-                " in policies/regimes.py"
+                f"{entrant.name} can play in no regime ({every}): {only}, see REGIMES in"
+                " policies/regimes.py"
             )
 
 
@@ -185,22 +187,27 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
     return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
 
 
-def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
+def misfit(
+    policy: PolicyName,
+    options: Mapping[str, Any],
+    regime: str,
+) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can.
     Raises ValueError."""
-    parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
-    if (
-        isinstance(policy, Agent)
-        and (period := policy.arm["control_period"]) != parsed.control_period
-    ):
-        return f"it was trained with control_period = {period}"
+    parsed = Options.parse(dict(options), "options")
+    allowed = REGIMES[regime]
+    if isinstance(policy, Agent):
+        period = policy.arm["control_period"]
+        if period != parsed.control_period:
+            return f"it was trained with control_period = {period}"
     groups = groups_of(parsed, TASKS[policy.task])
-    if beyond := [name for name in groups if name not in allowed.groups]:
+    beyond = [name for name in groups if name not in allowed.groups]
+    if beyond:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
-    return (
-        f"it has {count} strain sensors" if "strain" in groups and count > allowed.sensors else ""
-    )
+    if "strain" in groups and count > allowed.sensors:
+        return f"it has {count} strain sensors"
+    return ""
 
 
 def standings_by_regime(
@@ -208,74 +215,83 @@ def standings_by_regime(
 ) -> dict[str, Standings]:
     """Standings by policy and setting, of every regime, once the experiment was played. Raises
     ValueError, OSError."""
-    scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
-    for label in sorted(
-        experiment.cells, key=lambda label: benchmark.settings.index(label.setting)
-    ):
-        scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(
-            experiment.scores(label)
-        )
-    return {
-        regime: {key: Standing(members) for key, members in of.items()}
-        for regime, of in scores.items()
-    }
+    standings = dict[str, dict[tuple[str, str], Standing]]()
+    in_order = sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting))
+    for label in in_order:
+        of_regime = standings.setdefault(label.regime, {})
+        member = experiment.scores(label)
+        key = (label.policy, label.setting)
+        before = of_regime[key].scores if key in of_regime else []
+        of_regime[key] = Standing([*before, member])
+    return dict(standings)
 
 
-def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
+def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -> str:
     """A table per regime: errors by policy and setting, the gap of the best learned to the best
     controller, and who is ahead."""
-    played = {name for of in found.values() for name, _ in of}
-    players = [entrant for entrant in benchmark.entrants if entrant.name in played]
-    first = {
-        entrant.name: (next(iter(entrant.members(benchmark.task).values())), entrant.told)
-        for entrant in players
-    }
-    models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
-    learned, texts = (
-        {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)},
-        list[str](),
-    )
-    for regime, of in found.items():
-        errors = {
-            error_unit(name).label.removesuffix(" error"): f"{name}_rms"
-            for name in next(iter(of.values())).episodes[0].errors
-        }
-        apart = {
-            label: gaps(of, learned, key) for label, key in {**errors, "return": "return"}.items()
-        }
-        factor, gap = error_unit(next(iter(of.values())).error).factor, next(iter(apart.values()))
-        row = {
-            setting: "{} ({} to {})".format(*(number(factor * value) for value in mean))
-            for setting, mean in gap.items()
-        }
-        below = [{"": "best learned minus best controller", **row}] if gap else []
+    played = {name for standings in by_regime.values() for name, _ in standings}
+    models = dict[str, str]()
+    learned = set[str]()
+    for entrant in benchmark.entrants:
+        if entrant.name in played:
+            policy = next(iter(entrant.members(benchmark.task).values()))
+            models[entrant.name] = model_in_the_loop(policy, entrant.told)
+            if not isinstance(policy, Controller):
+                learned.add(entrant.name)
+    texts = list[str]()
+    # by how much the best learned policy differs, in every error and in the return
+    for regime, standings in by_regime.items():
+        first = next(iter(standings.values()))
+        apart = dict[str, dict[str, Mean]]()
+        for name in first.episodes[0].errors:
+            label = error_unit(name).label.removesuffix(" error")
+            apart[label] = gaps(standings, learned, f"{name}_rms")
+        apart["return"] = gaps(standings, learned, "return")
+        factor = error_unit(first.error).factor
+        # the table has the task's first error alone
+        row = {"": "best learned minus best controller"}
+        for setting, mean in next(iter(apart.values())).items():
+            value, low, high = (number(factor * value) for value in mean)
+            row[setting] = f"{value} ({low} to {high})"
+        below = [row] if len(row) > 1 else []
         description = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
-        texts.append(f"### {regime}\n\n{description}\n\n{error_table(of, models, below)}")
+        table = error_table(standings, models, below)
+        texts.append(f"### {regime}\n\n{description}\n\n{table}")
     return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
-def gaps(of: Standings, learned: set[str], key: str) -> dict[str, Mean]:
+def gaps(
+    standings: Standings,
+    learned: set[str],
+    key: str,
+) -> dict[str, Mean]:
     """By how much the best learned policy has more of an error, or less return, than the best
     controller, by setting where both play."""
-    found, sign = dict[str, Mean](), -1.0 if key == "return" else 1.0
-    for setting in dict.fromkeys(setting for _, setting in of):
-        kinds = [
-            [
-                standing
-                for (name, at), standing in of.items()
-                if at == setting and (name in learned) == kind
-            ]
-            for kind in (True, False)
-        ]
-        if all(kinds):
-            means = [[sign * standing.mean(key).value for standing in kind] for kind in kinds]
-            one, other = (
-                kind[int(np.argsort(of_kind, kind="stable")[0])]
-                for kind, of_kind in zip(kinds, means, strict=True)
-            )  # NaN last
-            value, *ends = (sign * end for end in difference(one, other, key))
-            found[setting] = Mean(value, *sorted(ends))
-    return found
+    sign = -1.0 if key == "return" else 1.0
+    by_setting = dict[str, Mean]()
+    for setting in dict.fromkeys(setting for _, setting in standings):
+        agents = list[Standing]()
+        controllers = list[Standing]()
+        for (name, own_setting), standing in standings.items():
+            if own_setting == setting:
+                (agents if name in learned else controllers).append(standing)
+        if agents and controllers:
+            best_agent = _least(agents, key, sign)
+            best_controller = _least(controllers, key, sign)
+            mean = difference(best_agent, best_controller, key)
+            low, high = sorted((sign * mean.low, sign * mean.high))
+            by_setting[setting] = Mean(sign * mean.value, low, high)
+    return by_setting
+
+
+def _least(
+    standings: Sequence[Standing],
+    key: str,
+    sign: float,
+) -> Standing:
+    """The standing with the least mean of a number times a sign; NaN counts as the largest."""
+    means = [sign * standing.mean(key).value for standing in standings]
+    return standings[int(np.argsort(means, kind="stable")[0])]
 
 
 def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
@@ -283,19 +299,22 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
     which side; none without gaps."""
     texts = list[str]()
     for label, gap in apart.items():
-        sides = {
-            setting: "ahead" if mean.high < 0.0 else "behind" if mean.low > 0.0 else "not separated"
-            for setting, mean in gap.items()
-        }
-        named = {
-            side: [setting for setting in gap if sides[setting] == side]
-            for side in sorted({*sides.values()})
-        }
-        said = "; ".join(
-            f"{side} in {', '.join(of) if len(of) < len(gap) else 'all'}"
-            for side, of in named.items()
-        )
-        texts += [f" By {label}: {said}."] if said else []
-    return "".join(
-        [" The best learned policy against the best controller.", *texts] if texts else []
-    )
+        settings_by_side = dict[str, list[str]]()
+        for setting, mean in gap.items():
+            settings_by_side.setdefault(_side(mean), []).append(setting)
+        parts = []
+        for side, settings in sorted(settings_by_side.items()):
+            where = "all" if len(settings) == len(gap) else ", ".join(settings)
+            parts.append(f"{side} in {where}")
+        if parts:
+            texts.append(f" By {label}: {'; '.join(parts)}.")
+    if not texts:
+        return ""
+    return "".join([" The best learned policy against the best controller.", *texts])
+
+
+def _side(gap: Mean) -> str:
+    """Side of zero on which the whole interval of a gap lies."""
+    if gap.high < 0.0:
+        return "ahead"
+    return "behind" if gap.low > 0.0 else "not separated"

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
@@ -25,6 +25,7 @@ from soft_tendon_env.policies.agent import ARM
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.progress import progress_bar
 
 Arms = Mapping[str, dict[str, Any]]
 """Options of every policy's environment, by policy, less model errors."""
@@ -36,44 +37,50 @@ TIME = "time per action"
 """Stands in place of a model error where the time per action is measured."""
 
 
-def shared_arms(settings: EpisodeSettings, task: str, files: Files) -> Arms:
+def shared_arms(
+    settings: EpisodeSettings,
+    task: str,
+    files: Files,
+) -> Arms:
     """Environments in which policies act on the same arm: that of the settings' options, and where
     these leave it open the one that the agents were trained on, which is printed on the error
     stream. Raises ValueError, also where agents differ in that, OSError."""
-    parsed = {
-        policy: PolicyName.parse(policy, task) for of in files.values() for policy in of.values()
-    }
-    arms = {
-        name: arm
-        for name, policy in parsed.items()
-        if isinstance(policy, Agent) and (arm := policy.arm)
-    }
-    first, found = next(iter(arms.items()), ("", {}))
+    policies = dict[str, PolicyName]()
+    arms = dict[str, Mapping[str, Any]]()  # of the agents that were trained on one
+    for by_seed in files.values():
+        for name in by_seed.values():
+            policy = PolicyName.parse(name, task)
+            policies[name] = policy
+            arm = policy.arm if isinstance(policy, Agent) else None
+            if arm:
+                arms[name] = arm
+    shared = _shared_arm(arms, settings.options)
+    usual = Options().model_dump(mode="json")
+    trained = {key: value for key, value in shared.items() if value != usual[key]}
+    if trained:
+        numbers = ", ".join(f"{key} = {shown(value)}" for key, value in trained.items())
+        print(f"note: {task}: on the arm of the agents, {numbers}", file=sys.stderr)
+    options = {**trained, **settings.options}
+    return {name: policy.options(options) for name, policy in policies.items()}
+
+
+def _shared_arm(
+    arms: Mapping[str, Mapping[str, Any]], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What all of these arms, by agent, have beside the options. Raises ValueError where they
+    differ in that."""
+    if not arms:
+        return {}
+    first, shared = next(iter(arms.items()))
     for name, arm in arms.items():
         for key in ARM:
-            if key not in settings.options and arm[key] != found[key]:
-                text = (
-                    f"{name} has {key} = {shown(arm[key])}, {first} has {shown(found[key])}: their"
-                    " episodes would not be the same"
-                )
+            if key not in options and arm[key] != shared[key]:
                 raise ValueError(
-                    f"{text}. Give {key} in options, for all of them, or take them apart"
+                    f"{name} has {key} = {shown(arm[key])}, {first} has {shown(shared[key])}: their"
+                    f" episodes would not be the same. Give {key} in options, for all of them, or"
+                    " take them apart"
                 )
-    usual = Options().model_dump(mode="json")
-    trained = {
-        key: value
-        for key, value in found.items()
-        if value != usual[key] and key not in settings.options
-    }
-    if trained:
-        print(
-            f"note: {task}: on the arm of the agents,"
-            f" {', '.join(f'{key} = {shown(trained[key])}' for key in trained)}",
-            file=sys.stderr,
-        )
-    return {
-        name: policy.options({**trained, **settings.options}) for name, policy in parsed.items()
-    }
+    return {key: value for key, value in shared.items() if key not in options}
 
 
 def make_cell(
@@ -98,9 +105,8 @@ def make_cell(
             alone=True,
             rows=False,
         )
-    rows = not isinstance(
-        PolicyName.parse(policy, task), Agent
-    )  # a network rounds otherwise for many observations than for one
+    # a network rounds otherwise for many observations than for one
+    rows = not isinstance(PolicyName.parse(policy, task), Agent)
     return Cell(
         task,
         policy,
@@ -112,20 +118,21 @@ def make_cell(
     )
 
 
-def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
+def compare(
+    settings: Settings,
+    task: str,
+    arms: Arms,
+    folder: Path,
+) -> Experiment[tuple[str, str]]:
     """Experiment of every policy with every model error, and under TIME alone on the arm of its
     model. Raises ValueError, OSError for policies that cannot act there."""
     seeds = EVALUATION_SEEDS[: settings.episodes]
-    labels = [(policy, TIME) for policy in arms] + [
-        (policy, error) for policy in arms for error in settings.errors
-    ]
-    return Experiment(
-        {
-            (policy, of): make_cell(settings, seeds, task, policy, arms[policy], of)
-            for policy, of in labels
-        },
-        folder,
-    )
+    labels = [(policy, TIME) for policy in arms]
+    labels += [(policy, error) for policy in arms for error in settings.errors]
+    cells = dict[tuple[str, str], Cell]()
+    for policy, error in labels:
+        cells[policy, error] = make_cell(settings, seeds, task, policy, arms[policy], error)
+    return Experiment(cells, folder)
 
 
 def standings_of(
@@ -134,41 +141,48 @@ def standings_of(
     """Standings by policy and model error; and summaries, with the times per action. Raises
     ValueError, OSError."""
     errors = dict.fromkeys(error for _, error in experiment.cells)
-    of_all = {
-        (name, error): Standing([experiment.scores((file, error)) for file in of.values()])
-        for name, of in files.items()
-        for error in errors
-    }
-    found = {key: standing for key, standing in of_all.items() if key[1] != TIME}
-    times = {name: summarise(of_all[name, TIME].episodes).action_time for name in files}
-    return found, {
-        key: replace(summarise(standing.episodes), action_time=times[key[0]])
-        for key, standing in found.items()
-    }
+    standings = dict[tuple[str, str], Standing]()
+    summaries = dict[tuple[str, str], Summary]()
+    for name, by_seed in files.items():
+        alone = [experiment.scores((file, TIME)) for file in by_seed.values()]
+        time = summarise(Standing(alone).episodes).action_time
+        for error in errors:
+            if error != TIME:
+                scores = [experiment.scores((file, error)) for file in by_seed.values()]
+                standing = Standing(scores)
+                standings[name, error] = standing
+                summary = summarise(standing.episodes)
+                summaries[name, error] = replace(summary, action_time=time)
+    return standings, summaries
 
 
-def numbers_table(task: str, files: Files, summaries: Summaries) -> str:
+def numbers_table(
+    task: str,
+    files: Files,
+    summaries: Summaries,
+) -> str:
     """Table of all numbers: a row per model error of a single policy; of several a row each, on the
     arm of the model, or under the first model error that there is. Raises ValueError, OSError."""
-    models = {
-        policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task))
-        for policy, of in files.items()
-    }
-    errors = [*dict.fromkeys(error for _, error in summaries)]
+    models = dict[str, str]()
+    for policy, by_seed in files.items():
+        first = next(iter(by_seed.values()))
+        models[policy] = model_in_the_loop(PolicyName.parse(first, task))
+    errors = list(dict.fromkeys(error for _, error in summaries))
     if len(files) == 1:
         ((policy, model),) = models.items()
-        return summary_table(
-            "model error",
-            {error: summaries[policy, error] for error in errors},
-            dict.fromkeys(errors, model),
-        )
+        by_error = {error: summaries[policy, error] for error in errors}
+        return summary_table("model error", by_error, dict.fromkeys(errors, model))
     error = NOMINAL if NOMINAL in errors else errors[0]
-    of_error = {policy: summaries[policy, error] for policy in files}
-    return summary_table(f"policy ({error})", of_error, models)
+    by_policy = {policy: summaries[policy, error] for policy in files}
+    return summary_table(f"policy ({error})", by_policy, models)
 
 
 def results_record(
-    settings: Settings, task: str, arms: Arms, found: Standings, summaries: Summaries
+    settings: Settings,
+    task: str,
+    arms: Arms,
+    standings: Standings,
+    summaries: Summaries,
 ) -> dict[str, Any]:
     """All results of a task for JSON: settings, every policy's environment as resolved, summaries
     and episodes."""
@@ -180,7 +194,7 @@ def results_record(
             "policy": policy,
             "model_error": error,
             "summary": record(summary),
-            "episodes": [*map(record, found[policy, error].episodes)],
+            "episodes": [*map(record, standings[policy, error].episodes)],
         }
         for (policy, error), summary in summaries.items()
     ]
@@ -192,28 +206,46 @@ def results_record(
     }
 
 
+class SideBySide(NamedTuple):
+    """Recorded policies, by name: scores of all their episodes, and the last episode of each."""
+
+    scores: dict[str, list[EpisodeScore]]
+    rollouts: dict[str, recording.Rollout]
+
+
 def record_side_by_side(
     players: Mapping[str, tuple[Policy, Any]],
     file: Any,
     seeds: Sequence[int],
     skip: float,
+    label: str = "recording",
     new: bool = True,
-) -> dict[str, list[EpisodeScore]]:
-    """Scores of every policy, by name, in its single environment; all play the same episodes, which
-    go to the arm of that name in an open RerunFile. skip: errors count from then on [s]. new: the
-    file has no episode of these arms yet."""
+) -> SideBySide:
+    """Episodes of several policies, each in its single environment; all play the same seeds, which
+    go to the arm of the policy's name in an open RerunFile.
+
+    Args:
+        players: policies and their environments, by name.
+        file: the open RerunFile.
+        seeds: of the episodes, at least one.
+        skip: errors count from then on [s].
+        label: of the progress bar.
+        new: the file has no episode of these arms yet.
+    """
+    place: Literal["beside"] | None = "beside" if new else None
     envs = {
-        name: recording.RecordRollout(
-            env, file, flush_period=None, name=name, place="beside" if new else None
-        )
+        name: recording.RecordRollout(env, file, flush_period=None, name=name, place=place)
         for name, (_, env) in players.items()
     }
     scores: dict[str, list[EpisodeScore]] = {name: [] for name in players}
-    for seed in seeds:
-        file.align()
-        for name, (policy, _) in players.items():
-            scores[name] += evaluate(policy, envs[name], [seed], skip)
-    return scores
+    with progress_bar(len(seeds) * len(players), label, "episode") as bar:
+        for seed in seeds:
+            file.align()
+            for name, (policy, _) in players.items():
+                scores[name] += evaluate(policy, envs[name], [seed], skip)
+                bar.update()
+    rollouts = {name: env.rollout for name, env in envs.items() if env.rollout is not None}
+    return SideBySide(scores, rollouts)
 
 
 def opening_hint(path: Path) -> str:

@@ -27,19 +27,16 @@ class Condition:
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """The given options of an environment under this condition, which overrides what they have
         drawn."""
+        options = dict(given)
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
-        arm = (
-            {"scene": {**(scene if isinstance(scene, Mapping) else {"scene": scene}), **changes}}
-            if changes
-            else {}
-        )
-        return {
-            **given,
-            **arm,
-            **self.others,
-            "randomize": {**plain(given.get("randomize", {})), **self.randomize},
-        }
+        if changes:
+            base = scene if isinstance(scene, Mapping) else {"scene": scene}
+            options["scene"] = {**base, **changes}
+        options |= self.others
+        drawn = plain(given.get("randomize", {}))
+        options["randomize"] = {**drawn, **self.randomize}
+        return options
 
 
 MODEL_ERRORS: dict[str, Condition] = {
@@ -59,39 +56,36 @@ MODEL_ERRORS: dict[str, Condition] = {
 
 def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
-    length = rod_length(scene)
-    loads = [
-        {
-            "at": place,
-            "force": [0.0, 0.0, 0.0],
-            "signal": {"type": "pulse", "start": start, "duration": duration},
-        }
-        for place, start, duration in (
-            (length, 1.5, 0.2),
-            (0.5 * length, 3.0, 0.4),
-            (length, 4.5, 0.6),
-        )
-    ]
+    tip = rod_length(scene)
+    middle = 0.5 * tip
+    loads = []
+    for place, start, duration in ((tip, 1.5, 0.2), (middle, 3.0, 0.4), (tip, 4.5, 0.6)):
+        pulse = {"type": "pulse", "start": start, "duration": duration}
+        loads.append({"at": place, "force": [0.0, 0.0, 0.0], "signal": pulse})
     return {"effects.disturbance.loads": loads}
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
     """Two balls that swing through the middle of the arm's space, one along the base's y axis, one
     along z, and begin beside it."""
-    length, base, balls = rod_length(scene), scene.base.pose, list[dict[str, Any]]()
-    for place, amplitude, often in (
-        (0.4, [0.0, 0.25 * length, 0.0], 0.3),
-        (0.6, [0.0, 0.0, 0.25 * length], 0.4),
+    length = rod_length(scene)
+    base = scene.base.pose
+    swing = 0.25 * length
+    balls = list[dict[str, Any]]()
+    for place, amplitude, frequency in (
+        (0.4, [0.0, swing, 0.0], 0.3),
+        (0.6, [0.0, 0.0, swing], 0.4),
     ):
-        swing = {
+        middle = base[:3, 3] + place * length * base[:3, 0]
+        ball = {
+            "type": "sphere",
+            "radius": 0.05 * length,
+            "position": middle.tolist(),
             "amplitude": (base[:3, :3] @ amplitude).tolist(),
-            "frequency": often,
+            "frequency": frequency,
             "phase": 90.0,
         }
-        middle = base[:3, 3] + place * length * base[:3, 0]
-        balls.append(
-            {"type": "sphere", "radius": 0.05 * length, "position": middle.tolist(), **swing}
-        )
+        balls.append(ball)
     return {"effects.contact": {"obstacles": balls}}
 
 
@@ -162,15 +156,22 @@ def model_error(names: str) -> Condition:
                 " between them"
             )
         parts.append(MODEL_ERRORS[name])
+    # of two that set the same value one would be lost
     keys = [key for part in parts for key in part.randomize]
-    if twice := sorted({key for key in keys if keys.count(key) > 1}):
+    twice = sorted({key for key in keys if keys.count(key) > 1})
+    if twice:
         raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
-    randomize = {key: value for part in parts for key, value in part.randomize.items()}
-    return Condition(
-        names,
-        randomize,
-        lambda scene: {key: value for part in parts for key, value in part.scene(scene).items()},
-    )
+
+    def changes(scene: Scene) -> dict[str, Any]:
+        together = dict[str, Any]()
+        for part in parts:
+            together |= part.scene(scene)
+        return together
+
+    randomize = dict[str, Any]()
+    for part in parts:
+        randomize |= part.randomize
+    return Condition(names, randomize, changes)
 
 
 SEEDS = {

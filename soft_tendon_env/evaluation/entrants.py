@@ -19,15 +19,18 @@ ALIKE = ("task", "algorithm", "hyperparameters", "options", "steps")
 def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str]]:
     """Policies of every name by seed of training, None: no folder of seeds; "all" is every
     controller. Raises ValueError, OSError."""
-    every = [
-        name
-        for given in names
-        for name in (CONTROLLERS.get(task, {}) if given == ALL else (given,))
-    ]
-    return {
-        name: seed_files(Path(name), task) or {None: PolicyName.parse(name, task).text}
-        for name in every
-    }
+    every = list[str]()
+    for name in names:
+        if name == ALL:
+            every += CONTROLLERS.get(task, {})
+        else:
+            every.append(name)
+    agents = dict[str, dict[int | None, str]]()
+    for name in every:
+        agents[name] = seed_files(Path(name), task)
+        if not agents[name]:
+            agents[name] = {None: PolicyName.parse(name, task).text}
+    return agents
 
 
 def trained_alike(policy: PolicyName) -> dict[int | None, str]:
@@ -37,19 +40,22 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
-    seed, others = read_run(folder).get("seed"), seed_folders(folder)
+    seed = read_run(folder).get("seed")
+    others = seed_folders(folder)
     if seed in others:
         raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
-    found = dict[int | None, Path]([(seed, folder), *others.items()])
-    check_alike([*found.values()], policy.task)
-    return {seed: str(path) for seed, path in found.items()}
+    folders = dict[int | None, Path]([(seed, folder), *others.items()])
+    check_alike(list(folders.values()), policy.task)
+    return {seed: str(path) for seed, path in folders.items()}
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
     """Best agents of the runs of a folder by seed; none of what is no such folder, as an agent's
     own. Raises ValueError, OSError unless all were trained on the task, and alike."""
-    runs = seed_folders(folder) if any(folder.glob("seed_*")) and not is_agent(str(folder)) else {}
-    check_alike([*runs.values()], task)
+    if not any(folder.glob("seed_*")) or is_agent(str(folder)):
+        return {}
+    runs = seed_folders(folder)
+    check_alike(list(runs.values()), task)
     for run in runs.values():
         if not (run / BEST).is_dir():
             raise FileNotFoundError(
@@ -65,31 +71,36 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
     first: dict[str, Any] = {"task": task}
     for folder in folders:
         config = read_run(folder)
-        first = {**{key: config.get(key) for key in ALIKE}, **first}
-        if other := [key for key in ALIKE if config.get(key) != first[key]]:
-            found = ", ".join(f"{key} = {config.get(key)!r}, not {first[key]!r}" for key in other)
-            raise ValueError(f"{folder} has {found}: compare it apart")
+        differences = []
+        for key in ALIKE:
+            value = config.get(key)
+            first.setdefault(key, value)
+            if value != first[key]:
+                differences.append(f"{key} = {value!r}, not {first[key]!r}")
+        if differences:
+            raise ValueError(f"{folder} has {', '.join(differences)}: compare it apart")
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
     """Runs seed_0, seed_1, ... of a folder by seed, in their order. Raises FileNotFoundError where
     there are none."""
-    found = sorted(
-        (int(match[1]), path)
-        for path in folder.glob("seed_*")
-        if (match := SEED.fullmatch(path.name))
-    )
-    if not found:
+    runs = list[tuple[int, Path]]()
+    for path in folder.glob("seed_*"):
+        match = SEED.fullmatch(path.name)
+        if match is not None:
+            runs.append((int(match[1]), path))
+    if not runs:
         raise FileNotFoundError(
             f"{folder} has no folders seed_0, seed_1, ... of runs, as `soft-tendon sweep` leaves"
             " them"
         )
-    return dict(found)
+    return dict(sorted(runs))
 
 
 def read_run(run: Path) -> dict[str, Any]:
     """Configuration of a run. Raises ValueError, FileNotFoundError without one."""
-    if not (path := run / "config.json").is_file():
+    path = run / "config.json"
+    if not path.is_file():
         raise FileNotFoundError(
             f"{run} is no run: it has no config.json, as `soft-tendon train` writes it"
         )
@@ -101,6 +112,10 @@ def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
     users' policies, of which it is not known. told: whether a controller's model has the effects of
     a benchmark's setting."""
     if isinstance(policy, Controller):
-        estimator = [] if policy.estimator is None else [f"{policy.estimator} estimator"]
-        return ", ".join(["controller", *estimator, *(["told of the effects"] if told else [])])
+        words = ["controller"]
+        if policy.estimator is not None:
+            words.append(f"{policy.estimator} estimator")
+        if told:
+            words.append("told of the effects")
+        return ", ".join(words)
     return "none" if isinstance(policy, Agent) else "own"

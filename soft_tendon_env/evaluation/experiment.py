@@ -34,6 +34,7 @@ from soft_tendon_env.tools.parallel import run_all
 BELIEF = "standard"
 """Fidelity of the model that controllers are told of, unless their name says another, as in
 filtered:predictive@fast."""
+FOLDERS = ("stdlib", "purelib", "platlib", "scripts")  # of Python, where modules are installed
 Label = TypeVar("Label", bound=Hashable)
 
 
@@ -60,32 +61,26 @@ class Cell(NamedTuple):
     def open(self) -> tuple[Policy, Any]:
         """The policy and its environment: a single one, or with a row per seed. Raises
         ConfigurationError, ValueError, OSError."""
-        given = {
-            "max_episode_steps": episode_steps(self.seconds, self.skip, self.options),
-            **self.options,
-        }
-        policy = PolicyName.parse(self.policy, self.task)
+        steps = episode_steps(self.seconds, self.skip, self.options)
+        options: dict[str, Any] = {"max_episode_steps": steps, **self.options}
+        name = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
-            rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
-            env: Any = (
-                gym.make_vec(IDS[self.task], **rows, **given)
-                if self.rows
-                else gym.make(IDS[self.task], **given)
-            )
-            return policy.load(
-                env,
-                believed_scene(policy, self.controller_scene),
-                other_effects=self.controller_scene is not None,
-            ), env
+            env: Any
+            if self.rows:
+                count = len(self.seeds)
+                env = gym.make_vec(IDS[self.task], num_envs=count, threads=1, **options)
+            else:
+                env = gym.make(IDS[self.task], **options)
+            scene = believed_scene(name, self.controller_scene)
+            has_other_effects = self.controller_scene is not None
+            return name.load(env, scene, other_effects=has_other_effects), env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the sources' `code`. Raises
         ConfigurationError, ValueError, OSError."""
-        options, policy = (
-            Options.parse(self.options, "options"),
-            PolicyName.parse(self.policy, self.task),
-        )
+        options = Options.parse(self.options, "options")
+        policy = PolicyName.parse(self.policy, self.task)
         both = resolved_scene(options), believed_scene(policy, self.controller_scene)
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
         known = {
@@ -123,22 +118,19 @@ def _files_in(value: Any) -> Iterator[str]:
 def code_digest() -> str:
     """Digest of the package's sources, and of loaded modules that are not installed, which may
     register controllers or metrics."""
-    loaded = {
-        Path(str(name))
-        for module in [*sys.modules.values()]
-        if (name := getattr(module, "__file__", None))
-    }
-    known = (
-        PACKAGE,
-        *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts")),
-    )
-    users = [path for path in loaded if not any(map(path.is_relative_to, known)) and path.is_file()]
-    return " ".join(
-        [
-            sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz"),
-            *sorted(map(digest, users)),
-        ]
-    )
+    installed = [Path(sysconfig.get_path(name)) for name in FOLDERS]
+    own = sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz")
+    paths = set[Path]()
+    for module in list(sys.modules.values()):  # which some modules change when they are looked at
+        file = getattr(module, "__file__", None)
+        if file:
+            paths.add(Path(str(file)))
+    users = []
+    for path in paths:
+        is_known = any(map(path.is_relative_to, (PACKAGE, *installed)))
+        if not is_known and path.is_file():
+            users.append(digest(path))
+    return " ".join([own, *sorted(users)])
 
 
 def measure(cell: Cell) -> list[EpisodeScore]:
@@ -164,51 +156,70 @@ class Experiment(Generic[Label]):
         """Cells that are played alone are opened: what is wrong with a policy is said before
         anything takes long."""
         code = code_digest()
-        self.cells, self._folder = cells, folder
+        self.cells = cells
+        self._folder = folder
         self._paths = {label: folder / f"{cell.key(code)}.json" for label, cell in cells.items()}
         for cell in cells.values():
             if cell.alone:
-                cell.open()[1].close()
+                _, env = cell.open()
+                env.close()
 
     def missing(self) -> list[Label]:
         """Labels of cells that have no result yet, one for all cells that are alike."""
-        first = {path: label for label, path in reversed(self._paths.items())}
-        return [
-            label
-            for label, path in self._paths.items()
-            if first[path] == label and not path.exists()
-        ]
+        missing = dict[Path, Label]()
+        for label, path in self._paths.items():
+            if path not in missing and not path.exists():
+                missing[path] = label
+        return list(missing.values())
 
-    def play(self, title: str, workers: int, cluster: str | None = None) -> None:
+    def play(
+        self,
+        title: str,
+        workers: int,
+        cluster: str | None = None,
+    ) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is
-        there. Raises as `measure`."""
-        where, left = origin(), self.missing()
+        there. The title begins the names of the progress bars. Raises as `measure`."""
+        where = origin()
+        left = self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
 
-        def keep(labels: list[Label], place: int, scores: list[EpisodeScore]) -> None:
-            with replacing(
-                self._paths[labels[place]]
-            ) as path:  # NaN and infinity stand in the file, as json has them
-                path.write_text(
-                    json.dumps(
-                        {
-                            "cell": self.cells[labels[place]]._asdict(),
-                            **where,
-                            "scores": [*map(record, scores)],
-                        }
-                    )
-                )
+        def keep(
+            labels: list[Label],
+            place: int,
+            scores: list[EpisodeScore],
+        ) -> None:
+            label = labels[place]
+            content = {
+                "cell": self.cells[label]._asdict(),
+                **where,
+                "scores": list(map(record, scores)),
+            }
+            with replacing(self._paths[label]) as path:
+                # NaN and infinity stand in the file, as json has them
+                path.write_text(json.dumps(content))
 
-        for alone, processes, address in ((True, 1, None), (False, workers, cluster)):
+        # times per action are those of this process with nothing beside it
+        for alone, part, processes, address in (
+            (True, "times per action", 1, None),
+            (False, "episodes", workers, cluster),
+        ):
             labels = [label for label in left if self.cells[label].alone == alone]
-            runs, done = [self.cells[label] for label in labels], partial(keep, labels)
-            run_all(measure, runs, processes, title, unit="cell", cluster=address, done=done)
+            run_all(
+                measure,
+                [self.cells[label] for label in labels],
+                processes,
+                f"{title}: {part}",
+                unit="cell",
+                cluster=address,
+                done=partial(keep, labels),
+            )
 
     def scores(self, label: Label) -> list[EpisodeScore]:
         """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
         path = self._paths[label]
         try:
-            return [*map(score_from, read_json(path)["scores"])]
+            return list(map(score_from, read_json(path)["scores"]))
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"{path} is no result of an experiment: take it away, and it is played again"

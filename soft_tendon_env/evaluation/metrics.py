@@ -110,14 +110,17 @@ class EpisodeScore:
     def numbers(self) -> dict[str, float]:
         """All that has an interquartile mean over episodes, by name: NaN where an episode has no
         such number, but infinite errors and chatter where it diverged."""
-        errors = {
-            f"{name}_{kind}": value
-            for name, of in self.errors.items()
-            for kind, value in of._asdict().items()
-        }
-        lost = {*errors, "chatter"} if self.diverged is not None else set[str]()
-        found = {**errors, **self.metrics, "return": self.total_reward, "seconds": self.action_time}
-        return {name: math.inf if name in lost else value for name, value in found.items()}
+        numbers = dict[str, float]()
+        for name, error in self.errors.items():
+            numbers[f"{name}_rms"] = error.rms
+            numbers[f"{name}_percentile_95"] = error.percentile_95
+        lost = [*numbers, "chatter"]  # by an episode that diverged
+        numbers |= self.metrics
+        numbers["return"] = self.total_reward
+        numbers["seconds"] = self.action_time
+        if self.diverged is not None:
+            numbers |= dict.fromkeys(numbers.keys() & lost, math.inf)
+        return numbers
 
 
 def record(score: Any) -> dict[str, Any]:
@@ -130,36 +133,31 @@ def record(score: Any) -> dict[str, Any]:
 
 def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
     """Score from its `record`. Raises KeyError, TypeError for another."""
-    return EpisodeScore(
-        **{
-            **saved,
-            "errors": {name: ErrorScore(**error) for name, error in saved["errors"].items()},
-        }
-    )
+    errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
+    return EpisodeScore(**{**saved, "errors": errors})
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also
     where the episode ended before that."""
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
-    first, steps, seconds = (
-        math.ceil(skip / episode.period - 1e-9),
-        len(episode.reward),
-        episode.seconds[1:],
-    )
+    first = math.ceil(skip / episode.period - 1e-9)
+    steps = len(episode.reward)
+    seconds = episode.seconds[1:]
+    # an episode that diverged before has errors of no sample: NaN
     if first > steps and episode.cause is None:
         raise ValueError(
             f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s"
         )
-    to_settle = next(iter(episode.errors.values()))[
-        : -1 if episode.jumped else None
-    ]  # nobody has acted on a jump in the last step
+    to_settle = next(iter(episode.errors.values()))
+    if episode.jumped:
+        to_settle = to_settle[:-1]  # nobody has acted on a jump in the last step
+    settled = has_settled(to_settle, episode.period, SETTLED * episode.length)
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
         errors={name: ErrorScore.of(error[first:]) for name, error in episode.errors.items()},
-        settled=episode.cause is None
-        and has_settled(to_settle, episode.period, SETTLED * episode.length),
+        settled=episode.cause is None and settled,
         metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
@@ -169,7 +167,11 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     )
 
 
-def has_settled(error: Array, period: float, below: float) -> bool:
+def has_settled(
+    error: Array,
+    period: float,
+    below: float,
+) -> bool:
     """Whether all of the last samples (m,) are below a bound, for STAY at least."""
     outside = np.flatnonzero(~(error < below))
     first = outside[-1] + 1 if outside.size else 0
@@ -190,12 +192,11 @@ def chatter(tension: Array, period: float) -> float:
     window = np.hanning(steps + 2)[1:-1, None]
     power = np.abs(np.fft.rfft(window * change, axis=0)) ** 2
     frequency = np.fft.rfftfreq(steps, period)
-    twice = np.where(frequency * period < 0.5 - 1e-9, 2.0, 1.0)[
-        :, None
-    ]  # the same at negative frequencies, but at Nyquist's
-    return float(
-        np.sqrt((twice * power)[frequency > FAST].sum(axis=0).mean() / (steps * np.sum(window**2)))
-    )
+    # the same at negative frequencies, but at Nyquist's
+    is_paired = frequency * period < 0.5 - 1e-9
+    twice = np.where(is_paired, 2.0, 1.0)[:, None]
+    fast = (twice * power)[frequency > FAST].sum(axis=0)
+    return float(np.sqrt(fast.mean() / (steps * np.sum(window**2))))
 
 
 def root_mean_square(values: Array) -> float:

@@ -30,28 +30,24 @@ class Stamp(NamedTuple):
     @classmethod
     def of(cls, command: Sequence[str]) -> "Stamp":
         """The stamp of a command, which may be the path of a script, that is running now."""
-        script, words = Path(command[0]).resolve(), command[1:]
-        is_script = (
-            script.is_relative_to(ROOT)
-            and not script.is_relative_to(PACKAGE)
-            and script.suffix == ".py"
-        )
-        line = (
-            ["python", script.relative_to(ROOT).as_posix(), *words]
-            if is_script
-            else ["soft-tendon", *words]
-        )
-        return cls(shlex.join(line), commit(), datetime.now(UTC).date().isoformat())
+        script = Path(command[0]).resolve()
+        is_ours = script.is_relative_to(ROOT) and not script.is_relative_to(PACKAGE)
+        begin = ["soft-tendon"]
+        if is_ours and script.suffix == ".py":
+            begin = ["python", script.relative_to(ROOT).as_posix()]
+        line = shlex.join([*begin, *command[1:]])
+        today = datetime.now(UTC).date()
+        return cls(line, commit(), today.isoformat())
 
     def text(self) -> str:
         """The comment that programs read, and the line that people read, with this machine."""
-        at = (
-            ""
-            if self.commit is None
-            else f" at commit {self.commit[:10]}{'+' * self.commit.endswith('+')}"
-        )
-        shown = f"<small>Made by `{self.command}`{at} on {self.made}. Machine: {machine()}.</small>"
-        return f"<!-- made {json.dumps(self._asdict())} -->\n{shown}"
+        source = ""
+        if self.commit is not None:
+            changed = "+" if self.commit.endswith("+") else ""
+            source = f" at commit {self.commit[:10]}{changed}"
+        sentence = f"Made by `{self.command}`{source} on {self.made}. Machine: {machine()}."
+        comment = f"<!-- made {json.dumps(self._asdict())} -->"
+        return f"{comment}\n<small>{sentence}</small>"
 
 
 def stamp() -> str:
@@ -85,14 +81,14 @@ class Page:
 def around_markers(path: Path, name: str) -> tuple[str, str]:
     """Text before and after the markers in a file, with them. Raises ValueError,
     FileNotFoundError."""
-    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    begin = f"<!-- {name} -->"
+    end = f"<!-- /{name} -->"
     content = read_text(path)
-    if (
-        content.count(begin) != 1
-        or content.count(end) != 1
-        or content.index(end) < content.index(begin)
-    ):
+    before, _, rest = content.partition(begin)
+    _, _, after = rest.partition(end)
+    are_single = content.count(begin) == 1 and content.count(end) == 1
+    if not are_single or end not in rest:
         raise ValueError(
             f"{path} should have the lines {begin} and {end}, once each and in this order"
         )
-    return content.partition(begin)[0] + begin, end + content.partition(end)[2]
+    return before + begin, end + after

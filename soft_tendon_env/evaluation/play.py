@@ -31,7 +31,10 @@ Env = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
 
 
 def evaluate(
-    policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0
+    policy: Policy,
+    env: gym.Env[Any, Any],
+    seeds: Iterable[int],
+    skip: float = 1.0,
 ) -> list[EpisodeScore]:
     """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
 
@@ -86,13 +89,20 @@ class Step(NamedTuple):
     seconds: float
 
 
-def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
+def play_steps(
+    policy: Policy,
+    env: Env,
+    seeds: Sequence[int],
+) -> Iterator[Step]:
     """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector
     environment has a row per seed, any other one seed. `env` stands where the step left it when a
     step is yielded."""
-    rows, many = len(seeds), isinstance(env, gym.vector.VectorEnv)
-    observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
-    state, ended = None, np.ones(rows, dtype=bool)
+    rows = len(seeds)
+    # of an int Gymnasium would make the seeds of rows itself
+    seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]
+    observation, _ = env.reset(seed=seed)
+    state = None
+    ended = np.ones(rows, dtype=bool)
     yield Step(np.zeros(rows), np.zeros(rows, dtype=bool), 0.0)
     while True:
         started = time.perf_counter()
@@ -103,42 +113,59 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
         yield Step(np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
 
 
-def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
+def play(
+    policy: Policy,
+    env: Env,
+    seeds: Sequence[int],
+) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
-    episodes, rows = episodes_of(env), len(seeds)
-    course: list[
-        tuple[Array, ...]
-    ] = []  # reward, seconds, target, tip, tension, errors of all rows, after every step
+    episodes = episodes_of(env)
+    rows = len(seeds)
+    # reward, seconds, target, tip, tension, errors of all rows, after every step
+    course: list[tuple[Array, ...]] = []
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
-        target, errors = episodes.target_pose.copy(), np.array([*episodes.errors.values()]).T
-        tip = episodes.arms.reading.tip_pose[:, :3, 3].copy()
-        course.append(
-            (step.reward, np.full(rows, step.seconds), target, tip, episodes.tension.copy(), errors)
+        # the next step overwrites what the environment has now
+        sample = (
+            step.reward,
+            np.full(rows, step.seconds),
+            episodes.target_pose.copy(),
+            episodes.arms.reading.tip_pose[:, :3, 3].copy(),
+            episodes.tension.copy(),
+            np.array([*episodes.errors.values()]).T,
         )
+        course.append(sample)
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
-            there = (
-                cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold)
-                if episodes.task.goal
-                else None
-            )
-            ends.setdefault(row, {"steps": k, "cause": cause, "reached": there})
+            reached = None
+            # an episode that diverged did not reach its goal, wherever the tip was
+            if episodes.task.goal:
+                error = episodes.errors["position_error"][row]
+                reached = cause is None and bool(error <= episodes.threshold)
+            ends.setdefault(row, {"steps": k, "cause": cause, "reached": reached})
         if len(ends) == rows:
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        samples = zip(
-            *(tuple(values[row] for values in sample) for sample in course[: steps + 1]),
-            strict=True,
+        columns = zip(*course[: steps + 1], strict=True)
+        reward, seconds, target, tip, tension, errors = (
+            np.array([values[row] for values in column]) for column in columns
         )
-        reward, seconds, target, tip, tension, errors = map(np.array, samples)
-        named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
-        jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [
-            False,
-            True,
-        ]
-        moved = reward[1:], tension, tip, target[:, :3, 3], seconds[1:]
-        return Episode(seed, episodes.period, episodes.model.length, named, *moved, jumped, **end)
+        # the target's changes in the last two steps: still, then a jump
+        changes = np.abs(np.diff(target[-3:], axis=0))
+        moves = (changes > STILL).any(axis=(1, 2))
+        return Episode(
+            seed,
+            episodes.period,
+            episodes.model.length,
+            dict(zip(episodes.errors, errors.T.copy(), strict=True)),
+            reward[1:],
+            tension,
+            tip,
+            target[:, :3, 3],
+            seconds[1:],
+            jumped=moves.tolist() == [False, True],
+            **end,
+        )
 
     return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]

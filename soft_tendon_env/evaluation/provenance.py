@@ -29,13 +29,10 @@ PACKAGES = {
 
 def origin() -> dict[str, Any]:
     """Provenance of a result: command, time, commit, machine, versions."""
-    command, created = (
-        shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        datetime.now(UTC).isoformat(timespec="seconds"),
-    )
+    program = Path(sys.argv[0]).name
     return {
-        "command": command,
-        "created": created,
+        "command": shlex.join([program, *sys.argv[1:]]),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
         "machine": machine(),
         "versions": versions(),
@@ -48,10 +45,10 @@ def versions() -> dict[str, str]:
         package.name.replace("-", "_"): package.version
         for package in importlib.metadata.distributions()
     }
-    return {
-        "python": platform.python_version(),
-        **{name: installed[name] for name in sorted(PACKAGES & installed.keys())},
-    }
+    named = {"python": platform.python_version()}
+    for name in sorted(PACKAGES & installed.keys()):
+        named[name] = installed[name]
+    return named
 
 
 def commit() -> str | None:
@@ -82,7 +79,11 @@ def machine() -> str:
     return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def write_json(path: Path, content: Any, say: bool = True) -> None:
+def write_json(
+    path: Path,
+    content: Any,
+    say: bool = True,
+) -> None:
     """Write a JSON file, and print its path; numbers that are not finite become null, which is what
     JSON has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)

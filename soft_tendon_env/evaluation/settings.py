@@ -93,7 +93,11 @@ MOST_STEPS = 1_000_000
 """Longest episode in control periods: beyond, memory for what is kept of every step runs out."""
 
 
-def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> int:
+def episode_steps(
+    seconds: float,
+    skip: float,
+    options: Mapping[str, Any],
+) -> int:
     """Control periods of an episode in an environment with these options. Raises
     ConfigurationError, ValueError."""
     period = Options.parse(options, "options").control_period

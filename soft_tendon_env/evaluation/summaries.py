@@ -44,13 +44,15 @@ def tails(values: ArrayLike) -> tuple[float, float]:
     """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and
     there is at least one."""
     ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
-    return float(ordered.mean()), float(
-        np.interp(HIGH * (ordered.size - 1) / 100, np.arange(ordered.size), ordered)
-    )
+    places = np.arange(ordered.size)
+    percentile = np.interp(HIGH * (ordered.size - 1) / 100, places, ordered)
+    return float(ordered.mean()), float(percentile)
 
 
 def bootstrap_interval(
-    values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean
+    values: ArrayLike,
+    axes: int = 1,
+    statistic: Callable[..., Any] = interquartile_mean,
 ) -> tuple[Any, Any]:
     """Interval of a statistic at CONFIDENCE by the percentile bootstrap.
 
@@ -59,22 +61,24 @@ def bootstrap_interval(
     was drawn (RESAMPLES, n_1 * ... * n_axes, ...). The bounds are among the values that the
     resamples have. Raises ValueError where there is nothing to draw.
     """
-    given = np.asarray(values, dtype=float)
-    counts, rest = given.shape[:axes], given.shape[axes:]
+    runs = np.asarray(values, dtype=float)
+    counts = runs.shape[:axes]
+    rest = runs.shape[axes:]
     if not all(counts):
         raise ValueError("values should have at least one run")
     rng = np.random.default_rng(0)
-    drawn = [rng.integers(count, size=(RESAMPLES, count)) for count in counts]
-    index = tuple(
-        np.expand_dims(chosen, tuple(1 + k for k in range(axes) if k != axis))
-        for axis, chosen in enumerate(drawn)
-    )
-    found = np.sort(
-        np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0
-    )
+    index = []
+    for axis, count in enumerate(counts):
+        chosen = rng.integers(count, size=(RESAMPLES, count))
+        # each axis has a dimension of its own, after that of the resamples
+        others = tuple(1 + other for other in range(axes) if other != axis)
+        index.append(np.expand_dims(chosen, others))
+    drawn = runs[tuple(index)].reshape(RESAMPLES, -1, *rest)
+    ordered = np.sort(np.asarray(statistic(drawn, axis=1)), axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = (found[math.ceil(share * RESAMPLES) - 1] for share in (tail, 1.0 - tail))
-    return (low, high) if found.ndim > 1 else (float(low), float(high))
+    low = ordered[math.ceil(tail * RESAMPLES) - 1]
+    high = ordered[math.ceil((1.0 - tail) * RESAMPLES) - 1]
+    return (low, high) if ordered.ndim > 1 else (float(low), float(high))
 
 
 @dataclass(frozen=True)
@@ -107,28 +111,25 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     """Summary of episodes of one policy and task. Raises ValueError without any."""
     if not scores:
         raise ValueError("scores should have at least one episode")
+    # errors and metrics are of the episodes that lived
     lived = [score for score in scores if score.diverged is None]
-    errors = {
-        name: [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
-        for name in scores[0].errors
-    }
+    errors = dict[str, ErrorScore]()
+    metrics = dict[str, float]()
+    for name in scores[0].errors:
+        of_lived = [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
+        rms = root_mean_square(np.array([error.rms for error in of_lived]))
+        percentile = float(np.mean([error.percentile_95 for error in of_lived]))
+        errors[name] = ErrorScore(rms, percentile)
+    for name in scores[0].metrics:
+        metrics[name] = root_mean_square(np.array([score.metrics[name] for score in lived]))
     reached = [score.reached for score in scores if score.reached is not None]
     known = [score.action_time for score in scores if math.isfinite(score.action_time)]
     return Summary(
         episodes=len(scores),
         diverged=len(scores) - len(lived),
-        errors={
-            name: ErrorScore(
-                root_mean_square(np.array([score.rms for score in of])),
-                float(np.mean([score.percentile_95 for score in of])),
-            )
-            for name, of in errors.items()
-        },
+        errors=errors,
         settled=sum(score.settled for score in scores),
-        metrics={
-            name: root_mean_square(np.array([score.metrics[name] for score in lived]))
-            for name in scores[0].metrics
-        },
+        metrics=metrics,
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,
         action_time=float(np.median(known)) if known else math.nan,
@@ -141,11 +142,12 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
     diverged, both times the rod's length."""
 
     def cost(score: EpisodeScore) -> float:
-        error, worst = next(iter(score.errors.values())).rms, WORST * score.length
-        shaken = (
-            CHATTER_COST * score.length * float(np.nan_to_num(score.metrics["chatter"]))
-        )  # of too few samples it is not known
-        return worst if score.diverged is not None else min(error + shaken, worst)
+        worst = WORST * score.length
+        if score.diverged is not None:
+            return worst
+        error = next(iter(score.errors.values())).rms
+        chatter = float(np.nan_to_num(score.metrics["chatter"]))  # NaN of too few samples
+        return min(error + CHATTER_COST * score.length * chatter, worst)
 
     return float(np.mean([cost(score) for score in scores]))
 
@@ -188,17 +190,21 @@ class Standing(NamedTuple):
         )
 
 
-def difference(one: Standing, other: Standing, key: str) -> Mean:
+def difference(
+    first: Standing,
+    other: Standing,
+    key: str,
+) -> Mean:
     """Interquartile mean of a policy less that of another of a single member, and its interval by
     the paired bootstrap: negative where the first has less error. Raises ValueError unless the
     other has played all episodes of the first."""
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
-    if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
+    if len(other.scores) > 1 or any(score.seed not in theirs for score in first.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")
     pairs = np.array(
         [
             [(score.numbers[key], theirs[score.seed]) for score in of_member]
-            for of_member in one.scores
+            for of_member in first.scores
         ],
         dtype=float,
     )

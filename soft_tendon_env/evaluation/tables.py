@@ -28,61 +28,65 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number to some significant digits; "-" where there is none."""
     if value is None or math.isnan(value):
         return "-"
-    return (
-        f"{value:.0f}"
-        if abs(value) >= 10.0**digits - 0.5
-        else f"{value:#.{digits}g}".removesuffix(".")
-    )
+    if abs(value) >= 10.0**digits - 0.5:  # all digits are before the point
+        return f"{value:.0f}"
+    return f"{value:#.{digits}g}".removesuffix(".")
 
 
 def with_seeds(name: str, count: int | None) -> str:
     """A name, with the number of seeds behind it if there are any."""
-    return name if count is None else f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
+    if count is None:
+        return name
+    unit = "seed" if count == 1 else "seeds"
+    return f"{name} ({count} {unit})"
 
 
 def summary_cells(summary: Summary) -> dict[str, str]:
     """Cells of a row by the headings of their columns."""
-    flag, cells = f" {FLAG}" * (summary.diverged > 0), dict[str, str]()
+    flag = f" {FLAG}" if summary.diverged > 0 else ""
+    cells = dict[str, str]()
     for name, error in summary.errors.items():
         unit = error_unit(name)
         cells[f"{unit.heading} RMS"] = number(unit.factor * error.rms) + flag
     if summary.reached is not None:
         cells["reached"] = f"{100 * summary.reached:.0f} %"
     cells["settled"] = f"{summary.settled} of {summary.episodes}"
-    cells |= {
-        METRICS[name].heading: number(METRICS[name].factor * value) + flag
-        for name, value in summary.metrics.items()
-    }
-    return {**cells, "time [ms]": number(1e3 * summary.action_time)}
+    for name, value in summary.metrics.items():
+        metric = METRICS[name]
+        cells[metric.heading] = number(metric.factor * value) + flag
+    cells["time [ms]"] = number(1e3 * summary.action_time)
+    return cells
 
 
-def summary_table(label: str, summaries: Mapping[str, Summary], models: Mapping[str, str]) -> str:
+def summary_table(
+    label: str,
+    summaries: Mapping[str, Summary],
+    models: Mapping[str, str],
+) -> str:
     """Table with a row per summary: errors, settled, metrics, time of an action. models: by name,
     the policies' use of a model at run time, see `entrants.model_in_the_loop`."""
-    table = record_table(
-        [
-            {label: name, **summary_cells(summary), MODEL: models[name]}
-            for name, summary in summaries.items()
-        ]
-    )
-    return (
-        f"{table}\n\n{LEGEND}" if any(summary.diverged for summary in summaries.values()) else table
-    )
+    rows = []
+    for name, summary in summaries.items():
+        rows.append({label: name, **summary_cells(summary), MODEL: models[name]})
+    table = record_table(rows)
+    if any(summary.diverged for summary in summaries.values()):
+        return f"{table}\n\n{LEGEND}"
+    return table
 
 
 def error_text(standing: Standing) -> str:
     """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
-    factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
-    text = (
-        f"{number(factor * standing.mean(key).value)} /"
-        f" {number(factor * tails(standing.values(key))[0])}"
-    )
+    factor = error_unit(standing.error).factor
+    key = f"{standing.error}_rms"
+    interquartile = standing.mean(key).value
+    mean, _ = tails(standing.values(key))
+    text = f"{number(factor * interquartile)} / {number(factor * mean)}"
     bad = float(np.mean([score.bad for score in standing.episodes]))
     return f"{text}, {100 * bad:.0f} % bad" if bad else text
 
 
 def error_table(
-    found: Standings,
+    standings: Standings,
     models: Mapping[str, str] | None = None,
     more: Sequence[Mapping[str, str]] = (),
 ) -> str:
@@ -92,59 +96,64 @@ def error_table(
     models: a column, see `summary_table`. more: rows below by condition, whose first cells are
     those of "".
     """
-    conditions, rows = (
-        dict.fromkeys((condition for _, condition in found), "-"),
-        dict[str, dict[str, str]](),
-    )
-    heading = f"{error_unit(next(iter(found.values())).error).heading} RMS"
-    for (policy, condition), standing in found.items():
-        members = len(standing.scores)
-        named = {
-            heading: with_seeds(policy, members if members > 1 else None),
-            **({MODEL: models[policy]} if models else {}),
-        }
-        rows.setdefault(policy, {**named, **conditions})[condition] = error_text(standing)
-    below = [{heading: row[""], **{key: row.get(key, "-") for key in conditions}} for row in more]
+    conditions = list(dict.fromkeys(condition for _, condition in standings))
+    first = next(iter(standings.values()))
+    heading = f"{error_unit(first.error).heading} RMS"
+    rows = dict[str, dict[str, str]]()
+    for (policy, condition), standing in standings.items():
+        if policy not in rows:
+            members = len(standing.scores)
+            row = {heading: with_seeds(policy, members if members > 1 else None)}
+            if models:
+                row[MODEL] = models[policy]
+            rows[policy] = row | dict.fromkeys(conditions, "-")
+        rows[policy][condition] = error_text(standing)
+    below = []
+    for cells in more:
+        row = {heading: cells[""]}
+        for condition in conditions:
+            row[condition] = cells.get(condition, "-")
+        below.append(row)
     return record_table([*rows.values(), *below])
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:
     """A Markdown table with a row per record: a column per key that any of them has, "-" where one
     lacks it."""
-    header = [*dict.fromkeys(key for row in rows for key in row)]
-    return markdown_table(header, [[row.get(key, "-") for key in header] for row in rows])
+    header = list(dict.fromkeys(key for row in rows for key in row))
+    cells = [[row.get(key, "-") for key in header] for row in rows]
+    return markdown_table(header, cells)
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table that reads well as it is and as Markdown."""
     cells = [tuple(header), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
-        for row in cells
-    ]
-    return "\n".join(
-        [lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]]
-    )
+    lines = []
+    for row in cells:
+        padded = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        lines.append(f"| {' | '.join(padded)} |")
+    dashes = ["-" * (width + 2) for width in widths]
+    lines.insert(1, f"|{'|'.join(dashes)}|")
+    return "\n".join(lines)
 
 
-def records(found: Standings) -> list[dict[str, Any]]:
+def records(standings: Standings) -> list[dict[str, Any]]:
     """Errors, metrics and time of an action of every policy under every condition for CSV, in SI
     units, see STATISTICS."""
     rows = []
-    for (policy, condition), standing in found.items():
-        row: dict[str, Any] = {"policy": policy, "condition": condition}
-        row |= {
+    for (policy, condition), standing in standings.items():
+        row: dict[str, Any] = {
+            "policy": policy,
+            "condition": condition,
             "members": len(standing.scores),
             "episodes": len(standing.episodes),
             "bad": sum(score.bad for score in standing.episodes),
         }
         for key in standing.episodes[0].numbers:
             numbers = (*standing.mean(key), *tails(standing.values(key)))
-            row |= {
-                f"{key}{ending}": float(f"{value:.5g}")
-                for ending, value in zip(STATISTICS, numbers, strict=True)
-            }
+            for ending, value in zip(STATISTICS, numbers, strict=True):
+                row[f"{key}{ending}"] = float(f"{value:.5g}")
         rows.append(row)
     return rows
 
@@ -153,14 +162,14 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write a CSV file: a row per record, a column per key that any of them has, nothing where it
     is NaN. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    columns = list(dict.fromkeys(key for row in rows for key in row))
     with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
         for row in rows:
-            writer.writerow(
-                {
-                    key: None if isinstance(value, float) and math.isnan(value) else value
-                    for key, value in row.items()
-                }
-            )
+            cells = {}
+            for key, value in row.items():
+                is_missing = isinstance(value, float) and math.isnan(value)
+                cells[key] = None if is_missing else value
+            writer.writerow(cells)
     print(f"written: {path}")

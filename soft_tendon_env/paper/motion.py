@@ -26,13 +26,12 @@ TOLERANCE = 1e-4
 """Error tolerance of the integrator, relative, and absolute in coordinates and rates."""
 APART = 1e-6
 """Step of finite differences in coordinates and rates, which are of the order of 10."""
-SAMPLE_PERIOD, PERIOD = 0.005, 0.02  # [s], of motions under continuous laws, and of control
-LIMITS = (-60.0, 60.0)  # [N]
-GAINS = {
-    "settling_time": 0.396,
-    "damping": 5.0,
-    "integral_time": 0.5,
-}  # kp and kd of the paper at vanishing periods, and an integral
+SAMPLE_PERIOD = 0.005  # [s], of motions under continuous laws
+PERIOD = 0.02  # [s], of control
+ANGLE_LENGTH = 0.1  # length at which an angle counts as a distance, in lengths of the rod
+LIMITS = (-60.0, 60.0)  # [N], of tensions
+GAINS = {"settling_time": 0.396, "damping": 5.0, "integral_time": 0.5}
+"""Gains that are kp and kd of the paper at vanishing periods, and an integral: times in s."""
 
 Law = Callable[[float, np.ndarray, np.ndarray, ste.Terms], np.ndarray]
 """Tensions (n_a,) [N] from time [s], q, q_dot (n,) and the terms there."""
@@ -51,36 +50,36 @@ class ClosedLoop:
     """x_dot = f(t, x) with x = (q, q_dot)."""
 
     def __init__(self, model: ste.Model, law: Law) -> None:
-        self.model, self.law = model, law
+        self.model = model
+        self.law = law
 
     def rate(self, t: float, x: np.ndarray) -> np.ndarray:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
         force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
-        return np.concatenate(
-            [
-                q_dot,
-                np.linalg.solve(
-                    terms.mass, force - terms.bias - terms.damping @ q_dot - terms.elastic_force
-                ),
-            ]
-        )
+        loss = terms.damping @ q_dot
+        q_ddot = np.linalg.solve(terms.mass, force - terms.bias - loss - terms.elastic_force)
+        return np.concatenate([q_dot, q_ddot])
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
         """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton
         iterations hardly converge."""
-        here = self.rate(t, x)
-        return np.stack(
-            [(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1
-        )
+        rate = self.rate(t, x)
+        columns = []
+        for step in APART * np.eye(x.size):
+            change = self.rate(t, x + step) - rate
+            columns.append(change / APART)
+        return np.stack(columns, axis=1)
 
 
-def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
+def integrate(
+    loop: ClosedLoop,
+    duration: float,
+    label: str,
+) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
-    n, times = (
-        loop.model.coordinate_count,
-        SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1),
-    )
+    n = loop.model.coordinate_count
+    times = SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
     say(f"{label}: {duration:g} s")
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
@@ -89,20 +88,38 @@ def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
         except (ste.StrainLimitError, OverflowError):
             return np.full_like(x, np.nan)  # from which integrators turn back
 
-    options = {"rtol": TOLERANCE, "atol": TOLERANCE, "jac": loop.jacobian, "t_eval": times}
-    found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
-    states = found.y.T
-    tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
-    tension = np.array(
-        [
-            loop.law(t, x[:n], x[n:], loop.model.terms(x[:n], x[n:]))
-            for t, x in zip(found.t, states, strict=True)
-        ]
+    solution = solve_ivp(
+        rate,
+        (0.0, times[-1]),
+        np.zeros(2 * n),
+        method="Radau",
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+        jac=loop.jacobian,
+        t_eval=times,
     )
-    return Motion(found.t, states[:, :n], tip, tension)
+    # tensions are no states: the law gives them once more at the samples
+    states = solution.y.T
+    tip = []
+    tension = []
+    for t, x in zip(solution.t, states, strict=True):
+        q, q_dot = np.split(x, 2)
+        tip.append(loop.model.tip_pose(q)[:3, 3])
+        terms = loop.model.terms(q, q_dot)
+        tension.append(loop.law(t, q, q_dot, terms))
+    return Motion(
+        solution.t,
+        states[:, :n],
+        np.array(tip),
+        np.array(tension),
+    )
 
 
-def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> float:
+def below_for_good(
+    time: np.ndarray,
+    error: np.ndarray,
+    threshold: float,
+) -> float:
     """The first time [s] from which on the error stays below the threshold; infinity if it is not
     below at the end."""
     first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
@@ -111,10 +128,16 @@ def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> flo
 
 def when(time: float) -> str:
     """Words for a result of `below_for_good`."""
-    return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
+    if time == 0.0:
+        return "always"
+    return "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 
-def track(scene: str, circle: Circle, duration: float) -> Motion:
+def track(
+    scene: str,
+    circle: Circle,
+    duration: float,
+) -> Motion:
     """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those
     of the period that ends."""
     count = round(duration / PERIOD)
@@ -123,34 +146,34 @@ def track(scene: str, circle: Circle, duration: float) -> Motion:
         "target": circle.model_dump(),
         "tension_limits": LIMITS,
         "control_period": PERIOD,
+        "preview": (PERIOD, 2.0 * PERIOD),
     }
-    env = gym.make(
-        IDS["TipPose"],
-        action="tension",
-        preview=(PERIOD, 2.0 * PERIOD),
-        max_episode_steps=count,
-        **options,
-    )
+    env = gym.make(IDS["TipPose"], action="tension", max_episode_steps=count, **options)
     episodes = episodes_of(env)
-    model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
+    model = episodes.model
+    limits = episodes.limits
+    aim = TipPose(ANGLE_LENGTH * model.length)
+    # inverse statics leads, and (39) for sampled commands follows what it can reach
     controller = ReferenceGovernor(
         StaticFeedforward(model, limits, PERIOD, aim),
         TipTracking(model, limits, PERIOD, aim, **GAINS),
     )
-    samples = []
     say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
-    for step in play_steps(ControllerPolicy(controller, env), env, [0]):
-        arms = episodes.arms
-        samples.append(
-            (
-                arms.rows.q[0].copy(),
-                arms.reading.tip_pose[0, :3, 3].copy(),
-                episodes.tension[0].copy(),
-            )
-        )
+    q = []
+    tip = []
+    tension = []
+    policy = ControllerPolicy(controller, env)
+    for step in play_steps(policy, env, [0]):
+        # the next step overwrites what the environment has now
+        q.append(episodes.arms.rows.q[0].copy())
+        tip.append(episodes.arms.reading.tip_pose[0, :3, 3].copy())
+        tension.append(episodes.tension[0].copy())
         if step.ended.any():
             break
+    time = PERIOD * np.arange(len(q))
     return Motion(
-        PERIOD * np.arange(len(samples)),
-        *(np.stack(values) for values in zip(*samples, strict=True)),
+        time,
+        np.stack(q),
+        np.stack(tip),
+        np.stack(tension),
     )

@@ -10,12 +10,16 @@ from matplotlib.axes import Axes
 import soft_tendon_env as ste
 from soft_tendon_env.evaluation.tables import markdown_table
 
-DESIRED, ACTUAL = "#2a9d4e", "#1d4e9e"
-SNAPSHOTS = 6
-REACH = (-0.4, 0.4)  # [m] sideways
+DESIRED = "#2a9d4e"  # colour of wanted shapes and paths
+ACTUAL = "#1d4e9e"  # colour of those that came of it
+SNAPSHOTS = 6  # shapes that are drawn of a motion
+PALEST = 0.25  # opacity of the first of them; the last is opaque
+REACH = (-0.4, 0.4)  # [m] sideways, in pictures
 
 
 class Claim(NamedTuple):
+    """What the paper says of a figure, and whether it holds."""
+
     figure: str
     paper: str  # what it says
     measured: str
@@ -37,16 +41,26 @@ class Result(NamedTuple):
 
 def claims_table(claims: Iterable[Claim]) -> str:
     """Table of claims, as text that is Markdown as well."""
-    rows = [(*claim[:3], "yes" if claim.holds else "**NO, missed**") for claim in claims]
+    rows = []
+    for claim in claims:
+        verdict = "yes" if claim.holds else "**NO, missed**"
+        rows.append((claim.figure, claim.paper, claim.measured, verdict))
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 
 
-def draw_arms(axes: Axes, model: ste.Model, motion: np.ndarray, colour: str) -> None:
+def draw_arms(
+    axes: Axes,
+    model: ste.Model,
+    motion: np.ndarray,
+    colour: str,
+) -> None:
     """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
-    shown = motion[np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)]
-    for opacity, q in zip(np.linspace(0.25, 1.0, SNAPSHOTS), shown, strict=True):
+    samples = np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)
+    opacities = np.linspace(PALEST, 1.0, SNAPSHOTS)
+    for opacity, q in zip(opacities, motion[samples], strict=True):
+        backbone = model.backbone(q)[:, :3, 3]
         axes.plot(
-            *model.backbone(q)[:, :3, 3].T,
+            *backbone.T,
             color=colour,
             alpha=opacity,
             linewidth=3.0,
@@ -80,16 +94,25 @@ def box(axes: Any, title: str, **paths: np.ndarray) -> None:
     axes.legend(frameon=False, loc="upper left", fontsize="small")
 
 
-def draw_tensions(axes: Axes, time: np.ndarray, tension: np.ndarray, title: str) -> None:
+def draw_tensions(
+    axes: Axes,
+    time: np.ndarray,
+    tension: np.ndarray,
+    title: str,
+) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
-    axes.plot(time, tension, linewidth=1.0, label=[f"{i + 1}" for i in range(tension.shape[1])])
+    names = [f"{number + 1}" for number in range(tension.shape[1])]
+    axes.plot(time, tension, linewidth=1.0, label=names)
     axes.legend(frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)
     axes.grid(alpha=0.3)
 
 
 def draw_errors(
-    axes: Axes, errors: Mapping[str, tuple[np.ndarray, np.ndarray]], unit: str, title: str
+    axes: Axes,
+    errors: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    unit: str,
+    title: str,
 ) -> None:
     """Errors (m,) against time (m,) [s] by their labels, on a logarithmic axis."""
     for label, (time, error) in errors.items():

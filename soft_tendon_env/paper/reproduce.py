@@ -10,22 +10,27 @@ period, see motion.py.
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.paper import shape, tip, validation
-from soft_tendon_env.paper.report import Result
+from soft_tendon_env.paper.report import Claim, Result
 
 
 def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
     """Draw the figures into a folder, print their tables, and write numbers.json. Raises
     OSError."""
     results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
+    claims = list[Claim]()
+    numbers = dict[str, Any]()
     for result in results.values():
         print(f"\n{result.tables}")
-    claims = [claim for result in results.values() for claim in result.claims]
-    print(f"\n{sum(not claim.holds for claim in claims)} of {len(claims)} claims missed")
-    numbers = {name: value for result in results.values() for name, value in result.numbers.items()}
-    write_json(out / "numbers.json", {"claims": [claim._asdict() for claim in claims], **numbers})
+        claims += result.claims
+        numbers |= result.numbers
+    missed = sum(not claim.holds for claim in claims)
+    print(f"\n{missed} of {len(claims)} claims missed")
+    content = {"claims": [claim._asdict() for claim in claims], **numbers}
+    write_json(out / "numbers.json", content)
     return results
 
 

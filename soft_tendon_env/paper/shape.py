@@ -31,7 +31,8 @@ from soft_tendon_env.paper.report import (
 )
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
-COURSE = Rise(np.zeros(10), TENSION, 2.5)
+RISE = 2.5  # [s] within which they are approached
+COURSE = Rise(np.zeros(10), TENSION, RISE)
 DURATION = 5.0  # [s]
 MODELS = {"paper": "fully actuated", "paper_16dof": "underactuated"}
 LAWS = {"feedforward": Gains(0.0, 0.0), "feedback": Gains(1000.0, 100.0)}
@@ -39,11 +40,13 @@ PARTS = (0.1, 0.01)  # of the largest error of feedforward, below which errors a
 
 
 def target(t: float) -> ShapeTarget:
+    """Tensions that hold the wanted shape at time t [s], and their rates."""
     tension, rate = COURSE(np.array([t]))
     return ShapeTarget(tension[0], rate[0])
 
 
 def law_of(model: ste.Model, gains: Gains) -> Law:
+    """Control law (37), (38) of an arm."""
     return lambda t, q, q_dot, terms: shape_tension(model, q, q_dot, target(t), gains)
 
 
@@ -55,47 +58,58 @@ def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
     models = {name: ste.build_model(ste.load_scene(name), "scene") for name in MODELS}
-    motions, errors = {}, {}
+    duration = min(seconds, DURATION)
+    motions = {}
+    errors = {}
     for name, model in models.items():
         for law, gains in LAWS.items():
-            motion = integrate(
-                ClosedLoop(model, law_of(model, gains)),
-                min(seconds, DURATION),
-                f"Figure 3, {name}, {law}",
-            )
+            loop = ClosedLoop(model, law_of(model, gains))
+            motion = integrate(loop, duration, f"Figure 3, {name}, {law}")
             motions[name, law] = motion
-            errors[name, law] = np.linalg.norm(wanted_shapes(model, motion.time) - motion.q, axis=1)
+            error = wanted_shapes(model, motion.time) - motion.q
+            errors[name, law] = np.linalg.norm(error, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
-    numbers = {
-        name: {
-            law: summary(motions[name, law], errors[name, law], errors[name, "feedforward"])
-            for law in LAWS
-        }
-        for name in MODELS
-    }
-    return Result([claim(name, numbers[name]) for name in MODELS], {"shape_error": numbers})
+    # the size of an error is a share of feedforward's largest: units of coordinates differ
+    numbers: dict[str, dict[str, dict[str, float]]] = {name: {} for name in MODELS}
+    for (name, law), error in errors.items():
+        largest = errors[name, "feedforward"].max()
+        numbers[name][law] = summary(motions[name, law], error, largest)
+    claims = [claim(name, numbers[name]) for name in MODELS]
+    return Result(claims, {"shape_error": numbers})
 
 
-def summary(motion: Motion, error: np.ndarray, of_feedforward: np.ndarray) -> dict[str, float]:
+def summary(
+    motion: Motion,
+    error: np.ndarray,
+    of_feedforward: float,
+) -> dict[str, float]:
+    """Numbers of the errors (m,) of a motion; of_feedforward: the largest error of feedforward."""
     numbers = {
         "largest": float(error.max()),
         "rms": root_mean_square(error),
         "end": float(error[-1]),
     }
-    return numbers | {
-        f"below_{part:g}_from_s": below_for_good(motion.time, error, part * of_feedforward.max())
-        for part in PARTS
-    }
+    for part in PARTS:
+        threshold = part * of_feedforward
+        numbers[below(part)] = below_for_good(motion.time, error, threshold)
+    return numbers
+
+
+def below(part: float) -> str:
+    """Key of the time from which on errors are below a part of feedforward's largest."""
+    return f"below_{part:g}_from_s"
 
 
 def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
-    ahead, back = numbers["feedforward"], numbers["feedback"]
-    keys = [f"below_{part:g}_from_s" for part in PARTS]
-    times = ", ".join(
-        f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})"
-        for part, key in zip(PARTS, keys, strict=True)
-    )
+    """Claim of Figure 3(b) for an arm, from its numbers by law."""
+    ahead = numbers["feedforward"]
+    back = numbers["feedback"]
+    keys = [below(part) for part in PARTS]
+    parts = []
+    for part, key in zip(PARTS, keys, strict=True):
+        parts.append(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})")
+    times = ", ".join(parts)
     sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
     text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
     return Claim(
@@ -107,39 +121,45 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
 
 
 def draw_laws(
-    motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path
+    motions: dict[tuple[str, str], Motion],
+    errors: dict[tuple[str, str], np.ndarray],
+    path: Path,
 ) -> None:
+    """Figure 3: wanted shapes, errors and tensions."""
     figure, ((wanted, error), (full, under)) = plt.subplots(
         2, 2, figsize=(13, 8), constrained_layout=True
     )
     time = motions["paper", "feedback"].time
-    draw_tensions(
-        wanted,
-        time,
-        np.array([target(t).tension for t in time]),
-        "(a) wanted shape, as the tensions that hold it",
-    )
-    each = {
-        f"{MODELS[name]}, {law}": (motions[name, law].time[1:], values[1:])
-        for (name, law), values in errors.items()
-    }
-    draw_errors(error, each, "shape error", "(b) shape error")
+    tension = np.array([target(t).tension for t in time])
+    draw_tensions(wanted, time, tension, "(a) wanted shape, as the tensions that hold it")
+    courses = {}
+    # the first sample, at rest, has no error: a logarithmic axis has no place for it
+    for (name, law), values in errors.items():
+        times = motions[name, law].time
+        courses[f"{MODELS[name]}, {law}"] = (times[1:], values[1:])
+    draw_errors(error, courses, "shape error", "(b) shape error")
     for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
+        title = f"({letter}) tensions with feedback, {MODELS[name]}"
         draw_tensions(
             axes,
             time,
             motions[name, "feedback"].tension,
-            f"({letter}) tensions with feedback, {MODELS[name]}",
+            title,
         )
     save_figure(figure, path)
 
 
 def draw_shapes(
-    models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path
+    models: dict[str, ste.Model],
+    motions: dict[tuple[str, str], Motion],
+    path: Path,
 ) -> None:
+    """Figure 4: wanted and actual shapes."""
     figure = plt.figure(figsize=(12, 11), constrained_layout=True)
     for place, ((name, law), motion) in enumerate(motions.items(), 1):
-        model, wanted = models[name], wanted_shapes(models[name], motion.time)
+        model = models[name]
+        wanted = wanted_shapes(model, motion.time)
+        tip = np.array([model.tip_pose(q)[:3, 3] for q in wanted])
         axes = figure.add_subplot(2, 2, place, projection="3d")
         draw_arms(axes, model, wanted, DESIRED)
         draw_arms(axes, model, motion.q, ACTUAL)
@@ -147,6 +167,6 @@ def draw_shapes(
             axes,
             f"{MODELS[name]}, {law}",
             actual=motion.tip,
-            wanted=np.array([model.tip_pose(q)[:3, 3] for q in wanted]),
+            wanted=tip,
         )
     save_figure(figure, path)

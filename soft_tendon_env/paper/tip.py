@@ -54,13 +54,16 @@ from soft_tendon_env.paper.report import (
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)
-GAINS = Gains(10_000.0, 1000.0)
-DURATION = 2.0 * CIRCLE.period
+GAINS = Gains(10_000.0, 1000.0)  # kp [1/s^2] and kd [1/s]
+DURATION = 2.0 * CIRCLE.period  # [s]
 VERY_SMALL = 1e-3  # [m], an error below which the tip is to stay
 SMOOTH = 0.5  # [s] from which on tensions are to be smooth
+CALM = 0.1  # share of the tension before, below which a tension counts as smooth
 APART = 1e-4  # [s] between the twists whose difference is the acceleration
 
-FULL, UNDER, PRINTED = "fully actuated", "underactuated", "underactuated, as printed"
+FULL = "fully actuated"
+UNDER = "underactuated"
+PRINTED = "underactuated, as printed"
 DESIGNS: Mapping[str, tuple[str, str, LeftInverse]] = {
     FULL: ("paper", "none", energy_left_inverse),
     UNDER: ("paper_16dof", "orthogonal", energy_left_inverse),
@@ -79,41 +82,57 @@ INVERSES: Mapping[LeftInverse, str] = {
 
 
 def target(t: float) -> TipPoseTarget:
+    """Pose, twist and acceleration of the target at time t [s]."""
     samples = COURSE.sample(t + APART * np.array([-1.0, 0.0, 1.0]))
     before, twist, after = samples.tip_twist
-    return TipPoseTarget(samples.tip_pose[1], twist, (after - before) / (2.0 * APART))
+    acceleration = (after - before) / (2.0 * APART)
+    return TipPoseTarget(samples.tip_pose[1], twist, acceleration)
 
 
 def law_of(left_inverse: LeftInverse) -> Law:
+    """Control law (39) with a left inverse of B."""
     return lambda t, q, q_dot, terms: tip_pose_tension(terms, q_dot, target(t), GAINS, left_inverse)
 
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    duration, models, motions = min(seconds, DURATION), dict[str, ste.Model](), dict[str, Motion]()
+    duration = min(seconds, DURATION)
+    models = dict[str, ste.Model]()
+    motions = dict[str, Motion]()
+    # the paper's law, continuous in time
     for name, (scene, passive, inverse) in DESIGNS.items():
         changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
         models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
-        motions[name] = integrate(
-            ClosedLoop(models[name], law_of(inverse)), duration, f"Figures 5 and 6, {name}"
-        )
-    motions |= {
-        name: track(DESIGNS[design][0], CIRCLE, duration) for design, name in SAMPLED.items()
-    }
+        loop = ClosedLoop(models[name], law_of(inverse))
+        motions[name] = integrate(loop, duration, f"Figures 5 and 6, {name}")
+    # what the package makes of it at a control period
+    for design, name in SAMPLED.items():
+        scene, _, _ = DESIGNS[design]
+        motions[name] = track(scene, CIRCLE, duration)
+    # the other variants have no figure of their own: their errors stand beside these
     for name in (FULL, UNDER):
-        draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
+        draw(
+            name,
+            models[name],
+            motions,
+            folder / f"figure_{SHOWN[name]}.png",
+        )
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
-    designs = [
-        (scene, passive, INVERSES[inverse], outcome(numbers[name]))
-        for name, (scene, passive, inverse) in DESIGNS.items()
-    ]
-    table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), designs)
+    rows = []
+    for name, (scene, passive, inverse) in DESIGNS.items():
+        rows.append((scene, passive, INVERSES[inverse], outcome(numbers[name])))
+    table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), rows)
     return Result(claims(numbers), {"tip_error": numbers}, (table,))
 
 
 def tip_error(motion: Motion) -> np.ndarray:
     """Distance (m,) [m] of the tip from the target."""
-    return np.linalg.norm(COURSE.sample(motion.time).tip_pose[:, :3, 3] - motion.tip, axis=1)
+    return np.linalg.norm(target_path(motion) - motion.tip, axis=1)
+
+
+def target_path(motion: Motion) -> np.ndarray:
+    """Positions (m, 3) [m] of the target at the times of a motion."""
+    return np.asarray(COURSE.sample(motion.time).tip_pose[:, :3, 3])
 
 
 def summary(motion: Motion, duration: float) -> dict[str, float]:
@@ -122,80 +141,101 @@ def summary(motion: Motion, duration: float) -> dict[str, float]:
     numbers = {"until_s": float(motion.time[-1]), "start_mm": 1e3 * float(error[0])}
     if numbers["until_s"] < duration - SMOOTH:
         return numbers
-    late, then = motion.time >= min(CIRCLE.period, 0.5 * duration), motion.time >= SMOOTH
+    # the second turn, or the second half of a shorter motion
+    late = motion.time >= min(CIRCLE.period, 0.5 * duration)
+    smooth = motion.time >= SMOOTH
+    first = np.abs(motion.tension[~smooth])
+    then = np.abs(motion.tension[smooth])
+    change = np.abs(np.diff(motion.tension[smooth], axis=0))
     return numbers | {
         "below_1_mm_from_s": below_for_good(motion.time, error, VERY_SMALL),
         "late_rms_mm": 1e3 * root_mean_square(error[late]),
         "late_largest_mm": 1e3 * float(error[late].max()),
-        "largest_tension_first_N": float(np.abs(motion.tension[~then]).max()),
-        "largest_tension_then_N": float(np.abs(motion.tension[then]).max()),
-        "largest_tension_change_then_N": float(np.abs(np.diff(motion.tension[then], axis=0)).max()),
+        "largest_tension_first_N": float(first.max()),
+        "largest_tension_then_N": float(then.max()),
+        "largest_tension_change_then_N": float(change.max()),
     }
 
 
 def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
-    found = [staying_below(f"{figure}(c)", name, numbers[name]) for name, figure in SHOWN.items()]
+    """Claims of Figures 5 and 6, from numbers by variant."""
+    # (c) errors
+    claims = []
+    for name, figure in SHOWN.items():
+        claims.append(staying_below(f"{figure}(c)", name, numbers[name]))
+    # (b) tensions
     for name in (FULL, UNDER):
-        first, then, change = (
-            numbers[name][f"largest_tension_{key}_N"] for key in ("first", "then", "change_then")
-        )
+        first = numbers[name]["largest_tension_first_N"]
+        then = numbers[name]["largest_tension_then_N"]
+        change = numbers[name]["largest_tension_change_then_N"]
         text = (
             f"up to {first:.0f} N before {SMOOTH:g} s, then up to {then:.1f} N, changing by at most"
             f" {change:.2g} N in 5 ms"
         )
-        calm = then < 0.1 * first and change < 0.1 * then
-        found.append(
-            Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm)
-        )
-    full, under = (numbers[name] for name in (FULL, UNDER))
+        is_smooth = then < CALM * first and change < CALM * then
+        saying = f"strengths high at first, then smooth, {name}"
+        claims.append(Claim(f"{SHOWN[name]}(b)", saying, text, is_smooth))
+    # both figures
+    full = numbers[FULL]
+    under = numbers[UNDER]
     better = full["late_rms_mm"] <= under["late_rms_mm"]
     text = f"{outcome(full)} against {outcome(under).removeprefix('later ')}"
-    return [*found, Claim("5, 6", "slightly better when fully actuated", text, better)]
+    claims.append(Claim("5, 6", "slightly better when fully actuated", text, better))
+    return claims
 
 
-def staying_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
+def staying_below(
+    figure: str,
+    name: str,
+    numbers: dict[str, float],
+) -> Claim:
     """Claim of very small errors: what misses the threshold keeps a steady-state error above it, or
     breaks down."""
-    limit, since = f"{1e3 * VERY_SMALL:g} mm", numbers.get("below_1_mm_from_s", np.inf)
+    since = numbers.get("below_1_mm_from_s", np.inf)
     holds = bool(np.isfinite(since))
     steady = "" if holds or "late_rms_mm" not in numbers else "steady-state error: "
+    saying = f"tip error stays below {1e3 * VERY_SMALL:g} mm, {name}"
     return Claim(
         figure,
-        f"tip error stays below {limit}, {name}",
+        saying,
         f"{when(since)}; {steady}{outcome(numbers)}",
         holds,
     )
 
 
 def outcome(numbers: dict[str, float]) -> str:
+    """Words for the errors of a motion at its end."""
     if "late_rms_mm" not in numbers:
         return f"breaks down after {numbers['until_s']:.2f} s"
     return f"later {numbers['late_rms_mm']:.2g} mm rms, at most {numbers['late_largest_mm']:.2g} mm"
 
 
-def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:
+def draw(
+    name: str,
+    model: ste.Model,
+    motions: dict[str, Motion],
+    path: Path,
+) -> None:
     """`name` in space and as tensions, its error beside those of others."""
-    figure, motion = plt.figure(figsize=(16, 8), constrained_layout=True), motions[name]
+    motion = motions[name]
+    figure = plt.figure(figsize=(16, 8), constrained_layout=True)
     grid = figure.add_gridspec(2, 3)
-    arms, tensions = (
-        figure.add_subplot(grid[:, 0], projection="3d"),
-        figure.add_subplot(grid[0, 1:]),
-    )
+    arms = figure.add_subplot(grid[:, 0], projection="3d")
+    tensions = figure.add_subplot(grid[0, 1:])
+    errors = figure.add_subplot(grid[1, 1:])
     draw_arms(arms, model, motion.q, ACTUAL)
     box(
-        arms, f"(a) {name}", actual=motion.tip, wanted=COURSE.sample(motion.time).tip_pose[:, :3, 3]
+        arms,
+        f"(a) {name}",
+        actual=motion.tip,
+        wanted=target_path(motion),
     )
     draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
-    tensions.set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[motion.time >= SMOOTH]).max())
-    each = {
-        f"(39), {label}": (motions[label].time, 1e3 * tip_error(motions[label]))
-        for label in (FULL, UNDER, PRINTED, SAMPLED[name])
-    }
-    draw_errors(
-        figure.add_subplot(grid[1, 1:]),
-        each,
-        "tip error [mm]",
-        "(c) distance of the tip from the target",
-    )
-    figure.axes[-1].axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
+    largest = np.abs(motion.tension[motion.time >= SMOOTH]).max()
+    tensions.set_ylim(-1.5 * largest, 1.5 * largest)  # cuts off what is high at first
+    courses = {}
+    for label in (FULL, UNDER, PRINTED, SAMPLED[name]):
+        courses[f"(39), {label}"] = (motions[label].time, 1e3 * tip_error(motions[label]))
+    draw_errors(errors, courses, "tip error [mm]", "(c) distance of the tip from the target")
+    errors.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
     save_figure(figure, path)

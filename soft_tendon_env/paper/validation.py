@@ -26,7 +26,10 @@ from soft_tendon_env.tools.messages import say
 
 AMPLITUDE = np.array([6.0, 2.0, 2.0, 5.0, 4.0, 5.0, 3.0, 4.0, 5.0, 4.0])  # [N]
 FREQUENCY = np.array([0.4, 0.6, 0.3, 0.5, 0.7, 0.8, 0.45, 0.65, 0.55, 0.35])  # [Hz]
-DURATION, HELD, STEP, AFTER_STEP = 10.0, 7.5, 5.0, 1.0  # [s]
+DURATION = 10.0  # [s]
+HELD = 7.5  # [s] from which on tensions stay
+STEP = 5.0  # [s] from which on some tendons pull more
+AFTER_STEP = 1.0  # [s] after the step that count as around it
 STEP_TENSION = np.array([0.0, 8.0, 5.0, *np.zeros(7)])  # [N]
 SAMPLE_PERIOD = 0.01  # [s]
 FINE = {"integrator.step": 0.0025}  # which changes the tip by less than 0.02 mm
@@ -50,17 +53,16 @@ def reproduce(seconds: float, folder: Path) -> Result:
         name: ste.build_model(ste.load_scene(name).replace(FINE), "scene")
         for name in (*REDUCED, FULL)
     }
-    say(f"Figure 2: {min(seconds, DURATION):g} s of {', '.join(models)}")
+    duration = min(seconds, DURATION)
+    say(f"Figure 2: {duration:g} s of {', '.join(models)}")
     motions = {
-        name: ste.simulate(model, tension, min(seconds, DURATION), SAMPLE_PERIOD)
+        name: ste.simulate(model, tension, duration, SAMPLE_PERIOD)
         for name, model in models.items()
     }
-    mismatch = {
-        name: np.linalg.norm(
-            motions[name].tip_pose[:, :3, 3] - motions[FULL].tip_pose[:, :3, 3], axis=1
-        )
-        for name in REDUCED
-    }
+    mismatch = {}
+    for name in REDUCED:
+        poses = motions[name].tip_pose - motions[FULL].tip_pose
+        mismatch[name] = np.linalg.norm(poses[:, :3, 3], axis=1)
     draw(models["paper"], motions, mismatch, folder / "figure_2.png")
     time = motions[FULL].time
     numbers = {name: summary(time, 1e3 * error) for name, error in mismatch.items()}
@@ -75,9 +77,11 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
         "rms": root_mean_square(error),
         "end": float(error[-1]),
     }
+    # a shorter motion says nothing of the step
     if time[-1] < STEP + AFTER_STEP:
         return numbers
-    before, around = time < STEP, (time >= STEP) & (time <= STEP + AFTER_STEP)
+    before = time < STEP
+    around = (time >= STEP) & (time <= STEP + AFTER_STEP)
     return numbers | {
         "largest_before_step": float(error[before].max()),
         "largest_around_step": float(error[around].max()),
@@ -85,6 +89,7 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
 
 
 def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
+    """Claims of Figure 2 on an arm of a length [m], from numbers by scene."""
     full, under = (numbers[name] for name in REDUCED)
     size = "mm of tip mismatch on an arm of 1 m"
     similar = f"largest {full['largest']:.1f}, rms {full['rms']:.1f} {size}"
@@ -92,7 +97,7 @@ def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
         f"largest {under['largest']:.2f}, rms {under['rms']:.2f} mm:"
         f" {full['rms'] / under['rms']:.0f} times less"
     )
-    found = [
+    claims = [
         Claim(
             "2(e)",
             "10 coordinates move like the high-order model",
@@ -106,15 +111,18 @@ def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
             under["rms"] < full["rms"],
         ),
     ]
+    # by how much passive coordinates help around the step, and by how much before it
     if "largest_around_step" in full:
-        calm, around = full["largest_before_step"], full["largest_around_step"]
-        calm_under, around_under = under["largest_before_step"], under["largest_around_step"]
+        calm = full["largest_before_step"]
+        around = full["largest_around_step"]
+        calm_under = under["largest_before_step"]
+        around_under = under["largest_around_step"]
         text = (
             f"largest from {STEP:g} s to {STEP + AFTER_STEP:g} s {around:.1f} mm without,"
             f" {around_under:.2f} mm with them; "
         )
         text += f"before it {calm:.1f} and {calm_under:.2f} mm"
-        found.append(
+        claims.append(
             Claim(
                 "2(f)",
                 "especially during the step at 5 s",
@@ -122,7 +130,7 @@ def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
                 around - around_under > calm - calm_under > 0.0,
             )
         )
-    return found
+    return claims
 
 
 def draw(
@@ -131,37 +139,47 @@ def draw(
     mismatch: dict[str, np.ndarray],
     path: Path,
 ) -> None:
+    """Figure 2: inputs, coordinates, shapes, tips and mismatches."""
     figure = plt.figure(figsize=(15, 9), constrained_layout=True)
     grid = figure.add_gridspec(2, 3)
-    reduced, time = motions["paper"], motions[FULL].time
+    reduced = motions["paper"]
+    time = motions[FULL].time
+    tensions = np.array([tension(t) for t in time])
     draw_tensions(
-        figure.add_subplot(grid[0, 0]), time, np.array([tension(t) for t in time]), "(b) inputs"
+        figure.add_subplot(grid[0, 0]),
+        time,
+        tensions,
+        "(b) inputs",
     )
+    title = "(c) coordinates of the fully actuated system"
     draw_tensions(
         figure.add_subplot(grid[0, 1]),
         time,
         reduced.q,
-        "(c) coordinates of the fully actuated system",
+        title,
     )
     arms = figure.add_subplot(grid[0, 2], projection="3d")
     draw_arms(arms, model, reduced.q, ACTUAL)
     box(arms, "(d) shapes of the fully actuated system", actual=reduced.tip_pose[:, :3, 3])
     tips = figure.add_subplot(grid[1, 0])
     for name, style in zip((FULL, *REDUCED), ("-", "--", ":"), strict=True):
+        # the same colours for x, y, z of every model
+        position = motions[name].tip_pose[:, :3, 3]
         tips.plot(
             time,
-            motions[name].tip_pose[:, :3, 3],
+            position,
             style,
             label=[f"{axis}, {name}" for axis in "xyz"],
         )
         tips.set_prop_cycle(None)
     tips.set(xlabel="time [s]", ylabel="tip position [m]", title="(e) tip")
     tips.legend(frameon=False, fontsize="small", ncols=3)
-    each = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
+    courses = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
+    title = f"(f) distance of the tip from that of {FULL}"
     draw_errors(
         figure.add_subplot(grid[1, 1:]),
-        each,
+        courses,
         "mismatch [mm]",
-        f"(f) distance of the tip from that of {FULL}",
+        title,
     )
     save_figure(figure, path)

@@ -17,10 +17,10 @@ from soft_tendon_env.recording.rerun_stream import RerunStream
 from soft_tendon_env.recording.wrappers import RowRecorder
 
 PORT = 9876  # at which Rerun's viewers listen by default
-OPENS_WITHIN = (
-    20.0  # [s] that the viewer may take to open: one, or a few without a graphics processor
-)
+# [s] that the viewer may take to open: one, or a few without a graphics processor
+OPENS_WITHIN = 20.0
 SETTLES = 0.5  # [s] in which a viewer that listens may still find that it can open no window
+LOOKS_EVERY = 0.05  # [s] between looks at whether it has opened
 PICTURE_PERIOD = 0.04  # [s] of wall-clock time between parts that are sent: 25 a second look smooth
 LAG = 0.2  # [s] from which on a simulation that is late does not try to catch up with the clock
 ROWS = 6  # of a vector environment that are shown, the first ones
@@ -50,12 +50,10 @@ class LiveRows:
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._recorders, self._due = (
-            episodes,
-            RerunViewer(PORT),
-            dict[int, RowRecorder](),
-            -np.inf,
-        )
+        self._episodes = episodes
+        self._viewer = RerunViewer(PORT)
+        self._recorders = dict[int, RowRecorder]()
+        self._due = -np.inf  # [s] of the clock, when the next step is to be shown
         for row in range(min(episodes.size, ROWS)):
             name = "arm" if episodes.size == 1 else f"row_{row}"
             self._viewer.add_arm(name, episodes.model)
@@ -108,6 +106,7 @@ def open_viewer(port: int) -> None:
             ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'
             " --headless`)"
         )
+    # a process of its own group: Ctrl-C ends the simulation and leaves the viewer
     command = [
         sys.executable,
         "-m",
@@ -121,9 +120,10 @@ def open_viewer(port: int) -> None:
     quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
     process = subprocess.Popen(command, env=environment, start_new_session=True, **quiet)
+    # it listens before it finds out whether it can open a window
     end = time.monotonic() + OPENS_WITHIN
     while not is_open(port) and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.05)
+        time.sleep(LOOKS_EVERY)
     time.sleep(SETTLES)
     if process.poll() is not None or not is_open(port):
         raise Error("the Rerun viewer did not open; `rerun` in a terminal says why")

@@ -22,7 +22,13 @@ class RerunFile(RerunStream):
         super().__init__(self.path.stem, str(self.path))
         self._attempt(self._open_recording().save, self.path)
 
-    def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
+    def write(
+        self,
+        rollout: Rollout,
+        arm: str = "arm",
+        *,
+        continues: bool = False,
+    ) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last
         episode; on disk when this returns.
 

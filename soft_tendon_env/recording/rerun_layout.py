@@ -3,6 +3,7 @@ plots of what is compared."""
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -15,16 +16,16 @@ from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-RECENT, AHEAD = (
-    10.0,
-    1.5,
-)  # times [s] that plots of a running simulation show, before now and as room for legends
+RECENT = 10.0  # [s] before now that plots of a running simulation show
+AHEAD = 1.5  # [s] after now, room for legends
 ASPECT = 3.3  # width of the view of the arms over its height
-SHOWN = {
-    "mm": 20.0,
-    "deg": 10.0,
-}  # errors up to which plots open, of an arm of 1 m: an arm that is lost hides no other
-LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
+GRID = 0.25  # distance between lines on the floor, in lengths of the rod
+SHOWN = {"mm": 20.0, "deg": 10.0}
+"""Errors up to which plots open, of an arm of 1 m, by unit: an arm that is lost hides no other."""
+LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
+NO_LEGEND = rrb.PlotLegend(visible=False)
+
+Views = list[rrb.View | rrb.Container]
 
 
 @dataclass
@@ -42,9 +43,19 @@ class DrawnArm:
     episode: int = -1
     tip: Array | None = None  # (1, 3) [m] in the sample before
     target: Array | None = None  # (1, 3) [m], the target's position in the sample before
-    series: dict[str, list[str]] = field(
-        default_factory=dict
-    )  # names of the numbers that there are of it, by kind
+    # names of the numbers that there are of it, by kind
+    series: dict[str, list[str]] = field(default_factory=dict)
+
+    def add_series(self, series: dict[str, list[str]]) -> bool:
+        """Add names of numbers by kind. Returns whether any is new."""
+        is_new = False
+        for kind, names in series.items():
+            before = self.series.get(kind, [])
+            every = list(dict.fromkeys([*before, *names]))
+            if every != before:
+                self.series[kind] = every
+                is_new = True
+        return is_new
 
 
 def part(name: str) -> str:
@@ -55,7 +66,8 @@ def part(name: str) -> str:
 def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
     """Names of the lines of every entity that is plotted, and the arm's colour where a plot has
     lines of several arms."""
-    styles, alone = dict[str, rr.SeriesLines](), len(arms) == 1
+    styles = dict[str, rr.SeriesLines]()
+    alone = len(arms) == 1
     for name, arm in arms.items():
         colors = None if alone else [arm.style.colour]
         for kind, series in arm.series.items():
@@ -63,128 +75,132 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
                 styles[f"{kind}/{part(name)}"] = rr.SeriesLines(names=series)
                 continue
             for scalar in series:
-                entity = (
-                    f"plot/{part(scalar)}/{part(name)}"
-                    if kind == "error"
-                    else f"{kind}/{part(name)}/{part(scalar)}"
-                )
-                label = name if kind == "error" else scalar if alone else f"{name} {scalar}"
+                if kind == "error":
+                    entity = f"plot/{part(scalar)}/{part(name)}"
+                    label = name
+                else:
+                    entity = f"{kind}/{part(name)}/{part(scalar)}"
+                    label = scalar if alone else f"{name} {scalar}"
                 styles[entity] = rr.SeriesLines(names=[label], colors=colors)
     return styles
 
 
-def layout(arms: dict[str, DrawnArm], trail: float, *, live: bool) -> rrb.Blueprint:
+def layout(
+    arms: dict[str, DrawnArm],
+    trail: float,
+    *,
+    live: bool,
+) -> rrb.Blueprint:
     """The blueprint, the arms above their plots: `trail` [s] behind the tips; `live` plots follow
     the time."""
     now = rrb.TimeRangeBoundary.cursor_relative
-    axis = (
-        rrb.TimeAxis(view_range=rr.TimeRange(start=now(seconds=-RECENT), end=now(seconds=AHEAD)))
-        if live
-        else None
+    axis = None
+    state = None
+    if live:
+        recent = rr.TimeRange(start=now(seconds=-RECENT), end=now(seconds=AHEAD))
+        axis = rrb.TimeAxis(view_range=recent)
+        state = rrb.components.PlayState.Following
+    tabs = rrb.Tabs(
+        *_tensions(arms, axis),
+        *_others(arms, axis),
+        active_tab=0,
     )
-    tabs = rrb.Tabs(*_tensions(arms, axis), *_others(arms, axis), active_tab=0)
-    body = rrb.Vertical(
-        _scenery(arms, trail), rrb.Horizontal(*_errors(arms, axis), tabs), row_shares=[3, 2]
-    )
-    state = rrb.components.PlayState.Following if live else None
-    return rrb.Blueprint(
-        body,
-        rrb.TimePanel(state="collapsed", timeline="sim_time", play_state=state),
-        collapse_panels=True,
-    )
+    plots = rrb.Horizontal(*_errors(arms, axis), tabs)
+    body = rrb.Vertical(_scenery(arms, trail), plots, row_shares=[3, 2])
+    time = rrb.TimePanel(state="collapsed", timeline="sim_time", play_state=state)
+    return rrb.Blueprint(body, time, collapse_panels=True)
 
 
 def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     """The arms in space, from where `render` sees one, on a floor below all of them."""
-    drawn = [*arms.values()]
-    position, target, up = camera(drawn[0].model, np.array([arm.place for arm in drawn]), ASPECT)
-    lower, upper, vertical, upright = view_box(drawn[0].model.scene)
-    height = (
-        min(arm.place @ up for arm in drawn)
-        + (lower if upright else upper)[vertical] * up[vertical]
-    )
-    recent = rrb.VisibleTimeRange(
-        "sim_time",
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-trail),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    first = next(iter(arms.values())).model
+    places = np.array([arm.place for arm in arms.values()])
+    position, target, up = camera(first, places, ASPECT)
+    lower, upper, vertical, upright = view_box(first.scene)
+    # the floor lies below all arms, wherever they are drawn
+    floor = (lower if upright else upper)[vertical] * up[vertical]
+    height = min(place @ up for place in places) + floor
+    now = rrb.TimeRangeBoundary.cursor_relative
+    recent = rrb.VisibleTimeRange("sim_time", start=now(seconds=-trail), end=now())
+    # of tips and targets the view shows the last seconds, of all else the present
+    trails = dict[Any, Any]()
+    for name in arms:
+        for line in ("trail", "target_trail"):
+            trails[f"world/{part(name)}/{line}"] = rrb.VisibleTimeRanges([recent])
     return rrb.Spatial3DView(
         origin="/world",
         name="arm" if len(arms) == 1 else "arms",
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
         line_grid=rrb.LineGrid3D(
             plane=rr.components.Plane3D(up, height),
-            spacing=0.25 * drawn[0].model.length,
+            spacing=GRID * first.length,
             stroke_width=0.5,
         ),
-        overrides={
-            f"world/{part(name)}/{line}": rrb.VisibleTimeRanges([recent])
-            for name in arms
-            for line in ("trail", "target_trail")
-        },
+        overrides=trails,
     )
 
 
-def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
+def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """A plot per error, in its unit, with a line per arm."""
-    legend, found, length = (
-        LEGEND if len(arms) > 1 else NO_LEGEND,
-        list[rrb.View | rrb.Container](),
-        next(iter(arms.values())).model.length,
-    )
+    legend = LEGEND if len(arms) > 1 else NO_LEGEND
+    length = next(iter(arms.values())).model.length
+    plots = Views()
     for name in _names(arms, "error"):
         unit = error_unit(name)
-        most = (
-            SHOWN[unit.symbol] * (length if unit.symbol == "mm" else 1.0)
-            if unit.symbol in SHOWN
-            else None
-        )
-        title = f"{unit.heading}, up to {most:.3g}" if most else unit.heading
-        found.append(
-            _plot(f"/plot/{part(name)}", title, axis, legend, (0.0, most) if most else None)
-        )
-    return found
+        title = unit.heading
+        span = None
+        if unit.symbol in SHOWN:
+            most = SHOWN[unit.symbol] * (length if unit.symbol == "mm" else 1.0)
+            title = f"{unit.heading}, up to {most:.3g}"
+            span = (0.0, most)
+        plots.append(_plot(f"/plot/{part(name)}", title, axis, legend, span))
+    return plots
 
 
-def _tensions(
-    arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None
-) -> list[rrb.View | rrb.Container]:
+def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """Tensions and actions, a plot per arm: one that shakes hides no other."""
-    limits = np.array(
-        [tendon.tension_limits for arm in arms.values() for tendon in arm.model.scene.tendons]
-    )
+    # one scale for all arms: who pulls more is seen to
+    tendons = [tendon for arm in arms.values() for tendon in arm.model.scene.tendons]
+    limits = np.array([tendon.tension_limits for tendon in tendons])
     kinds = {
         "tension": ("tensions [N]", (float(limits.min()), float(limits.max()))),
         "action": ("actions", (-1.0, 1.0)),
     }
-    legend, columns, found = (
-        LEGEND if len(arms) == 1 else NO_LEGEND,
-        math.ceil(math.sqrt(len(arms))),
-        list[rrb.View | rrb.Container](),
-    )
+    legend = LEGEND if len(arms) == 1 else NO_LEGEND
+    columns = math.ceil(math.sqrt(len(arms)))
+    grids = Views()
     for kind, (title, span) in kinds.items():
         if _names(arms, kind):
-            plots = [_plot(f"/{kind}/{part(arm)}", arm, axis, legend, span) for arm in arms]
-            found.append(rrb.Grid(*plots, name=title, grid_columns=columns))
-    return found
+            plots = [
+                _plot(
+                    f"/{kind}/{part(arm)}",
+                    arm,
+                    axis,
+                    legend,
+                    span,
+                )
+                for arm in arms
+            ]
+            grids.append(rrb.Grid(*plots, name=title, grid_columns=columns))
+    return grids
 
 
-def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
+def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """Rewards, what else is counted, the titles of episodes, the scene."""
-    views: list[rrb.View] = []
+    views = Views()
     for kind in ("reward", "other"):
-        shown = [
-            f"/{kind}/{part(arm)}/{part(name)}"
-            for arm, known in arms.items()
-            for name in known.series.get(kind, [])
-        ]
+        shown = []
+        for arm, known in arms.items():
+            for name in known.series.get(kind, []):
+                shown.append(f"/{kind}/{part(arm)}/{part(name)}")
         if shown:
             legend = LEGEND if len(shown) > 1 else NO_LEGEND
-            views.append(
-                rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend)
-            )
-    scenes = [rrb.TextDocumentView(origin=f"/scene/{part(next(iter(arms)))}", name="scene")]
-    return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
+            view = rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend)
+            views.append(view)
+    views.append(rrb.TextLogView(origin="/episodes", name="episodes"))
+    first = next(iter(arms))
+    views.append(rrb.TextDocumentView(origin=f"/scene/{part(first)}", name="scene"))
+    return views
 
 
 def _plot(
@@ -204,4 +220,5 @@ def _plot(
 
 def _names(arms: dict[str, DrawnArm], kind: str) -> list[str]:
     """Names of all numbers of a kind, each once."""
-    return [*dict.fromkeys(name for arm in arms.values() for name in arm.series.get(kind, []))]
+    every = [name for arm in arms.values() for name in arm.series.get(kind, [])]
+    return list(dict.fromkeys(every))

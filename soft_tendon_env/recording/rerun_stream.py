@@ -13,6 +13,7 @@ arm's first sample is at 0, 0, 0;
 - `episodes/ARM`: the title of each episode where it begins; `scene/ARM`: the scene as JSON.
 """
 
+import itertools
 import json
 from collections.abc import Iterable
 from typing import Any, Self
@@ -38,19 +39,26 @@ except ImportError as error:
         'Rerun is not installed, run `pip install "soft_tendon_env[recording]"`'
     ) from error
 
-STATIONS, TRAIL = (
-    25,
-    3.0,
-)  # about how many points a backbone is drawn with, and for how long [s] tips leave a line behind
-TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
+STATIONS = 25  # about how many points a backbone is drawn with
+TRAIL = 3.0  # [s] for which tips leave a line behind
+
+# red, green and blue, 0 to 255
+TARGET_COLOR = (255, 255, 255)
+MOUNT_COLOR = (110, 112, 120)
+SOLID_COLOR = (186, 164, 128)
 TRANSPARENCY = 80  # alpha of the body, of 255: the tendons inside are to be seen
+TIP_AXES = 0.05  # length of the axes of the tip, in lengths of the rod
 
 AXES = np.stack([np.zeros((3, 3)), np.diag([0.12, 0.08, 0.04])], axis=1)
 """Lines (3, 2, 3) of a target's frame, as shares of the rod's length, the longest along its x:
 white, since tips and arms have colours."""
 
-TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
-"""Radii of lines and points in pixels: Rerun takes negative ones so."""
+# radii of lines and points in pixels: Rerun takes negative ones so
+TENDON_WIDTH = -1.0
+TRAIL_WIDTH = -1.25
+TARGET_WIDTH = -0.75
+TARGET_SIZE = -4.0
+THIN_WIDTH = 0.5 * TENDON_WIDTH  # of backbones and of what is seen through
 
 
 class RerunStream:
@@ -61,7 +69,8 @@ class RerunStream:
     def __init__(self, name: str, where: str) -> None:
         """`name`: of the recording, in the viewer, which keeps one layout per name; `where` it
         goes, for messages."""
-        self._where, self._arms = where, dict[str, DrawnArm]()
+        self._where = where
+        self._arms = dict[str, DrawnArm]()
         self._recording: rr.RecordingStream | None = rr.RecordingStream(name)
         self._recording.send_recording_name(name)
 
@@ -82,7 +91,12 @@ class RerunStream:
             self._recording.disconnect()
             self._recording = None
 
-    def add_arm(self, arm: str, model: Model, place: Iterable[float] | None = None) -> None:
+    def add_arm(
+        self,
+        arm: str,
+        model: Model,
+        place: Iterable[float] | None = None,
+    ) -> None:
         """Name an arm, to be drawn at a `place` (3,) [m], by default beside those before it;
         positions are recorded as if at the origin.
 
@@ -90,16 +104,14 @@ class RerunStream:
         """
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
-        where = np.array(
-            [*(shapes.side_by_side(model, len(self._arms)) if place is None else place)],
-            dtype=float,
-        )
+        if place is None:
+            place = shapes.side_by_side(model, len(self._arms))
+        position = np.array(list(place), dtype=float)
         style = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, style, where, shapes.drawing_stations(model, STATIONS))
+        new = DrawnArm(model, style, position, shapes.drawing_stations(model, STATIONS))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
-        shapes.backbones(
-            model, straight[None], new.station
-        )  # compiles, if need be, before an episode waits for it
+        # compiles, if need be, before an episode waits for it
+        shapes.backbones(model, straight[None], new.station)
         self._arms[arm] = new
         self._send_scenery(arm, new)
 
@@ -110,7 +122,13 @@ class RerunStream:
         for arm in self._arms.values():
             arm.time, arm.step = latest
 
-    def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
+    def write(
+        self,
+        rollout: Rollout,
+        arm: str = "arm",
+        *,
+        continues: bool = False,
+    ) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last
         episode.
 
@@ -126,26 +144,31 @@ class RerunStream:
             )
         if not rollout.samples:
             return
+        # an episode begins: nothing of the one before is joined with it
         if not continues or known.episode < 0:
-            known.episode, known.tip, known.target, known.shown = known.episode + 1, None, None, 0
-            self._send(
-                f"episodes/{part(arm)}",
-                _times(known, 1, rollout.period),
-                rr.TextLog.columns(text=[rollout.title or "episode"]),
-            )
-        times, root = _times(known, rollout.samples, rollout.period), f"world/{part(arm)}"
+            known.episode += 1
+            known.tip = None
+            known.target = None
+            known.shown = 0
+            begin = _times(known, 1, rollout.period)
+            title = rr.TextLog.columns(text=[rollout.title or "episode"])
+            self._send(f"episodes/{part(arm)}", begin, title)
+        times = _times(known, rollout.samples, rollout.period)
+        root = f"world/{part(arm)}"
         self._send_arm(root, known, rollout, times)
         self._send_target(root, known, rollout, times)
         self._send_solids(root, known, rollout, times)
+        label = f"{arm}\n{rollout.title}".rstrip()
         self._send(
             f"{root}/name",
             times,
-            rr.Points3D.columns(labels=[f"{arm}\n{rollout.title}".rstrip()] * rollout.samples),
+            rr.Points3D.columns(labels=[label] * rollout.samples),
         )
         self._send_numbers(arm, known, rollout, times)
+        # where the next stretch goes on
         known.step += rollout.samples
         known.shown += rollout.samples
-        known.time += rollout.samples * round(1e9 * rollout.period)
+        known.time += rollout.samples * _nanoseconds(rollout.period)
 
     def _open_recording(self) -> rr.RecordingStream:
         if self._recording is None:
@@ -155,26 +178,27 @@ class RerunStream:
     def _send(
         self, entity: str, times: list[rr.TimeColumn], *columns: Iterable[rr.ComponentColumn]
     ) -> None:
-        self._open_recording().send_columns(
-            entity, times, [column for several in columns for column in several], strict=True
-        )
+        every = list(itertools.chain(*columns))
+        self._open_recording().send_columns(entity, times, every, strict=True)
 
     def _send_static(self, entity: str, what: rr.AsComponents) -> None:
         self._open_recording().log(entity, what, static=True, strict=True)
 
     def _send_scenery(self, arm: str, new: DrawnArm) -> None:
         """Log what never changes."""
-        scene, length, solid = (
-            new.model.scene,
-            rod_length(new.model.scene),
-            rr.components.FillMode.Solid,
-        )
+        scene = new.model.scene
+        length = rod_length(scene)
+        solid = rr.components.FillMode.Solid
         *_, vertical, upright = shapes.view_box(scene)
         depth, radius = shapes.mount_size(scene)
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
-        behind, label = [-depth / 2, 0.0, 0.0], shapes.label_place(new.model)
-        radii, _ = rod_radius(scene, 0.5 * (new.station[1:] + new.station[:-1]))
+        behind = [-depth / 2, 0.0, 0.0]
+        label = shapes.label_place(new.model)
+        start = new.station[:-1]
+        end = new.station[1:]
+        radii, _ = rod_radius(scene, 0.5 * (end + start))
         colors = (*new.style.colour, TRANSPARENCY)
+        # what moves is sent with the samples; here is how it looks
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
             "/name": rr.Points3D.from_fields(
@@ -191,156 +215,178 @@ class RerunStream:
                 fill_mode=solid,
                 colors=MOUNT_COLOR,
             ),
-            "/backbone": rr.LineStrips3D.from_fields(
-                radii=0.5 * TENDON_WIDTH, colors=new.style.colour
-            ),
+            "/backbone": rr.LineStrips3D.from_fields(radii=THIN_WIDTH, colors=new.style.colour),
             "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
             "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.style.colour),
-            "/tip": rr.TransformAxes3D(0.05 * length),
+            "/tip": rr.TransformAxes3D(TIP_AXES * length),
             "/target_backbone": rr.LineStrips3D.from_fields(
                 radii=TARGET_WIDTH, colors=TARGET_COLOR
             ),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
         }
-        self._send_static(
-            "world",
-            getattr(
-                rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"
-            ),
-        )
-        if (discs := disc_rows(scene)).size:
+        up = "UP" if upright else "DOWN"
+        axes = getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{up}")
+        self._send_static("world", axes)
+        discs = disc_rows(scene)
+        if discs.size:
             parts["/discs"] = rr.Cylinders3D.from_fields(
                 lengths=discs[:, 3], radii=discs[:, 2], fill_mode=solid, colors=colors
             )
         for name, what in parts.items():
             self._send_static(f"world/{part(arm)}{name}", what)
-        self._send_static(
-            f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2))
-        )
+        text = json.dumps(scene_to_dict(scene), indent=2)
+        self._send_static(f"scene/{part(arm)}", rr.TextDocument(text))
 
     def _send_arm(
-        self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]
+        self,
+        root: str,
+        known: DrawnArm,
+        rollout: Rollout,
+        times: list[rr.TimeColumn],
     ) -> None:
-        base = shapes.base_poses(rollout.model, _moments(known, rollout), rollout.scene)
+        model = rollout.model
+        base = shapes.base_poses(model, _moments(known, rollout), rollout.scene)
         if (base != np.eye(4)).any():
             self._send(f"{root}/mount", times, _poses(base))
-        frames = shapes.backbones(rollout.model, rollout.strain, known.station, base)
-        position = frames[..., :3, 3]
+        # the rod, as cylinders between its stations
+        frames = shapes.backbones(model, rollout.strain, known.station, base)
+        position = shapes.positions(frames)
         centers, quaternions = shapes.cylinders(position)
-        pieces = rr.Cylinders3D.columns(
-            centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4)
-        )
-        self._send(
-            f"{root}/body", times, pieces.partition([known.station.size - 1] * rollout.samples)
-        )
+        self._send(f"{root}/body", times, _cylinders(centers, quaternions))
         self._send(f"{root}/backbone", times, _lines(position))
-        if (discs := disc_rows(rollout.model.scene)).size:
-            poses = shapes.backbones(rollout.model, rollout.strain, discs[:, 0], base)
-            turned = shapes.rotation_from_z(poses[..., :3, 0])
-            plates = rr.Cylinders3D.columns(
-                centers=poses[..., :3, 3].reshape(-1, 3), quaternions=turned.reshape(-1, 4)
+        discs = disc_rows(model.scene)
+        if discs.size:
+            poses = shapes.backbones(
+                model,
+                rollout.strain,
+                discs[:, 0],
+                base,
             )
-            self._send(f"{root}/discs", times, plates.partition([len(discs)] * rollout.samples))
-        curves = shapes.tendon_curves(rollout.model, frames, known.station)
+            turned = shapes.rotation_from_z(poses[..., :3, 0])
+            plates = _cylinders(shapes.positions(poses), turned)
+            self._send(f"{root}/discs", times, plates)
+        # tendons, each in the colour of its tension
+        curves = shapes.tendon_curves(model, frames, known.station)
+        colors = shapes.tension_colors(model, rollout.tension)
         strips = rr.LineStrips3D.columns(
-            strips=_strips(curves),
-            colors=shapes.tension_colors(rollout.model, rollout.tension)
-            .reshape(-1, 3)
-            .astype(np.uint8),
+            strips=_strips(curves), colors=colors.reshape(-1, 3).astype(np.uint8)
         )
-        self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
+        per_sample = [len(curves)] * rollout.samples
+        self._send(f"{root}/tendons", times, strips.partition(per_sample))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
-        self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tip)))
-        known.tip = rollout.tip_pose[-1:, :3, 3]
+        # the tip, and the way that it came
+        tip = shapes.positions(rollout.tip_pose)
+        self._send(
+            f"{root}/trail",
+            times,
+            _lines(_steps(tip, known.tip)),
+        )
+        known.tip = tip[-1:]
 
     def _send_target(
-        self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]
+        self,
+        root: str,
+        known: DrawnArm,
+        rollout: Rollout,
+        times: list[rr.TimeColumn],
     ) -> None:
         if rollout.target_pose is not None:
             if known.episode == 0 and known.target is None:
-                self._send_static(
-                    f"{root}/target",
-                    rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR),
-                )
-                axes = rr.LineStrips3D(
-                    [*(rod_length(rollout.model.scene) * AXES)],
-                    radii=TARGET_WIDTH,
-                    colors=TARGET_COLOR,
-                )
-                self._send_static(f"{root}/target/axes", axes)
+                self._send_target_frame(f"{root}/target", rod_length(rollout.model.scene))
             self._send(f"{root}/target", times, _poses(rollout.target_pose))
+            target = shapes.positions(rollout.target_pose)
             self._send(
-                f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.target))
+                f"{root}/target_trail",
+                times,
+                _lines(_steps(target, known.target)),
             )
-            known.target = rollout.target_pose[-1:, :3, 3]
+            known.target = target[-1:]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
 
+    def _send_target_frame(self, entity: str, length: float) -> None:
+        """Log how a target's pose looks, on an arm of this length [m]."""
+        point = rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR)
+        self._send_static(entity, point)
+        lines = list(length * AXES)
+        axes = rr.LineStrips3D(lines, radii=TARGET_WIDTH, colors=TARGET_COLOR)
+        self._send_static(f"{entity}/axes", axes)
+
     def _send_solids(
-        self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]
+        self,
+        root: str,
+        known: DrawnArm,
+        rollout: Rollout,
+        times: list[rr.TimeColumn],
     ) -> None:
         """The obstacles where others than before are to be seen, and how they move: their surfaces
         are where they are at time 0."""
         effects = (rollout.scene or rollout.model.scene).effects
-        obstacles, moments = shapes.obstacles_of(effects), _moments(known, rollout)
+        obstacles = shapes.obstacles_of(effects)
         if not obstacles:
             return
+        lower, upper, _, _ = shapes.view_box(rollout.model.scene)
         if known.effects != effects:
             known.effects = effects
             first = _times(known, 1, rollout.period)
             for number, obstacle in enumerate(obstacles):
-                corners = shapes.surface(obstacle, 0.0, shapes.view_box(rollout.model.scene)[:2])
-                self._send(
-                    f"{root}/solids/{number}",
-                    first,
-                    _seen_through(corners) if obstacle.is_endless else _mesh(corners),
-                )
+                corners = shapes.surface(obstacle, 0.0, (lower, upper))
+                look = _seen_through(corners) if obstacle.is_endless else _mesh(corners)
+                self._send(f"{root}/solids/{number}", first, look)
+        # surfaces are sent where they are at time 0, and then how they have moved since
+        moments = _moments(known, rollout).tolist()
         for number, obstacle in enumerate(obstacles):
             if obstacle.moves:
-                poses = np.array([obstacle.pose(time) for time in moments.tolist()])
+                poses = np.array([obstacle.pose(time) for time in moments])
+                from_first = poses @ np.linalg.inv(obstacle.pose(0.0))
                 self._send(
                     f"{root}/solids/{number}",
                     times,
-                    _poses(poses @ np.linalg.inv(obstacle.pose(0.0))),
+                    _poses(from_first),
                 )
 
     def _send_numbers(
-        self, arm: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]
+        self,
+        arm: str,
+        known: DrawnArm,
+        rollout: Rollout,
+        times: list[rr.TimeColumn],
     ) -> None:
         rows = {"tension": rollout.tension}
         if rollout.action is not None and rollout.action.shape[1]:
             rows["action"] = rollout.action
         for kind, values in rows.items():
             columns = rr.Scalars.columns(scalars=values.ravel())
+            per_sample = [values.shape[1]] * rollout.samples
             self._send(
-                f"{kind}/{part(arm)}", times, columns.partition([values.shape[1]] * rollout.samples)
+                f"{kind}/{part(arm)}",
+                times,
+                columns.partition(per_sample),
             )
+        # plots have errors in the units in which people read them
         for name, values in rollout.scalars.items():
+            numbers = rr.Scalars.columns(scalars=values)
             self._send(
-                f"{_kind(name)}/{part(arm)}/{part(name)}", times, rr.Scalars.columns(scalars=values)
+                f"{_kind(name)}/{part(arm)}/{part(name)}",
+                times,
+                numbers,
             )
             if _kind(name) == "error":
+                shown = error_unit(name).factor * values
+                plotted = rr.Scalars.columns(scalars=shown)
                 self._send(
                     f"plot/{part(name)}/{part(arm)}",
                     times,
-                    rr.Scalars.columns(scalars=error_unit(name).factor * values),
+                    plotted,
                 )
-        series = {
-            kind: [f"{kind} {i}" for i in range(values.shape[1])] for kind, values in rows.items()
-        }
+        series = dict[str, list[str]]()
+        for kind, values in rows.items():
+            series[kind] = [f"{kind} {number}" for number in range(values.shape[1])]
         for name in rollout.scalars:
             series.setdefault(_kind(name), []).append(name)
-        if any(
-            name not in known.series.get(kind, [])
-            for kind, names in series.items()
-            for name in names
-        ):
-            for kind, names in series.items():
-                known.series[kind] = [*dict.fromkeys([*known.series.get(kind, []), *names])]
-            if all(
-                each.series for each in self._arms.values()
-            ):  # a layout takes space: not one for each arm that appears
-                self._lay_out()
+        # a layout takes space: not one for each arm that appears
+        if known.add_series(series) and all(each.series for each in self._arms.values()):
+            self._lay_out()
 
     def _lay_out(self) -> None:
         """Send the names and colours of all lines in plots, and what the viewer is to show of all
@@ -352,35 +398,39 @@ class RerunStream:
 
 def _kind(scalar: str) -> str:
     """The group of plots that a scalar belongs to."""
-    return (
-        "reward"
-        if scalar.startswith("reward")
-        else "error"
-        if scalar.endswith("error")
-        else "other"
-    )
+    if scalar.startswith("reward"):
+        return "reward"
+    return "error" if scalar.endswith("error") else "other"
 
 
-def _times(arm: DrawnArm, samples: int, period: float) -> list[rr.TimeColumn]:
+def _nanoseconds(seconds: float) -> int:
+    """A time [s] in the unit of Rerun's timelines."""
+    return round(1e9 * seconds)
+
+
+def _times(
+    arm: DrawnArm,
+    samples: int,
+    period: float,
+) -> list[rr.TimeColumn]:
     """Places of the arm's next samples on the timelines."""
     passed = np.arange(samples)
+    time = arm.time + passed * _nanoseconds(period)
+    episode = np.full(samples, arm.episode)
     return [
-        rr.TimeColumn(
-            "sim_time", duration=(arm.time + passed * round(1e9 * period)).astype("timedelta64[ns]")
-        ),
+        rr.TimeColumn("sim_time", duration=time.astype("timedelta64[ns]")),
         rr.TimeColumn("step", sequence=arm.step + passed),
-        rr.TimeColumn("episode", sequence=np.full(samples, arm.episode)),
+        rr.TimeColumn("episode", sequence=episode),
     ]
 
 
-def _steps(pose: Array, before: Array | None) -> Array:
-    """Lines (samples, 2, 3) from where poses (samples, 4, 4) were a sample before; the view shows
-    those of the last seconds together."""
-    position = pose[:, :3, 3]
-    return np.stack(
-        [np.concatenate([position[:1] if before is None else before, position[:-1]]), position],
-        axis=1,
-    )
+def _steps(position: Array, before: Array | None) -> Array:
+    """Lines (samples, 2, 3) from where positions (samples, 3) were a sample before; the view shows
+    those of the last seconds together. before (1, 3): the last of the samples before, None: there
+    are none."""
+    first = position[:1] if before is None else before
+    start = np.concatenate([first, position[:-1]])
+    return np.stack([start, position], axis=1)
 
 
 def _lines(points: Array) -> rr.ComponentColumnList:
@@ -389,39 +439,56 @@ def _lines(points: Array) -> rr.ComponentColumnList:
 
 
 def _poses(pose: Array) -> rr.ComponentColumnList:
-    return rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3])
+    """A transform per pose (samples, 4, 4)."""
+    rotation = pose[:, :3, :3]
+    return rr.Transform3D.columns(translation=shapes.positions(pose), mat3x3=rotation)
+
+
+def _cylinders(centers: Array, quaternions: Array) -> rr.ComponentColumnList:
+    """Cylinders at centres (samples, m, 3), turned by quaternions (samples, m, 4), per sample."""
+    samples, count, _ = centers.shape
+    columns = rr.Cylinders3D.columns(
+        centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4)
+    )
+    return columns.partition([count] * samples)
 
 
 def _mesh(corners: Array) -> list[rr.ComponentColumn]:
     """Quadrilaterals (n, 4, 3) as a mesh, at one time."""
-    first = 4 * np.arange(len(corners))[:, None]
-    triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
-    shaded = np.repeat(normals(corners), 4, axis=0)
-    vertices = rr.Mesh3D.columns(
-        vertex_positions=corners.reshape(-1, 3), vertex_normals=shaded
-    ).partition([4 * len(corners)])
-    faces = rr.Mesh3D.columns(triangle_indices=triangles).partition([len(triangles)])
-    return [*vertices, *faces, *rr.Mesh3D.columns(albedo_factor=[SOLID_COLOR])]
+    first = 4 * np.arange(len(corners))[:, None]  # number of a quadrilateral's first corner
+    halves = [first + [0, 1, 2], first + [0, 2, 3]]
+    triangles = np.concatenate(halves)
+    directions = np.repeat(normals(corners), 4, axis=0)
+    vertices = rr.Mesh3D.columns(vertex_positions=corners.reshape(-1, 3), vertex_normals=directions)
+    faces = rr.Mesh3D.columns(triangle_indices=triangles)
+    return [
+        *vertices.partition([4 * len(corners)]),
+        *faces.partition([len(triangles)]),
+        *rr.Mesh3D.columns(albedo_factor=[SOLID_COLOR]),
+    ]
 
 
 def _seen_through(corners: Array) -> list[rr.ComponentColumn]:
     """Quadrilaterals (n, 4, 3) as lines, at one time."""
-    lines = rr.LineStrips3D.columns(strips=corners.astype(np.float32)).partition([len(corners)])
-    return [*lines, *rr.LineStrips3D.columns(radii=[0.5 * TENDON_WIDTH], colors=[SOLID_COLOR])]
+    lines = rr.LineStrips3D.columns(strips=corners.astype(np.float32))
+    look = rr.LineStrips3D.columns(radii=[THIN_WIDTH], colors=[SOLID_COLOR])
+    return [*lines.partition([len(corners)]), *look]
 
 
 def _moments(known: DrawnArm, rollout: Rollout) -> Array:
     """Times (samples,) [s] of a rollout's samples since its episode began."""
-    return np.asarray((known.shown + np.arange(rollout.samples)) * rollout.period)
+    numbers = known.shown + np.arange(rollout.samples)
+    return np.asarray(numbers * rollout.period)
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:
     """Curves (samples, m_i, 3) sample by sample. Made in Arrow: from lists of arrays Rerun takes
     ten times as long."""
     kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
-    points = pyarrow.array(np.concatenate(curves, axis=1, dtype=np.float32).ravel())
-    lengths = np.tile([curve.shape[1] for curve in curves], len(curves[0]))
-    vectors = pyarrow.FixedSizeListArray.from_arrays(points, type=kind.value_type)
-    return pyarrow.ListArray.from_arrays(
-        np.cumsum([0, *lengths], dtype=np.int32), vectors, type=kind
-    )
+    samples = len(curves[0])
+    points = np.concatenate(curves, axis=1, dtype=np.float32)
+    counts = np.tile([curve.shape[1] for curve in curves], samples)
+    ends = np.cumsum([0, *counts], dtype=np.int32)
+    numbers = pyarrow.array(points.ravel())
+    vectors = pyarrow.FixedSizeListArray.from_arrays(numbers, type=kind.value_type)
+    return pyarrow.ListArray.from_arrays(ends, vectors, type=kind)

@@ -47,7 +47,8 @@ class RolloutBuffer:
     """Collects samples of a row of running episodes."""
 
     def __init__(self, episodes: Episodes, row: int = 0) -> None:
-        self._episodes, self._row = episodes, row
+        self._episodes = episodes
+        self._row = row
         self.clear()
 
     def __len__(self) -> int:
@@ -55,22 +56,26 @@ class RolloutBuffer:
 
     def take(self) -> None:
         """Add where the row stands now, and the action that led there, NaN where none did."""
-        now, row, reading = self._episodes, self._row, self._episodes.arms.reading
-        steps = now.step_count[row] > 0
-        action = np.where(steps, now.observed.action[row], np.nan)
-        sample = (
-            now.arms.rows.xi,
-            now.tension,
-            reading.tip_pose,
-            now.target_pose,
-            now.target_backbone,
+        episodes = self._episodes
+        row = self._row
+        arms = episodes.arms
+        values_of_rows = (
+            arms.rows.xi,
+            episodes.tension,
+            arms.reading.tip_pose,
+            episodes.target_pose,
+            episodes.target_backbone,
         )
-        self._samples.append([*(values[row].copy() for values in sample), action])
-        self._scalars.append(
-            {name: float(values[row]) for name, values in now.info().items()}
-            | {"reward": float(now.reward[row]) if steps else np.nan}
-        )
-        self._scene = now.arms.model_of(row).scene
+        sample = [values[row].copy() for values in values_of_rows]
+        scalars = {name: float(values[row]) for name, values in episodes.info().items()}
+        action = np.array(episodes.observed.action[row], dtype=float)
+        scalars["reward"] = float(episodes.reward[row])
+        if episodes.step_count[row] == 0:  # neither has led there
+            action[:] = np.nan
+            scalars["reward"] = np.nan
+        self._samples.append([*sample, action])
+        self._scalars.append(scalars)
+        self._scene = arms.model_of(row).scene
 
     def clear(self) -> None:
         """Forget the samples."""
@@ -79,33 +84,36 @@ class RolloutBuffer:
 
     def rollout(self, title: str = "") -> Rollout:
         """The samples since the last `clear`, of which there is at least one."""
-        model, records = self._episodes.model, self._scalars
-        strain, *columns = (np.array(column) for column in zip(*self._samples, strict=True))
-        scalars = {name: np.array([record[name] for record in records]) for name in records[0]}
-        sampled: dict[str, Any] = dict(
-            zip(
-                ("tension", "tip_pose", "target_pose", "target_backbone", "action"),
-                columns,
-                strict=True,
-            )
+        model = self._episodes.model
+        xi, tension, tip_pose, target_pose, target_backbone, action = (
+            np.array(column) for column in zip(*self._samples, strict=True)
         )
-        strain = model.grid.unpacked(strain)
+        scalars = {}
+        for name in self._scalars[0]:
+            scalars[name] = np.array([record[name] for record in self._scalars])
         return Rollout(
             model,
             self._episodes.period,
-            strain,
-            scalars=scalars,
-            title=title,
-            scene=self._scene,
-            **sampled,
+            model.grid.unpacked(xi),
+            tension,
+            tip_pose,
+            target_pose,
+            target_backbone,
+            action,
+            scalars,
+            title,
+            self._scene,
         )
 
 
 def collect(
-    env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None
+    env: gym.Env[Any, Any],
+    policy: Callable[[Any], ArrayLike],
+    seed: int | None = None,
 ) -> Rollout:
     """One episode of an environment with actions policy(observation), until it ends."""
-    buffer, ended = RolloutBuffer(episodes_of(env)), False
+    buffer = RolloutBuffer(episodes_of(env))
+    ended = False
     observation, _ = env.reset(seed=seed)
     buffer.take()
     while not ended:

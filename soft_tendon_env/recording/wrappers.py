@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import gymnasium as gym
 
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.recording.rollout import RolloutBuffer
+from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
@@ -30,34 +30,28 @@ class RowRecorder:
         row: int,
         flush_period: float | None,
     ) -> None:
-        self._file, self._arm, self._episodes, self._flush_period = (
-            file,
-            arm,
-            episodes,
-            flush_period,
-        )
-        self._buffer, self._episode, self._title, self._written, self._continues = (
-            RolloutBuffer(episodes, row),
-            -1,
-            "",
-            0.0,
-            False,
-        )
+        self._file = file
+        self._arm = arm
+        self._episodes = episodes
+        self._flush_period = flush_period
+        self._buffer = RolloutBuffer(episodes, row)
+        self._episode = -1  # number of the episode
+        self._title = ""
+        self._written = 0.0  # [s] of the clock
+        self._continues = False  # whether a part of the episode is written
+
+        self.rollout: Rollout | None = None  # the newest that was written
 
     def begin(self, seed: int | None = None) -> None:
         """Take the state after a reset as the first sample of the next episode; one that has not
         ended ends here."""
         self.finish()
         self._episode += 1
-        options, task = self._episodes.options, self._episodes.task
-        target = task.target if options.target is None else options.target.type
-        self._title = ", ".join(
-            [
-                f"episode {self._episode}",
-                f"target {target}",
-                *([] if seed is None else [f"seed {seed}"]),
-            ]
-        )
+        chosen = self._episodes.options.target
+        target = self._episodes.task.target if chosen is None else chosen.type
+        self._title = f"episode {self._episode}, target {target}"
+        if seed is not None:
+            self._title += f", seed {seed}"
         self._written = perf_counter()
         self._buffer.take()
 
@@ -75,13 +69,20 @@ class RowRecorder:
 
     def flush(self) -> None:
         """Write what there is of the episode so far, unless not a step of it has been done."""
-        if len(self._buffer) > (0 if self._continues else 1):
+        after_reset = 0 if self._continues else 1  # samples without a step
+        if len(self._buffer) > after_reset:
             self._write()
 
     def _write(self) -> None:
-        self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
+        self.rollout = self._buffer.rollout(self._title)
+        self._file.write(
+            self.rollout,
+            self._arm,
+            continues=self._continues,
+        )
         self._buffer.clear()
-        self._continues, self._written = True, perf_counter()
+        self._continues = True
+        self._written = perf_counter()
 
 
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
@@ -104,14 +105,19 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         place: Sequence[float] | Literal["beside"] | None = "beside",
     ) -> None:
         super().__init__(env)
-        episodes, self._closes, self._file = (
-            episodes_of(env),
-            isinstance(file, str | Path),
-            _open(file),
-        )
+        episodes = episodes_of(env)
+        self._closes = isinstance(file, str | Path)
+        self._file = _open(file)
         if place is not None:
-            self._file.add_arm(name, episodes.model, None if place == "beside" else place)
+            position = None if place == "beside" else place
+            self._file.add_arm(name, episodes.model, position)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
+
+    @property
+    def rollout(self) -> Rollout | None:
+        """Newest stretch of an episode that was written: with `flush_period=None` the whole episode
+        that ended last. None: nothing was."""
+        return self._recorder.rollout
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -122,8 +128,9 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         result = self.env.step(action)
+        _, _, terminated, truncated, _ = result
         self._recorder.step()
-        if result[2] or result[3]:
+        if terminated or truncated:
             self._recorder.finish()
         return result
 
@@ -144,43 +151,46 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
     """
 
     def __init__(
-        self, env: gym.vector.VectorEnv[Any, Any, Any], path: str | Path, rows: Sequence[int] = (0,)
+        self,
+        env: gym.vector.VectorEnv[Any, Any, Any],
+        path: str | Path,
+        rows: Sequence[int] = (0,),
     ) -> None:
         super().__init__(env)
-        if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
+        unknown = [row for row in rows if not 0 <= row < env.num_envs]
+        if unknown:
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
-        self._episodes, self._file, self._recorders = (
-            episodes_of(env),
-            _open(path),
-            dict[int, RowRecorder](),
-        )
+        self._episodes = episodes_of(env)
+        self._file = _open(path)
+        self._recorders = dict[int, RowRecorder]()
         for row in rows:
-            self._file.add_arm(f"row_{row}", self._episodes.model)
-            self._recorders[row] = RowRecorder(
-                self._file, f"row_{row}", self._episodes, row, FLUSH_PERIOD
-            )
+            arm = f"row_{row}"
+            self._file.add_arm(arm, self._episodes.model)
+            self._recorders[row] = RowRecorder(self._file, arm, self._episodes, row, FLUSH_PERIOD)
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        result, mask = self.env.reset(seed=seed, options=options), (options or {}).get("reset_mask")
+        result = self.env.reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        seeds = seed
+        if seed is None or isinstance(seed, int):  # as Gymnasium counts on
+            seeds = [None if seed is None else seed + row for row in range(self.num_envs)]
         for row, recorder in self._recorders.items():
             if mask is None or mask[row]:
-                recorder.begin(
-                    seed + row if isinstance(seed, int) else seed if seed is None else seed[row]
-                )
+                recorder.begin(seeds[row])
         return result
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         result = self.env.step(actions)
+        _, _, terminated, truncated, _ = result
         for row, recorder in self._recorders.items():
-            if (
-                self._episodes.step_count[row] == 0
-            ):  # the row has been reset, either instead of a step or after one
+            # the row has been reset, either instead of a step or after one
+            if self._episodes.step_count[row] == 0:
                 recorder.begin()
                 continue
             recorder.step()
-            if result[2][row] or result[3][row]:
+            if terminated[row] or truncated[row]:
                 recorder.finish()
         return result
 

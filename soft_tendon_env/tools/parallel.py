@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from soft_tendon_env.tools.messages import QUIET, describe, first_line
+from soft_tendon_env.tools.messages import describe, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
@@ -55,7 +55,8 @@ def run_all(
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a
     cluster cannot be reached.
     """
-    from tqdm import tqdm  # not for everyone who imports an environment
+    # tqdm is not for everyone who imports an environment
+    from soft_tendon_env.tools.progress import progress_bar
 
     results, workers, main = (
         dict[int, Result](),
@@ -74,10 +75,7 @@ def run_all(
         if cluster is None
         else _on_cluster(jobs, workers, cluster)
     )
-    with (
-        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar,
-        contextlib.closing(found),
-    ):
+    with progress_bar(len(runs), label, unit) as bar, contextlib.closing(found):
         for place, result in found:
             results[place] = result
             if done is not None:

@@ -48,6 +48,17 @@ def test_what_is_there_is_not_played_again_and_scores_survive_their_file(tmp_pat
         whole.scores("one")
 
 
+def test_each_part_has_a_progress_bar_of_its_own_name(tmp_path, monkeypatch):
+    labels = []
+
+    def remember(call, runs, workers, label, **options):
+        labels.append(label)
+
+    monkeypatch.setattr(experiment, "run_all", remember)
+    Experiment({"one": CELL}, tmp_path).play("circle", 1)
+    assert labels == ["circle: times per action", "circle: episodes"]
+
+
 def test_other_code_is_another_result(tmp_path, monkeypatch):
     """Of modules that are not installed too, such as one that registers a controller."""
     before, module = code_digest(), type(sys)("own_controllers")

@@ -67,8 +67,10 @@ def play(env, episodes):
 
 
 def test_every_episode_is_recorded_from_reset_to_end(file):
-    seen = play(RecordRollout(make(), "unused.rrd"), 2)
-    assert file.samples() == [6, 6]
+    env = RecordRollout(make(), "unused.rrd", flush_period=None)
+    assert env.rollout is None
+    seen = play(env, 2)
+    assert file.samples() == [6, 6] and env.rollout is file.written[-1][1]
     for episode, (arm, rollout, continues) in enumerate(file.written):
         tension, error = zip(*seen[6 * episode : 6 * episode + 6], strict=True)
         assert (

@@ -1,0 +1,54 @@
+"""Progress bars of long calls: on a terminal as tqdm draws them, in files and pipes a few lines."""
+
+import math
+import sys
+from typing import Any
+
+from tqdm import tqdm
+
+from soft_tendon_env.tools.messages import QUIET
+
+MOST_LINES = 10  # that a bar prints where there is no terminal
+LINE = "{desc}: {percentage:.0f} %, {remaining_s:.0f} s to go"
+# [s] that must have passed before anything is printed: it leaves out tqdm's line for 0 %
+SHORTEST_DELAY = 1e-9
+
+
+class ProgressLines(tqdm):
+    """Progress as lines of text, for streams in which a bar cannot be drawn anew."""
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+        """Print the state as a line. False: nothing is left on the stream to be cleared."""
+        if msg is None:
+            print(self, file=self.fp, flush=True)
+        return False
+
+
+def progress_bar(total: int, label: str, unit: str) -> "tqdm[Any]":
+    """Progress bar on stderr, to be closed by its user, who calls `update`.
+
+    Args:
+        total: number of units that are to be done.
+        label, unit: names of what is done, and of a part of it.
+
+    Returns:
+        tqdm's bar on a terminal; elsewhere MOST_LINES lines at most, with percentage and seconds to
+        go; nothing under SOFT_TENDON_ENV_QUIET=1.
+    """
+    shared: dict[str, Any] = {
+        "total": total,
+        "desc": label,
+        "unit": unit,
+        "leave": False,
+        "disable": QUIET,
+    }
+    if sys.stderr is not None and sys.stderr.isatty():
+        return tqdm(**shared)
+    return ProgressLines(
+        **shared,
+        bar_format=LINE,
+        delay=SHORTEST_DELAY,
+        miniters=math.ceil(total / MOST_LINES),
+        mininterval=0.0,
+        maxinterval=math.inf,  # otherwise tqdm prints more often where units take long
+    )
