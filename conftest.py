@@ -23,7 +23,7 @@ signal.signal(
 import numba  # noqa: E402
 
 from soft_tendon_env.accuracy import trial  # noqa: E402
-from soft_tendon_env.compiler import compilation  # noqa: E402
+from soft_tendon_env.compiler import first_use  # noqa: E402
 
 BUDGET = 1.0
 """CPU time [s] of its process that a test may take which is not marked slow, less that for kernels
@@ -43,7 +43,7 @@ class FirstUse:
         self.seconds, self._first_use, self._thread = 0.0, first_use, threading.local()
 
     @contextlib.contextmanager
-    def first_use(self):
+    def first_use(self, *folder):
         """Context in which a kernel is loaded, or compiled, or an arm is tried: kernels within
         others are part of these."""
         inside, self._thread.inside, started = (
@@ -52,15 +52,15 @@ class FirstUse:
             time.process_time(),
         )
         try:
-            with self._first_use():
+            with self._first_use(*folder):
                 yield
         finally:
             self._thread.inside = inside
             self.seconds += 0.0 if inside else time.process_time() - started
 
 
-KERNELS, TRIALS = FirstUse(compilation._first_use), FirstUse(contextlib.nullcontext)
-compilation._first_use = KERNELS.first_use
+KERNELS, TRIALS = FirstUse(first_use.first_use), FirstUse(contextlib.nullcontext)
+first_use.first_use = KERNELS.first_use
 
 
 def search(scene, asked, made=trial.search):
