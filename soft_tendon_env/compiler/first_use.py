@@ -100,9 +100,13 @@ class KeptKernel:
 
     def _is_kept(self, kinds: tuple[types.Type, ...]) -> bool:
         """Whether the function could be loaded, or compiled and kept."""
-        return self._is_loaded_or_compiled(kinds) or (
-            self._is_removed() and self._is_loaded_or_compiled(kinds)
-        )
+        if self._is_loaded_or_compiled(kinds):
+            return True
+        # Another process may be about to replace them.
+        wait_for_other_processes()
+        if self._is_loaded_or_compiled(kinds):
+            return True
+        return self._is_removed() and self._is_loaded_or_compiled(kinds)
 
     def _is_loaded_or_compiled(self, kinds: tuple[types.Type, ...]) -> bool:
         """Whether the function is there; False: numba cannot read its files.

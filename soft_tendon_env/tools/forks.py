@@ -7,12 +7,18 @@ an environment takes, Python mends none: those of modules that are being importe
 the compiler registers with `hold_over_forks`.
 """
 
+# These two, and logging with them, have handlers of forks of their own. Such as are registered before
+# ours lock nothing while a fork waits for imports; of such as are registered during that wait Python
+# would call the second half alone.
+import concurrent.futures.thread  # noqa: F401
 import contextlib
 import importlib
 import os
 import threading
 import time
 from typing import Any
+
+import filelock  # noqa: F401
 
 LIBRARIES = ("soft_tendon_env", "gymnasium", "llvmlite", "numba", "numpy", "scipy")
 """Packages whose imports end soon. Others are not waited for: the body of a user's module may be a
