@@ -7,22 +7,40 @@ an environment takes, Python mends none: those of modules that are being importe
 the compiler registers with `hold_over_forks`.
 """
 
-# These two, and logging with them, have handlers of forks of their own. Such as are registered before
-# ours lock nothing while a fork waits for imports; of such as are registered during that wait Python
-# would call the second half alone.
+# These two, and logging with them, have handlers of forks of their own. Those that are registered
+# before ours lock nothing while a fork waits for imports. Of those that are registered during that
+# wait Python would call the second half alone.
 import concurrent.futures.thread  # noqa: F401
 import contextlib
 import importlib
 import os
+import sys
 import threading
 import time
 from typing import Any
 
 import filelock  # noqa: F401
 
-LIBRARIES = ("soft_tendon_env", "gymnasium", "llvmlite", "numba", "numpy", "scipy")
-"""Packages whose imports end soon. Others are not waited for: the body of a user's module may be a
-whole training, which forks."""
+LIBRARIES = (
+    "soft_tendon_env",
+    "annotated_types",
+    "cloudpickle",
+    "farama_notifications",
+    "gymnasium",
+    "joblib",
+    "llvmlite",
+    "numba",
+    "numpy",
+    "pydantic",
+    "pydantic_core",
+    "scipy",
+    "threadpoolctl",
+    "tqdm",
+    "typing_extensions",
+    "typing_inspection",
+)
+"""Packages whose imports end soon, as those of the standard library do. Others are not waited for:
+the body of a user's module may be a whole training, which forks."""
 PATIENCE = 60.0
 """Time [s] that a fork waits for imports: one that takes longer waits itself, perhaps for the
 thread that forks."""
@@ -45,7 +63,9 @@ def _imports_elsewhere() -> bool:
     references = dict(getattr(importlib._bootstrap, "_module_locks", {}))
     for name, reference in references.items():
         lock = reference()
-        if lock is None or name.partition(".")[0] not in LIBRARIES:
+        package = name.partition(".")[0]
+        ends_soon = package in LIBRARIES or package in sys.stdlib_module_names
+        if lock is None or not ends_soon:
             continue
         # The forking thread may import too, for which it never waits.
         if lock.owner != threading.get_ident():
