@@ -35,7 +35,8 @@ from _results import (
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
-from soft_tendon_env.compiler.compilation import cache_folder, kernel
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.terms.evaluate import evaluate

@@ -11,8 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from soft_tendon_env.registration import register_environments
+from soft_tendon_env.tools.forks import register_fork_handlers
 
 register_environments()
+register_fork_handlers()
 
 if TYPE_CHECKING:
     from soft_tendon_env.public import *  # noqa: F403
@@ -20,7 +22,13 @@ if TYPE_CHECKING:
 
     __version__: str
 else:
-    NOT_SHOWN = {"TYPE_CHECKING", "NOT_SHOWN", "import_module", "register_environments"}
+    NOT_SHOWN = {
+        "TYPE_CHECKING",
+        "NOT_SHOWN",
+        "import_module",
+        "register_environments",
+        "register_fork_handlers",
+    }
 
     def __getattr__(name):
         if name == "identify":  # above what public.py may import

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import EXTRAS, is_installed
-from soft_tendon_env.compiler.compilation import cache_folder
+from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.registration import IDS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import first_line

@@ -1,5 +1,5 @@
 """How the package compiles its kernels: two decorators over `numba.njit`, calls from kernel to
-kernel by address, and numba's own cache.
+kernel by address, and numba's own cache, whose files are compared with their digests.
 
 numba links a copy of a callee into its caller and optimises the two together, so that what stands
 at the end of a chain of calls is compiled once per link of the chain: two thirds of the time that
@@ -10,32 +10,27 @@ machine code that comes from the cache, `_find` loads or compiles the callee fir
 numba's cache compares only the file that a function stands in, so that it keeps a stale kernel when
 a kernel in *another* file changes (numba issue 1833): the package has a folder of it for every
 version of the kernels' sources. And of two processes that save machine code for different arguments
-of a function at once, it can keep the one's for the other's: one process at a time compiles.
+of a function at once, it can keep the one's for the other's: one process at a time compiles, and
+one thread of it.
 """
 
-import contextlib
 import ctypes
 import functools
-import hashlib
 import inspect
-import os
 import pickle
-import re
-import shutil
-import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numba
-from filelock import FileLock, Timeout
 from llvmlite import binding, ir
 from numba import config, types
-from numba.core import cgutils, event
+from numba.core import cgutils
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import lower_builtin, type_callable
 
-from soft_tendon_env.tools.files import PACKAGE, data_folders, new_data_folder, sources_digest
-from soft_tendon_env.tools.messages import QUIET, say, say_once
+from soft_tendon_env.compiler.first_use import KeptKernel, warn_that_nothing_is_kept
+from soft_tendon_env.compiler.kept_code import KeptCode, cache_folder, is_of_package
+from soft_tendon_env.tools.files import PACKAGE
 
 OPTIONS = {
     "error_model": "numpy",
@@ -46,18 +41,16 @@ OPTIONS = {
 }
 """Options of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide
 a nan or reorder a sum."""
-KERNEL_SOURCES = ("compiler/*.py", "mechanics/**/*.py", "effects/**/*.py", "envs/kernels.py")
-FOLDERS_KEPT = 3
-PATIENCE = 600.0  # [s] for another process; who compiles for longer has been stopped
 FIND = f"{PACKAGE.name}.find_kernel"
-_WORD, _ADDRESS = ir.IntType(64), ir.IntType(8).as_pointer()
+"""Symbol of `_find` in machine code."""
+_WORD = ir.IntType(64)
+"""Type of an address in machine code as a number."""
+_ADDRESS = ir.IntType(8).as_pointer()
+"""Type of an address in machine code as LLVM wants it."""
 
-_setting, _compiling, _thread = threading.Lock(), threading.RLock(), threading.local()
-_errors: list[
-    BaseException
-    # why kernels could not be compiled that machine code called, for the one that Python called to
-    # raise
-] = []
+_errors: list[BaseException] = []
+"""Why kernels could not be compiled that machine code called, for the one that Python called to
+raise."""
 
 
 def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None = None) -> Any:
@@ -94,21 +87,6 @@ def phase(function: Any) -> Any:
     )
 
 
-def is_of_package(named: Any) -> bool:
-    """Whether a function or class is the package's own and no local one, so that every process
-    finds it by its name."""
-    return (named.__module__ or "").partition(".")[
-        0
-    ] == PACKAGE.name and "<locals>" not in named.__qualname__
-
-
-def _has_no_class_of_users(kind: types.Type) -> bool:
-    """Whether no class in a type is a user's own."""
-    return is_of_package(getattr(kind, "instance_class", Kernel)) and all(
-        map(_has_no_class_of_users, getattr(kind, "types", ()))
-    )
-
-
 class NotCompiledError(RuntimeError):
     """Raised by machine code that calls a kernel which cannot be compiled."""
 
@@ -124,18 +102,16 @@ class Kernel:
         is_phase: bool = False,
         keep: bool = True,
     ) -> None:
-        self._function, self._options, self._is_phase, self._keep = (
-            function,
-            options,
-            is_phase,
-            keep,
-        )
+        self._function = function
+        self._options = options
+        self._is_phase = is_phase
+        self._keep = keep
+        self._from_kernels: Any = None  # numba's function, when a kernel first calls it
         run: Any = None
 
+        # A method takes as long again as numba's function does to begin.
         @functools.wraps(function)
-        def call(
-            *arguments: Any,
-        ) -> Any:  # a method takes as long again as numba's function does to begin
+        def call(*arguments: Any) -> Any:
             nonlocal run
             run = run or self._jitted("from_python")
             try:
@@ -147,49 +123,30 @@ class Kernel:
         type_callable(call)(self._typer)
         lower_builtin(call, types.VarArg(types.Any))(self._emit)
 
-    @functools.cached_property
-    def from_kernels(self) -> Any:
-        """numba's function without a way in from Python, which is a fifth of a compilation."""
-        return self._jitted("from_kernels", no_cpython_wrapper=True)
-
-    def _jitted(self, below: str | None, **options: bool) -> Any:
-        """numba's function, whose machine code numba keeps in a folder below the cache folder, if
-        there is one. That for arguments of users' classes is not kept: in the next process these
-        may have other kernels, or not be there."""
-        folder = cache_folder() if self._keep and below else None
-        with _setting, contextlib.ExitStack() as after:
-            after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
-            config.CACHE_DIR = str(folder / below) if folder and below else ""
-            dispatcher = numba.njit(**self._options, **options, cache=folder is not None)(
-                self._function
-            )
-        compile = dispatcher.compile
-
-        def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
-            if (
-                folder
-                and kinds not in dispatcher.overloads
-                and not all(map(_has_no_class_of_users, kinds))
-            ):
-                of_user = self._jitted(None, **options)
-                of_user.compile(kinds)
-                dispatcher.add_overload(of_user.overloads[kinds])
-            with _first_use() if folder else contextlib.nullcontext():
-                entry_point = compile(kinds)
-            if kinds not in dispatcher.overloads:
-                raise RuntimeError(
-                    f"machine code in {folder} is not what its name says: delete that folder"
-                )
-            return entry_point
-
-        dispatcher.compile = compile_alone
-        return dispatcher
+    def _jitted(self, way: str, **options: bool) -> Any:
+        """numba's function for this way in, whose machine code is kept if there is a cache
+        folder."""
+        options = {**self._options, **options}
+        cache = cache_folder() if self._keep else None
+        if cache is None:
+            return numba.njit(**options)(self._function)
+        module, name = self._function.__module__, self._function.__qualname__
+        kept = KeptCode(cache / f"{module}.{name}.{way}")
+        try:
+            return KeptKernel(self._function, options, kept).dispatcher
+        except OSError as error:
+            warn_that_nothing_is_kept(error)
+            return numba.njit(**options)(self._function)
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
         """The compiled function for arguments of these types, as kernels call it."""
-        if kinds not in self.from_kernels.overloads:
-            self.from_kernels.compile(kinds)
-        return self.from_kernels.overloads[kinds]
+        with global_compiler_lock:
+            if self._from_kernels is None:
+                # A way in from Python would be a fifth of a compilation.
+                self._from_kernels = self._jitted("from_kernels", no_cpython_wrapper=True)
+            if kinds not in self._from_kernels.overloads:
+                self._from_kernels.compile(kinds)
+            return self._from_kernels.overloads[kinds]
 
     def _typer(self, context: Any) -> Callable[..., types.Type]:
         def returned(*kinds: types.Type) -> types.Type:
@@ -262,77 +219,5 @@ def address_of(compiled: Any) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
-@functools.cache
-def cache_folder() -> Path | None:
-    """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created
-    when missing; None: there is none."""
-    made_from = sources_digest(*KERNEL_SOURCES), numba.__version__, config.OPT, config.BOUNDSCHECK
-    name = hashlib.sha256(repr(made_from).encode()).hexdigest()[:16]
-    known = data_folders(name)
-    try:
-        folder = new_data_folder(name)
-    except OSError as error:
-        say(f"{error.strerror}: every process compiles again")
-        return None
-    if folder not in known and known and not os.access(known[0], os.W_OK):
-        shutil.copytree(
-            known[0], folder, dirs_exist_ok=True
-        )  # numba loads from folders alone that it can write
-    os.utime(folder)
-    versions = [path for path in folder.parent.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]
-    for outdated in sorted(versions, key=os.path.getmtime, reverse=True)[FOLDERS_KEPT:]:
-        shutil.rmtree(outdated, ignore_errors=True)
-    return folder
-
-
-@contextlib.contextmanager
-def _first_use() -> Iterator[None]:
-    """Context in which a kernel is loaded, or compiled and saved; `_thread.outermost` ends with the
-    outermost of a thread."""
-    if hasattr(_thread, "outermost"):
-        yield
-        return
-    with contextlib.ExitStack() as _thread.outermost:
-        try:
-            yield
-        finally:
-            del _thread.outermost
-
-
-class FirstUse(event.Listener):
-    """Told by numba where its cache does not have a function: has other processes and forks wait,
-    and says so on stderr."""
-
-    def on_start(self, event: Any) -> None:
-        """Wait for other processes, once; who has waited finds in the cache what the function
-        calls."""
-        outermost = getattr(_thread, "outermost", None)
-        if outermost is None:
-            return
-        _thread.outermost, folder = None, cache_folder()
-        outermost.enter_context(_compiling)
-        if not QUIET:
-            say_once(f"compiling for first use (cached in {folder}; once per version)")
-        if folder is not None:
-            with contextlib.suppress(
-                Timeout, OSError, NotImplementedError
-            ):  # it was stopped, or the file system has no locks
-                outermost.enter_context(
-                    FileLock(folder / "compiling.lock", timeout=PATIENCE, thread_local=False)
-                )
-
-    def on_end(self, event: Any) -> None:
-        """Hold the lock still: the machine code is yet to be saved."""
-
-
 if not config.DISABLE_JIT:
     binding.add_symbol(FIND, ctypes.cast(_find, ctypes.c_void_p).value)
-    event.register("numba:compile", FirstUse())
-    if hasattr(
-        os, "register_at_fork"
-    ):  # a child would wait forever for a thread that compiled when it was forked
-        os.register_at_fork(
-            before=_compiling.acquire,
-            after_in_parent=_compiling.release,
-            after_in_child=_compiling.release,
-        )

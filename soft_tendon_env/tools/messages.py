@@ -46,6 +46,12 @@ def say(line: str) -> None:
 
 
 @functools.cache
+def warn_once(line: str) -> None:
+    """Prints a line to stderr the first time that it is given."""
+    say(line)
+
+
+@functools.cache
 def say_once(line: str) -> None:
     """Prints a line of progress to stderr the first time that it is given, unless
     SOFT_TENDON_ENV_QUIET=1."""

@@ -19,7 +19,7 @@ from soft_tendon_env.accuracy.trial import (
     strain_tables,
     trial_digest,
 )
-from soft_tendon_env.compiler.compilation import cache_folder
+from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields

@@ -8,7 +8,7 @@ import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
 from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
-from soft_tendon_env.compiler.compilation import cache_folder
+from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.tools import files

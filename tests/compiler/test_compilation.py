@@ -5,9 +5,11 @@ import inspect
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,7 +18,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from soft_tendon_env.compiler import compilation
+from soft_tendon_env.compiler import compilation, first_use, kept_code
 from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, NotCompiledError, kernel
 from soft_tendon_env.tools import files
 from soft_tendon_env.tools.files import PACKAGE
@@ -26,10 +28,12 @@ PUBLIC = {
     "numba",
     "numba.extending",
     "numba.core.cgutils",
+    "numba.core.compiler_lock.global_compiler_lock",
     "numba.core.event",
     "numba.core.typing.templates.AttributeTemplate",
 }
-"""What the package may import of numba: what its manual describes."""
+"""What the package may import of numba: what its manual describes, and the lock that others which
+compile with numba take too."""
 INNER = (
     "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n   "
     " return {} * x\n"
@@ -43,6 +47,33 @@ def outer(x):
     return inner(x) + inner(2.0 * x)
 """
 MAIN = "from soft_tendon_env.mechanics.outer import outer\nprint(outer(1.0))"
+
+
+FORKS = """
+import os, sys, threading, time
+import soft_tendon_env
+
+def load():
+    import soft_tendon_env.envs.tasks
+
+thread = threading.Thread(target=load)
+thread.start()
+time.sleep(float(sys.argv[1]))
+child = os.fork()
+load()
+if child == 0:
+    os._exit(0)
+deadline = time.monotonic() + 300.0
+ended = 0
+while not ended and time.monotonic() < deadline:
+    ended, status = os.waitpid(child, os.WNOHANG)
+    time.sleep(0.01)
+if not ended:
+    os.kill(child, 9)
+    sys.exit("the child waits forever")
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+"""A process that forks while another thread imports, after as many seconds."""
 
 
 def fresh_kernel(function: Callable, **options) -> Callable:
@@ -137,17 +168,6 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
 
 
 @jitted
-def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
-    for x in (1.0, 1):
-        fresh_kernel(inspect.unwrap(scale))(x, 2.0)
-    one, other = sorted(tmp_path.rglob("*.nbc"))
-    other.write_bytes(one.read_bytes())
-    with pytest.raises(RuntimeError, match="not what its name says: delete that folder"):
-        fresh_kernel(inspect.unwrap(scale))(1, 2.0)
-
-
-@jitted
 def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
     """In the next process the class may not be there, and numba could read nothing of what it keeps
     of that kernel."""
@@ -164,18 +184,18 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     blocked, writable = tmp_path / "file", tmp_path / "writable"
     blocked.touch()
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked, writable])
-    found = compilation.cache_folder.__wrapped__()
+    found = kept_code.cache_folder.__wrapped__()
     assert found.parent == writable / "soft_tendon_env"
     (found / "code.nbc").touch()
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "new", writable])
-    assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), (
+    assert not (kept_code.cache_folder.__wrapped__() / "code.nbc").exists(), (
         "that folder can be written: it is for others"
     )
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "newer", writable])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert (compilation.cache_folder.__wrapped__() / "code.nbc").exists()
+    assert (kept_code.cache_folder.__wrapped__() / "code.nbc").exists()
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked])
-    assert compilation.cache_folder.__wrapped__() is None
+    assert kept_code.cache_folder.__wrapped__() is None
     assert (
         f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR"
         in capsys.readouterr().err
@@ -188,24 +208,82 @@ def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
         folder = tmp_path / "soft_tendon_env" / f"{i:016x}"
         folder.mkdir(parents=True)
         os.utime(folder, (i, i))
-    kept = {compilation.cache_folder.__wrapped__().name, f"{3:016x}", f"{4:016x}"}
+    kept = {kept_code.cache_folder.__wrapped__().name, f"{3:016x}", f"{4:016x}"}
     assert {path.name for path in (tmp_path / "soft_tendon_env").iterdir()} == kept
 
 
+def exit_code(child):
+    """The exit status of a child, which is ended if it takes 5 minutes."""
+    deadline = time.monotonic() + 300.0
+    while time.monotonic() < deadline:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.01)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    pytest.fail("the child waits forever")
+
+
+def exit_with(function, *arguments):
+    """Ends a child with what a function returns, or with 99."""
+    status = 99
+    try:
+        status = int(function(*arguments))
+    finally:
+        os._exit(status)
+
+
+forking = pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+ignoring_forks = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork")
+
+
 @jitted
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
-@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+@forking
+@ignoring_forks
 def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
     """Its child would wait forever for a thread that it does not have."""
     begun, twice = threading.Event(), fresh_kernel(inspect.unwrap(scale))
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(compilation, "say_once", lambda line: begun.set())
-    monkeypatch.setattr(compilation, "QUIET", False)
+    monkeypatch.setattr(first_use, "say_once", lambda line: begun.set())
     thread = threading.Thread(target=twice, args=(1.0, 2.0))
     thread.start()
     assert begun.wait(600.0)
     child = os.fork()
     if child == 0:
-        os._exit(int(twice(1.0, 3.0)))
+        exit_with(twice, 1.0, 3.0)
     thread.join()
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+    assert exit_code(child) == 3
+
+
+@jitted
+@forking
+@ignoring_forks
+def test_a_thread_forks_within_its_own_compilation(monkeypatch, tmp_path):
+    children, other = [], fresh_kernel(inspect.unwrap(scale))
+
+    def fork(line):
+        if not children:
+            children.append(os.fork())
+            if children == [0]:
+                exit_with(other, 1.0, 3.0)
+
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(first_use, "say_once", fork)
+    assert fresh_kernel(inspect.unwrap(scale))(1.0, 2.0) == 2.0
+    assert exit_code(children[0]) == 3
+
+
+@pytest.mark.slow
+@jitted
+@forking
+@pytest.mark.parametrize("seconds", [0.0, 0.1, 0.3, 1.0])
+def test_a_process_is_forked_between_imports(seconds):
+    """Its child would wait forever for a module that another thread imports."""
+    process = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKS, str(seconds)],
+        capture_output=True,
+        text=True,
+        timeout=600.0,
+    )
+    assert (process.returncode, process.stderr) == (0, "")
