@@ -7,23 +7,21 @@ controllers, metrics.
 """
 
 import contextlib
-import importlib
 import itertools
 import os
 import runpy
 import socket
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from soft_tendon_env.tools.messages import QUIET, describe, first_line
+from soft_tendon_env.tools.extensions import import_modules, imported_modules
+from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
 CONNECTING = 10.0  # time [s] in which a cluster should answer
-# names of the user's modules, with commas between: processes that are started inherit it
-VARIABLE = "SOFT_TENDON_ENV_IMPORT"
 
 
 def run_all(
@@ -67,7 +65,7 @@ def run_all(
         if getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
         else None
     )
-    origin = os.getpid(), os.environ.get(VARIABLE, ""), script
+    origin = os.getpid(), imported_modules(), script
     jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
     found = (
         _on_this_machine(jobs, workers, threads)
@@ -87,13 +85,16 @@ def run_all(
 
 
 def _run(
-    call: Callable[[Run], Result], origin: tuple[int, str, Path | None], place: int, run: Run
+    call: Callable[[Run], Result],
+    origin: tuple[int, tuple[str, ...], Path | None],
+    place: int,
+    run: Run,
 ) -> tuple[int, Result]:
     """The run's place and its result, in a process that has what a user's own modules and script
     register."""
     process, names, script = origin
     if os.getpid() != process:
-        import_extensions(names.split(","))
+        import_modules(names)
         if script is not None and script.is_file() and script not in _SCRIPTS:
             _SCRIPTS.add(script)
             runpy.run_path(str(script), run_name="__mp_main__")
@@ -187,27 +188,3 @@ def check_cluster(address: str | None) -> None:
 def processors() -> int:
     """Number of threads that this process may run at a time."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def import_extensions(names: Iterable[str] = ()) -> None:
-    """Import modules of these names, and those that VARIABLE names; the current folder is looked in
-    too. Raises ValueError."""
-    every = [
-        name for name in dict.fromkeys([*os.environ.get(VARIABLE, "").split(","), *names]) if name
-    ]
-    for name in every:
-        look_in_this_folder()
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            where = "it should be a module, in this folder or on PYTHONPATH"
-            raise ValueError(f"--import names {name!r}: {where}; {describe(error)}") from error
-    if every:
-        os.environ[VARIABLE] = ",".join(every)
-
-
-def look_in_this_folder() -> None:
-    """Lets modules of the current folder be imported, after all others: scripts that pip installs
-    do not see it."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
