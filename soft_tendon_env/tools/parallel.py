@@ -21,7 +21,8 @@ from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
-CONNECTING = 10.0  # time [s] in which a cluster should answer
+CONNECTING = 10.0
+"""Time [s] in which a cluster should answer."""
 
 
 def run_all(
@@ -55,33 +56,34 @@ def run_all(
     """
     from tqdm import tqdm  # not for everyone who imports an environment
 
-    results, workers, main = (
-        dict[int, Result](),
-        max(min(workers, len(runs)), 1),
-        sys.modules["__main__"],
-    )
-    script = (
-        Path(str(main.__file__)).absolute()
-        if getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
-        else None
-    )
-    origin = os.getpid(), imported_modules(), script
+    workers = max(min(workers, len(runs)), 1)
+    origin = os.getpid(), imported_modules(), _script()
     jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
-    found = (
-        _on_this_machine(jobs, workers, threads)
-        if cluster is None
-        else _on_cluster(jobs, workers, cluster)
-    )
+    if cluster is None:
+        places_and_results = _on_this_machine(jobs, workers, threads)
+    else:
+        places_and_results = _on_cluster(jobs, workers, cluster)
+
+    results = dict[int, Result]()
     with (
         tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar,
-        contextlib.closing(found),
+        # Also where `done` raises: what still runs ends with the generator.
+        contextlib.closing(places_and_results),
     ):
-        for place, result in found:
+        for place, result in places_and_results:
             results[place] = result
             if done is not None:
                 done(place, result)
             bar.update()
     return [results[place] for place in range(len(runs))]
+
+
+def _script() -> Path | None:
+    """The script that this process was started with; None: a module (`python -m`), or no file."""
+    main = sys.modules["__main__"]
+    if getattr(main, "__spec__", None) is not None or not hasattr(main, "__file__"):
+        return None
+    return Path(str(main.__file__)).absolute()
 
 
 def _run(
@@ -95,13 +97,16 @@ def _run(
     process, names, script = origin
     if os.getpid() != process:
         import_modules(names)
+        # A worker takes many runs: the script registers what it has once.
         if script is not None and script.is_file() and script not in _SCRIPTS:
             _SCRIPTS.add(script)
+            # Under the name that multiprocessing gives to it, so that it starts no runs itself.
             runpy.run_path(str(script), run_name="__mp_main__")
     return place, call(run)
 
 
-_SCRIPTS = set[Path]()  # that were run in this process
+_SCRIPTS = set[Path]()
+"""Scripts that were run in this process."""
 
 
 def _on_this_machine(
@@ -112,13 +117,14 @@ def _on_this_machine(
     import joblib
     from threadpoolctl import threadpool_limits
 
-    kind, options = (
-        ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
-    )
-    with threadpool_limits(1), joblib.parallel_config(kind, n_jobs=workers, **options):
-        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(
-            joblib.delayed(_run)(*job) for job in jobs
-        )
+    options: dict[str, Any] = {"backend": "threading", "n_jobs": workers}
+    if workers > 1 and not threads:
+        options |= {"backend": "loky", "inner_max_num_threads": 1}
+    tasks = [joblib.delayed(_run)(*job) for job in jobs]
+    with threadpool_limits(1), joblib.parallel_config(**options):
+        # Runs differ in length, so a worker takes one at a time.
+        parallel = joblib.Parallel(batch_size=1, return_as="generator_unordered")
+        yield from parallel(tasks)
 
 
 def _on_cluster(
@@ -129,16 +135,18 @@ def _on_cluster(
     with ray_cluster(cluster, workers, "runs side by side"):
         import ray
 
-        task, waiting = ray.remote(num_cpus=1)(_run), iter(jobs)
+        task = ray.remote(num_cpus=1)(_run)
+        waiting = iter(jobs)
         running = [task.remote(*job) for job in itertools.islice(waiting, workers)]
         while running:
+            # One ends, the next begins: as many run as there are workers.
             (ready,), running = ray.wait(running)
             running += [task.remote(*job) for job in itertools.islice(waiting, 1)]
             try:
-                found = ray.get(ready)
+                place_and_result = ray.get(ready)
             except ray.exceptions.RayTaskError as error:
                 raise error.cause from error
-            yield found
+            yield place_and_result
 
 
 @contextlib.contextmanager
@@ -154,25 +162,23 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    own: dict[str, Any] = (
-        {}
-        if address
-        else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
-    )
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if not address:
+        cores = max(processors, os.cpu_count() or 1)
+        options |= {"num_cpus": cores, "include_dashboard": False}
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), timeout=CONNECTING).close()
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+        ray.init(address or "local", **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(
             f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}"
         ) from error
     try:
-        if (
-            there := int(ray.cluster_resources().get("CPU", 0))
-        ) < processors:  # runs would wait for ever
-            raise ValueError(f"{what} need {processors} processors, the cluster has {there}")
+        available = int(ray.cluster_resources().get("CPU", 0))
+        if available < processors:  # runs would wait for ever
+            raise ValueError(f"{what} need {processors} processors, the cluster has {available}")
         yield
     finally:
         ray.shutdown()
@@ -187,4 +193,6 @@ def check_cluster(address: str | None) -> None:
 
 def processors() -> int:
     """Number of threads that this process may run at a time."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
