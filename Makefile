@@ -16,7 +16,7 @@ NEWEST = $(firstword $(foreach minor,14 13 12 11,$(call python,$(minor))))
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-all test-lowest test-newest check bench peers rllib docs tables dist clean
+.PHONY: help demo test test-all test-no-jit test-lowest test-newest check bench peers rllib docs tables dist clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
@@ -30,6 +30,9 @@ test: .venv/.installed-test ## run the tests, but those that take long
 
 test-all: test ## run the tests, then those that take long
 	$(PYTEST) -m slow
+
+test-no-jit: .venv/.installed-test ## tests with interpreted kernels: numpy checks the bounds of every index that compiled code does not
+	NUMBA_DISABLE_JIT=1 $(PYTEST) tests -m "no_jit and not slow"
 
 test-lowest: .venv-lowest/.installed ## tests that hang on versions, with the lowest of all that are allowed, on the oldest Python, in .venv-lowest
 	.venv-lowest/bin/python -m pytest $(OPTIONS) -m "not slow" $(OF_CORE) $(OF_AGENTS)

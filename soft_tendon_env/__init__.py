@@ -2,7 +2,8 @@
 arms.
 
 The public names for scenes, models, statics and simulation stand in public.py, `identify` in
-identification/; importing the package registers the environments. The names are imported when the
+identification/; importing the package registers the environments, and loads the modules that
+installed packages name as entry points. The names are imported when the
 first of them is used, so that what needs none of them, such as `soft-tendon --help`, does not wait
 for the compiler.
 """
@@ -11,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from soft_tendon_env.registration import register_environments
+from soft_tendon_env.tools.extensions import load_extensions
 from soft_tendon_env.tools.forks import register_fork_handlers
 
 register_environments()
@@ -26,6 +28,7 @@ else:
         "TYPE_CHECKING",
         "NOT_SHOWN",
         "import_module",
+        "load_extensions",
         "register_environments",
         "register_fork_handlers",
     }
@@ -48,3 +51,6 @@ else:
         from soft_tendon_env.public import __all__
 
         return sorted({*globals(), *__all__, "identify", "__version__"} - NOT_SHOWN)
+
+
+load_extensions()  # last: these modules import the names above

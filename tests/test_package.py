@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import yaml
 
 import soft_tendon_env as ste
 from soft_tendon_env import public
@@ -79,6 +80,31 @@ def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_
     assert {found[1] for found in bounds} == set(lowest)
     for found in bounds:
         assert f"{lowest[found[1]]}.".startswith(f"{found[2]}."), found[0]
+
+
+def test_the_workflow_runs_the_parts_of_the_script_on_every_python_that_is_named():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    prefix = "Programming Language :: Python :: 3."
+    named = {
+        classifier.removeprefix("Programming Language :: Python :: ")
+        for classifier in project["classifiers"]
+        if classifier.startswith(prefix)
+    }
+    oldest = min(named, key=lambda version: int(version.removeprefix("3.")))
+    assert project["requires-python"] == f">={oldest}"
+
+    jobs = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
+    assert set(jobs["test"]["strategy"]["matrix"]["python"]) == named
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    rows = jobs["versions"]["strategy"]["matrix"]["include"]
+    assert {row["python"] for row in rows} <= named
+    targets = {row["target"] for row in rows}
+    for command in commands:
+        if command != "make ${{ matrix.target }}":
+            targets.add(command.removeprefix("make "))
+    script = (ROOT / ".ci/run").read_text()
+    parts = re.findall(r"^make (\S+)$", script, re.MULTILINE)
+    assert targets == {*parts, "test"}  # which test-all begins with
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,8 @@ import importlib
 import importlib.metadata
 import platform
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -17,6 +19,22 @@ from soft_tendon_env.registration import IDS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import first_line
 
+PACKAGE = "soft_tendon_env"
+
+REQUIRED = ("numpy", "scipy", "numba", "gymnasium", "pydantic")
+"""Distributions whose versions decide what the simulator does."""
+
+OPTIONAL = {
+    "torch": "agents",
+    "stable-baselines3": "agents",
+    "sb3-contrib": "agents",
+    "rerun-sdk": "recording",
+}
+"""Distributions whose versions decide what learning and recording do, by the extra with each."""
+
+LABEL_WIDTH = len("stable-baselines3")
+"""Characters that the names on the left take."""
+
 
 class Doctor(Configuration):
     """Check versions, extras, kernel cache and a step of every task, which compiles its kernels.
@@ -29,40 +47,77 @@ class Doctor(Configuration):
 
 def run(settings: Doctor) -> None:
     """Run all checks, and go on after one that fails."""
-    versions = [
-        f"{name} {importlib.metadata.version(name)}"
-        for name in ("numpy", "scipy", "numba", "gymnasium", "pydantic")
-    ]
-    print(
-        f"{'soft_tendon_env':<16} in {Path(__file__).parents[1]}; Python"
-        f" {platform.python_version()}, {', '.join(versions)}"
-    )
-    without = "none can be written, every process compiles again: set NUMBA_CACHE_DIR"
-    print(f"{'kernel cache':<16} {cache_folder() or without}")
+    checks: dict[str, Callable[[], str]] = {PACKAGE: package_version, "Python": python_versions}
+    for name in OPTIONAL:
+        checks[name] = partial(library_version, name)
+    checks["kernel cache"] = kernel_cache
+    for extra in EXTRAS:
+        checks[extra] = partial(import_extra, extra)
+    for id in IDS.values():
+        checks[id] = partial(step, id, settings.scene)
+
     broken = []
-    for name in (*EXTRAS, *IDS.values()):
+    for name, check in checks.items():
         try:
-            print(
-                f"{name:<16}"
-                f" {import_extra(name) if name in EXTRAS else step(name, settings.scene)}",
-                flush=True,
-            )
+            text = check()
         except Exception as error:  # any error is named, and the other checks go on
-            print(f"{name:<16} BROKEN: {first_line(error)}", flush=True)
+            text = f"BROKEN: {first_line(error)}"
             broken.append(name)
+        print(f"{name:<{LABEL_WIDTH}} {text}", flush=True)
     print(f"broken: {', '.join(broken)}" if broken else "all is well")
     sys.exit(1 if broken else 0)
+
+
+def package_version() -> str:
+    """Version and folder of this package."""
+    return f"{importlib.metadata.version(PACKAGE)} in {Path(__file__).parents[1]}"
+
+
+def python_versions() -> str:
+    """Versions of Python and of what every installation has."""
+    versions = [f"{name} {importlib.metadata.version(name)}" for name in REQUIRED]
+    return f"{platform.python_version()}, {', '.join(versions)}"
+
+
+def library_version(name: str) -> str:
+    """Version of a library that an extra brings, or the command that installs it. Raises what the
+    import of torch raises."""
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return f"not installed: {install_command(OPTIONAL[name])}"
+    return f"{version}, {torch_build()}" if name == "torch" else version
+
+
+def torch_build() -> str:
+    """Which processors this build of PyTorch computes on. Raises what its import raises."""
+    version = importlib.import_module("torch").version
+    if version.cuda is not None:
+        return f"a build for CUDA {version.cuda}, of which this package uses the CPU alone"
+    # `hip` is the counterpart of `cuda` in builds for GPUs by AMD.
+    if version.hip is not None:
+        return f"a build for ROCm {version.hip}, of which this package uses the CPU alone"
+    return "a build for CPUs"
+
+
+def kernel_cache() -> str:
+    """Folder in which compiled kernels are kept, or what to do where there is none."""
+    without = "none can be written, every process compiles again: set NUMBA_CACHE_DIR"
+    return str(cache_folder() or without)
 
 
 def import_extra(name: str) -> str:
     """Whether all modules of an extra can be imported, or the command that installs it. Raises what
     an import raises."""
     if not is_installed(name):
-        return f'extra is not installed: pip install "soft_tendon_env[{name}]"'
-    return (
-        f"{', '.join(importlib.import_module(module).__name__ for module in EXTRAS[name])} can be"
-        " imported"
-    )
+        return f"extra is not installed: {install_command(name)}"
+    modules = [importlib.import_module(module).__name__ for module in EXTRAS[name]]
+    return f"{', '.join(modules)} can be imported"
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra."""
+    return f'pip install "{PACKAGE}[{extra}]"'
 
 
 def step(id: str, scene: str) -> str:

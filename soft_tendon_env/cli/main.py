@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, get_type_hints
 
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.parallel import import_extensions
+from soft_tendon_env.tools.extensions import import_modules
 
 COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         imported, given = [*imported, *given[1:2]], given[2:]
     name, *rest = given or [""]
     try:
-        import_extensions(imported)
+        import_modules(imported)
         if name not in (*COMMANDS, "", "-h", "--help", "--version"):
             raise ValueError(f"{name!r} is no command: {not_among(name, COMMANDS)}")
     except ValueError as error:

@@ -31,7 +31,11 @@ from soft_tendon_env.tools.configuration import (
 
 Kind = TypeVar("Kind", bound=Configuration)
 Given = Mapping[str, Any]
-SHORTCUTS = {  # options in place of a field `options`, the table of an environment's options
+
+SIMILAR = 0.75
+"""Least similarity, of difflib, with which an unknown option counts as a misspelt one."""
+
+SHORTCUTS = {
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
     "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
     "target": (
@@ -43,6 +47,8 @@ SHORTCUTS = {  # options in place of a field `options`, the table of an environm
         " control_period=0.01"
     ),
 }
+"""Options in place of a field `options`, the table of an environment's options."""
+
 POLICY = (
     "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task;"
     " agent, the best of these"
@@ -79,11 +85,7 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     """The configuration that a command line says; `kind.read_file`, if there is one, reads values
     that the options given override. Ends the process with help, or with status 2 where tyro refuses
     the arguments. Raises Mistake."""
-    names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
-    if twice := next(
-        (name for name in names if names.count(name) > 1), None
-    ):  # of which tyro would take the last alone
-        raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
+    _check_once(arguments)
     _check_names(command, kind, arguments)
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(
@@ -91,64 +93,88 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     )
     with mistakes():
         read_file: Any = getattr(kind, "read_file", None)
-        file = read_file(given) if read_file else {}
-        fields = {name: field for name, field in kind.model_fields.items() if name in given}
-        values = {
-            **file,
-            **{name: _value(_values_of(field)[0], given[name]) for name, field in fields.items()},
-        }
+        values = dict(read_file(given)) if read_file else {}
+        for name, field in kind.model_fields.items():
+            if name in given:
+                value_kind, _ = _values_of(field)
+                values[name] = _value(value_kind, given[name])
         if "options" in kind.model_fields:
-            chosen = {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
-            changes, table = (
-                parsed_changes(given.get("set", ())),
-                deepcopy(values.get("options", {})) | chosen,
-            )
-            if twice := next((name for name in chosen if name in changes), None):
-                raise ValueError(f"--set has {twice}, and so has --{twice}: give it once")
-            with from_set():
-                override(table, changes)
-            values |= {"options": table} if table else {}
+            options = _environment_options(values.get("options", {}), given)
+            if options:
+                values["options"] = options
         try:
             return kind(**values)
         except ConfigurationError as error:
-            raise ValueError(
-                "\n".join(
-                    f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems
-                )
-            ) from error
+            lines = [
+                f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems
+            ]
+            raise ValueError("\n".join(lines)) from error
+
+
+def _check_once(arguments: Sequence[str]) -> None:
+    """Raises Mistake for an option that is given twice, of which tyro would take the last alone."""
+    seen = set[str]()
+    for word in arguments:
+        if not word.startswith("--"):
+            continue
+        name = word.partition("=")[0]
+        if name in seen:
+            raise Mistake(f"{name} is given twice: give it once, with all its values behind it")
+        seen.add(name)
 
 
 def _check_names(command: str, kind: type[Configuration], arguments: Sequence[str]) -> None:
     """Raises Mistake for an option that is none, nor nearly one, of a command whose --set may have
     it as a key."""
-    known = {"--help", "-h", *(flag(kind, name) for name in kind.model_fields)}
-    known |= {f"--{name}" for name in SHORTCUTS if "options" in kind.model_fields}
-    for word, value in (
-        zip(arguments, [*arguments[1:], "VALUE"], strict=False) if "--set" in known else ()
-    ):
-        name, _, own = word.removeprefix("--").partition("=")
-        if word.startswith("--") and not get_close_matches(
-            f"--{name.replace('_', '-')}", known, cutoff=0.75
-        ):
-            key = f"{name.replace('-', '_')}={own or value}"
-            raise Mistake(
-                f"--{name} is no option of {command}: for a key of that name write --set {key}"
-            )
+    known = {"--help", "-h"}
+    known |= {flag(kind, name) for name in kind.model_fields}
+    if "options" in kind.model_fields:
+        known |= {f"--{name}" for name in SHORTCUTS}
+    if "--set" not in known:
+        return
+    for i, word in enumerate(arguments):
+        if not word.startswith("--"):
+            continue
+        name, _, value = word.removeprefix("--").partition("=")
+        # tyro itself tells of what is nearly an option.
+        if get_close_matches(f"--{name.replace('_', '-')}", known, cutoff=SIMILAR):
+            continue
+        if not value:
+            value = arguments[i + 1] if i + 1 < len(arguments) else "VALUE"
+        key = name.replace("-", "_")
+        raise Mistake(
+            f"--{name} is no option of {command}: for a key of that name write --set {key}={value}"
+        )
+
+
+def _environment_options(of_file: Given, given: Given) -> dict[str, Any]:
+    """The table `options` of an environment: a file's, with the options that are given and the
+    changes of --set. Raises ValueError, ConfigurationError."""
+    table = deepcopy(dict(of_file))
+    changes = parsed_changes(given.get("set", ()))
+    for name in SHORTCUTS:
+        if name == "set" or name not in given:
+            continue
+        if name in changes:
+            raise ValueError(f"--set has {name}, and so has --{name}: give it once")
+        table[name] = given[name]
+    with from_set():
+        override(table, changes)
+    return table
 
 
 def _arguments(kind: type[Configuration]) -> Any:
     """Type of the table of the options that are given, for tyro."""
-    table, helps = dict[str, Any](), descriptions(kind)
+    table = dict[str, Any]()
+    texts = descriptions(kind)
     for name, field in kind.model_fields.items():
         if name == "options":
-            table |= {
-                key: _option(str, key == "set", f"--{key}", text, "")
-                for key, text in SHORTCUTS.items()
-            }
+            for key, text in SHORTCUTS.items():
+                table[key] = _option(str, key == "set", f"--{key}", text, "")
         elif not is_table(field):
-            option = _option(
-                *_values_of(field), flag(kind, name), helps.get(name, ""), _default(field)
-            )
+            value_kind, several = _values_of(field)
+            text = texts.get(name, "")
+            option = _option(value_kind, several, flag(kind, name), text, _default(field))
             table[name] = Required[option] if field.is_required() else option
     return TypedDict(kind.__name__, table, total=False)  # type: ignore[operator]
 
@@ -156,22 +182,29 @@ def _arguments(kind: type[Configuration]) -> Any:
 def _option(kind: Any, several: bool, flag: str, text: str, default: str) -> Any:
     """An option, or an argument without dashes. All but switches come as texts, of which `_value`
     makes numbers."""
-    annotation: Any = bool if kind is bool else tuple[str, ...] if several else str
+    annotation: Any = str
+    if kind is bool:
+        annotation = bool
+    elif several:
+        annotation = tuple[str, ...]
     if not flag.startswith("--"):
         about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
         return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
-    shown = (
-        "{" + ",".join(map(str, get_args(kind))) + "}"
-        if get_origin(kind) is Literal
-        else kind.__name__.upper()
-    )
-    metavar = None if kind is bool else f"[{shown} [{shown} ...]]" if several else shown
-    return Annotated[
-        annotation,
-        tyro.conf.arg(
-            name=flag.removeprefix("--"), metavar=metavar, help=text, help_behavior_hint=default
-        ),
-    ]
+    name = flag.removeprefix("--")
+    metavar = _metavar(kind, several)
+    about = tyro.conf.arg(name=name, metavar=metavar, help=text, help_behavior_hint=default)
+    return Annotated[annotation, about]
+
+
+def _metavar(kind: Any, several: bool) -> str | None:
+    """What stands for the value in the help of an option; None for a switch, which has none."""
+    if kind is bool:
+        return None
+    if get_origin(kind) is Literal:
+        value = "{" + ",".join(map(str, get_args(kind))) + "}"
+    else:
+        value = kind.__name__.upper()
+    return f"[{value} [{value} ...]]" if several else value
 
 
 def _value(kind: Any, given: Any) -> Any:
@@ -179,7 +212,9 @@ def _value(kind: Any, given: Any) -> Any:
     itself refuses others."""
     if isinstance(given, tuple):
         return tuple(_value(kind, text) for text in given)
-    for number in (int, float) if isinstance(given, str) and kind is not str else ():
+    if not isinstance(given, str) or kind is str:
+        return given
+    for number in (int, float):
         with suppress(ValueError):
             return number(given)
     return given
@@ -187,21 +222,28 @@ def _value(kind: Any, given: Any) -> Any:
 
 def _values_of(field: FieldInfo) -> tuple[Any, bool]:
     """Type of the values of an option, without None and bounds, and whether it takes several."""
-    choices = get_args(field.annotation)
-    kind = choices[0] if choices[1:] in ((types.NoneType,), (...,)) else field.annotation
-    return (get_args(kind)[0] if get_origin(kind) is Annotated else kind), choices[1:] == (...,)
+    first, *others = get_args(field.annotation) or (None,)
+    several = others == [...]  # tuple[kind, ...]
+    is_optional = others == [types.NoneType]  # kind | None
+    kind = first if several or is_optional else field.annotation
+    if get_origin(kind) is Annotated:  # with bounds
+        kind = get_args(kind)[0]
+    return kind, several
 
 
 def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:
     """A key as the command line has it."""
-    option, rest = flag(kind, str(key[0])), key[1:]
-    if key[0] == "options" and rest:
-        option, rest = (f"--{rest[0]}", rest[1:]) if rest[0] in given else ("--set", rest)
-    return (
-        f"{option}: {dotted(rest)}"
-        if rest and isinstance(rest[0], str)
-        else f"{option}{dotted(rest)}"
-    )
+    name, rest = str(key[0]), key[1:]
+    option = flag(kind, name)
+    if name == "options" and rest:
+        if rest[0] in given:
+            option = f"--{rest[0]}"
+            rest = rest[1:]
+        else:
+            option = "--set"
+    # A position follows its option as it is: --policies[1].
+    separator = ": " if rest and isinstance(rest[0], str) else ""
+    return f"{option}{separator}{dotted(rest)}"
 
 
 def flag(kind: type[Configuration], name: str) -> str:
@@ -216,17 +258,15 @@ def flag(kind: type[Configuration], name: str) -> str:
 def descriptions(kind: type[Configuration]) -> dict[str, str]:
     """Description of every field, or its text in the sections "Attributes:" of a class and its
     bases."""
-    texts = [
-        text
-        for base in reversed(kind.__mro__)
-        for text in docstring_parser.parse(base.__doc__ or "").params
-    ]
-    listed = {
-        text.arg_name: " ".join((text.description or "").split()).rstrip(".") for text in texts
-    }
-    return listed | {
-        name: field.description for name, field in kind.model_fields.items() if field.description
-    }
+    texts = dict[str, str]()
+    for base in reversed(kind.__mro__):
+        for attribute in docstring_parser.parse(base.__doc__ or "").params:
+            words = (attribute.description or "").split()
+            texts[attribute.arg_name] = " ".join(words).rstrip(".")
+    for name, field in kind.model_fields.items():
+        if field.description:
+            texts[name] = field.description
+    return texts
 
 
 def is_table(field: FieldInfo) -> bool:
@@ -238,7 +278,10 @@ def is_table(field: FieldInfo) -> bool:
 
 
 def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "(required)"
     value = field.get_default(call_default_factory=True, validated_data={})
-    if field.is_required() or value is None or value == ():
-        return "(required)" if field.is_required() else ""
-    return f"(default: {' '.join(map(str, value)) if isinstance(value, tuple) else value})"
+    if value is None or value == ():
+        return ""
+    text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return f"(default: {text})"

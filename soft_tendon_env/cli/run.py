@@ -30,8 +30,8 @@ from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.configuration import parsed_changes, shown
+from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.messages import UserError
-from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"

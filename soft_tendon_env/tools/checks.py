@@ -15,24 +15,34 @@ def checked_array(
     """A new contiguous float64 array of this shape (None: any length). Raises TypeError or
     ValueError naming `name`."""
     try:
-        given = np.asarray(value)
+        array = np.asarray(value)
     except ValueError as error:  # NumPy's own does not say which argument
         raise ValueError(
             f"{name} should have shape {_shown_shape(shape)}, but its rows are not alike"
         ) from error
-    if given.dtype.kind not in "fiu":
-        kind = f"{type(value).__name__} of {given.dtype}"
+    if array.dtype.kind not in "fiu":
+        kind = f"{type(value).__name__} of {array.dtype}"
         raise TypeError(
             f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}"
         )
-    if given.shape != shape:
-        sizes = zip(shape, given.shape, strict=False)
-        if given.ndim != len(shape) or any(wanted not in (None, size) for wanted, size in sizes):
-            raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {given.shape}")
-    if not np.isfinite(given).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
-        raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
-    return np.array(given, dtype=np.float64, order="C")
+    if not _has_shape(array.shape, shape):
+        raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {array.shape}")
+    is_finite = np.isfinite(array)
+    if not is_finite.all():
+        place = tuple(int(i) for i in np.argwhere(~is_finite)[0])
+        raise ValueError(f"{name} should be finite, but {name}{list(place)} is {array[place]}")
+    return np.array(array, dtype=np.float64, order="C")
+
+
+def _has_shape(sizes: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    if sizes == shape:  # the common case: this is called at every step of a simulation
+        return True
+    if len(sizes) != len(shape):
+        return False
+    for size, allowed in zip(sizes, shape, strict=True):
+        if allowed is not None and size != allowed:
+            return False
+    return True
 
 
 def _shown_shape(shape: tuple[int | None, ...]) -> str:

@@ -10,7 +10,7 @@ import difflib
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any, ClassVar, NamedTuple, Self, get_origin
 
@@ -21,6 +21,11 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import read_bytes
 
 Key = tuple[str | int, ...]
+
+POSITION = re.compile(r"\[(\d+|\*)\]")
+"""A position in an array in brackets, `[3]`, or `[*]` for every one."""
+DOT = re.compile(r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)')
+"""A dot that is not in double quotes: an even number of quotes follows it."""
 
 
 class Problem(NamedTuple):
@@ -42,9 +47,11 @@ class ConfigurationError(ValueError):
         super().__init__(self.problems, source)  # both in args: the exception pickles
 
     def __str__(self) -> str:
-        return "\n".join(
-            ": ".join((self.source, f"{dotted(key)} {text}".strip())) for key, text in self.problems
-        )
+        lines = []
+        for key, text in self.problems:
+            sentence = f"{dotted(key)} {text}".strip()
+            lines.append(f"{self.source}: {sentence}")
+        return "\n".join(lines)
 
 
 class Configuration(BaseModel):
@@ -56,29 +63,28 @@ class Configuration(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-    elsewhere: ClassVar[
-        Mapping[str, str]
-    ] = {}  # keys that it has not, but people look for, and how to write what they mean
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+    """Keys that it has not, but people look for, and how to write what they mean."""
 
     def __init__(self, /, **values: Any):
+        frozen = {name: _freeze(value) for name, value in values.items()}
         try:
-            super().__init__(**{name: _freeze(value) for name, value in values.items()})
+            super().__init__(**frozen)
         except ValidationError as error:
-            problems = [
-                problem for found in error.errors() for problem in _problems(type(self), found)
-            ]
+            problems = list[Problem]()
+            for details in error.errors():
+                problems += _problems(type(self), details)
             raise ConfigurationError(problems, type(self).__name__) from None
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """Keys that have other values than by default."""
         fields = type(self).model_fields
-        defaults = {
-            name: field.get_default(call_default_factory=True, validated_data={})
-            for name, field in fields.items()
-        }
-        return [
-            (name, value) for name, value in super().__repr_args__() if value != defaults[str(name)]
-        ]
+        changed = []
+        for name, value in super().__repr_args__():
+            field = fields[str(name)]
+            if value != field.get_default(call_default_factory=True, validated_data={}):
+                changed.append((name, value))
+        return changed
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
@@ -91,7 +97,8 @@ class Configuration(BaseModel):
 
 
 def _freeze(value: Any) -> Any:
-    value = plain(value) if isinstance(value, np.ndarray | np.generic | os.PathLike) else value
+    if isinstance(value, np.ndarray | np.generic | os.PathLike):
+        value = plain(value)
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -106,14 +113,17 @@ def plain(value: Any) -> Any:
         return os.fspath(value)
     if isinstance(value, Mapping):
         return {plain(key): plain(entry) for key, entry in value.items()}
-    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value
 
 
 def dotted(key: Key) -> str:
     """`("tendons", 3, "end")` -> `"tendons[3].end"`."""
-    return "".join(
-        f"[{part}]" if isinstance(part, int) else f".{part}" for part in key
-    ).removeprefix(".")
+    text = ""
+    for part in key:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
 
 
 def shown(value: Any) -> str:
@@ -125,8 +135,9 @@ def shown(value: Any) -> str:
 def not_among(name: str, valid: Iterable[str]) -> str:
     """The end of a message about an unknown name: what was probably meant, and every valid name."""
     valid = sorted(valid)
+    every_name = f"valid: {', '.join(valid)}"
     close = difflib.get_close_matches(name, valid, n=1)
-    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(valid)}"
+    return f"did you mean {close[0]!r}? {every_name}" if close else every_name
 
 
 def not_registered(name: str, valid: Iterable[str]) -> str:
@@ -144,13 +155,11 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except OSError as error:
-        raise ConfigurationError(
-            [Problem((), f"cannot be read: {error.strerror}")], os.fspath(path)
-        ) from error
+        problem = Problem((), f"cannot be read: {error.strerror}")
+        raise ConfigurationError([problem], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
-        raise ConfigurationError(
-            [Problem((), f"is not valid TOML: {error}")], os.fspath(path)
-        ) from error
+        problem = Problem((), f"is not valid TOML: {error}")
+        raise ConfigurationError([problem], os.fspath(path)) from error
 
 
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -166,63 +175,66 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
                 f"changes has the key {shown(path)}: keys should be strings such as"
                 " 'quadrature.intervals'"
             )
-        parts = re.split(
-            r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)', re.sub(r"\[(\d+|\*)\]", r".\1", path)
-        )  # at dots that are not in quotes
-        _set(table, [part.strip('"') for part in parts], value, "")
+        with_dots = POSITION.sub(r".\1", path)
+        parts = [part.strip('"') for part in DOT.split(with_dots)]
+        _set(table, parts, value, "")
 
 
 def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
     """Set the key of these parts in the table or array that stands at `where`."""
     part, *below = parts
-    keys = (
-        [*node]
-        if isinstance(node, dict)
-        else [str(i) for i in range(len(node))]
-        if isinstance(node, list)
-        else None
-    )
-    problem = None
-    if keys is None:
-        problem = f"{where[1:]} is {shown(node)}, not a table"
-    elif part == "*" and not keys:
-        problem = f"{where[1:]} is empty"
-    elif isinstance(node, list) and part not in ("*", *keys):
-        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(node) - 1}"
-    if problem:
-        raise ConfigurationError(
-            [Problem((f"{where}.{'.'.join(parts)}"[1:],), f"cannot be set: {problem}")]
-        )
-    for key in keys or () if part == "*" else [part]:
-        place: Any = int(key) if isinstance(node, list) else key
-        if below:
-            _set(
-                node.setdefault(place, {}) if isinstance(node, dict) else node[place],
-                below,
-                value,
-                f"{where}.{key}",
-            )
-        else:
+    path = ".".join([where, *parts])
+    for place in _places(node, part, where, path):
+        if not below:
             node[place] = deepcopy(value)
+            continue
+        if isinstance(node, dict):
+            node.setdefault(place, {})
+        _set(node[place], below, value, f"{where}.{place}")
+
+
+def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
+    """Keys or positions of a table or an array that a part of a path means. Raises
+    ConfigurationError, which names the path."""
+    problem = None
+    places: Sequence[Any] = ()
+    if isinstance(node, dict):
+        places = [*node] if part == "*" else [part]
+    elif isinstance(node, list):
+        every_place = range(len(node))
+        if part == "*":
+            places = every_place
+        elif part in map(str, every_place):
+            places = [int(part)]
+        else:
+            problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(node) - 1}"
+    else:
+        problem = f"{where[1:]} is {shown(node)}, not a table"
+
+    if problem is None and not places:
+        problem = f"{where[1:]} is empty"
+    if problem is not None:
+        raise ConfigurationError([Problem((path[1:],), f"cannot be set: {problem}")])
+    return places
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
     """Values by key of texts "dotted.key=value", as in TOML or else the text itself. Raises
     ValueError, also for a key given twice."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for change in changes:
-        key, _, text = map(str.strip, change.partition("="))
-        if not key or "=" not in change:
+        key, equals, text = map(str.strip, change.partition("="))
+        if not key or not equals:
             raise ValueError(
                 f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12"
             )
-        if key in found:
+        if key in values:
             raise ValueError(f"--set has {key}, which is given twice")
         try:
-            found[key] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[key] = text
-    return found
+            values[key] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:  # a text without quotes
+            values[key] = text
+    return values
 
 
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
@@ -232,45 +244,56 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     first and, in a table of tables, their name: any other string in it is the tag of a union's
     member, which the user never wrote.
     """
-    location = error["loc"]
-    field = table.model_fields.get(str(*location[:1]))
-    named = 2 if field is not None and get_origin(field.annotation) is dict else 1
-    key = location[:named] + tuple(part for part in location[named:] if isinstance(part, int))
-    value, kind, context = error["input"], error["type"], error.get("ctx", {})
+    key = _key_of(table, error["loc"])
+    value = error["input"]
+    context = error.get("ctx", {})
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
-    if kind == "default_factory_not_called":
-        return []  # a default that depends on other keys, of which some are wrong
-    if kind == "extra_forbidden":
-        valid = table.elsewhere.get(str(key[-1])) or not_among(str(key[-1]), table.model_fields)
-        return [Problem(key, f"is an unknown key (given {shown(value)}): {valid}")]
-    if kind == "missing":
-        return [Problem(key, "is missing: it is required")]
-    if kind == "union_tag_not_found":
-        return [Problem((*key, "type"), "is missing: it is required")]
-    if kind == "union_tag_invalid":
-        types = re.findall(r"'(\w+)'", context["expected_tags"])
-        return [
-            Problem((*key, "type"), f"is {context['tag']!r}: {not_among(context['tag'], types)}")
-        ]
-    if kind == "too_short" and len(value) > context["actual_length"]:
-        return []  # pydantic counts the valid items only; the others are reported by themselves
-    if kind in ("model_type", "model_attributes_type"):
-        return [Problem(key, f"is {shown(value)}: it should be a table")]
+    # The names are pydantic's, of its kinds of error.
+    match error["type"]:
+        case "default_factory_not_called":
+            return []  # a default that depends on other keys, of which some are wrong
+        case "extra_forbidden":
+            name = str(key[-1])
+            valid = table.elsewhere.get(name) or not_among(name, table.model_fields)
+            return [Problem(key, f"is an unknown key (given {shown(value)}): {valid}")]
+        case "missing":
+            return [Problem(key, "is missing: it is required")]
+        case "union_tag_not_found":
+            return [Problem((*key, "type"), "is missing: it is required")]
+        case "union_tag_invalid":
+            tag = context["tag"]
+            types = re.findall(r"'(\w+)'", context["expected_tags"])
+            return [Problem((*key, "type"), f"is {tag!r}: {not_among(tag, types)}")]
+        case "too_short" if len(value) > context["actual_length"]:
+            return []  # pydantic counts the valid items only; the others are reported by themselves
+        case "model_type" | "model_attributes_type":
+            return [Problem(key, f"is {shown(value)}: it should be a table")]
     return [Problem(key, f"is {shown(value)}: it {_allowed(error)}")]
 
 
+def _key_of(table: type[Configuration], location: Key) -> Key:
+    """The key that a user wrote, out of the location of one of pydantic's errors."""
+    # A name, and in a table of tables a second one.
+    name_count = 1
+    if location:
+        field = table.model_fields.get(str(location[0]))
+        if field is not None and get_origin(field.annotation) is dict:
+            name_count = 2
+    positions = tuple(part for part in location[name_count:] if isinstance(part, int))
+    return location[:name_count] + positions
+
+
 def _allowed(error: ErrorDetails) -> str:
+    """What would have been allowed, as the end of a sentence that begins with "it"."""
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
-    if error["type"].startswith("float") and re.fullmatch(
-        r"[-+.\d]+ ?[^\W\d]+", str(error["input"])
-    ):
+    is_number_with_unit = re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", str(error["input"])) is not None
+    if error["type"].startswith("float") and is_number_with_unit:
         message += ", in SI units and without their symbol"
-    return (
-        message.replace("tuple", "array")
-        .replace("a valid boolean", "true or false")
-        .replace(" after validation", "")
-    )
+    # The words of TOML in place of Python's.
+    message = message.replace("tuple", "array")
+    message = message.replace("a valid boolean", "true or false")
+    return message.replace(" after validation", "")

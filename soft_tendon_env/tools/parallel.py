@@ -7,23 +7,22 @@ controllers, metrics.
 """
 
 import contextlib
-import importlib
 import itertools
 import os
 import runpy
 import socket
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from soft_tendon_env.tools.extensions import import_modules, imported_modules
 from soft_tendon_env.tools.messages import describe, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
-CONNECTING = 10.0  # time [s] in which a cluster should answer
-# names of the user's modules, with commas between: processes that are started inherit it
-VARIABLE = "SOFT_TENDON_ENV_IMPORT"
+CONNECTING = 10.0
+"""Time [s] in which a cluster should answer."""
 
 
 def run_all(
@@ -58,25 +57,21 @@ def run_all(
     # tqdm is not for everyone who imports an environment
     from soft_tendon_env.tools.progress import progress_bar
 
-    results, workers, main = (
-        dict[int, Result](),
-        max(min(workers, len(runs)), 1),
-        sys.modules["__main__"],
-    )
-    script = (
-        Path(str(main.__file__)).absolute()
-        if getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
-        else None
-    )
-    origin = os.getpid(), os.environ.get(VARIABLE, ""), script
+    workers = max(min(workers, len(runs)), 1)
+    origin = os.getpid(), imported_modules(), _script()
     jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
-    found = (
-        _on_this_machine(jobs, workers, threads)
-        if cluster is None
-        else _on_cluster(jobs, workers, cluster)
-    )
-    with progress_bar(len(runs), label, unit) as bar, contextlib.closing(found):
-        for place, result in found:
+    if cluster is None:
+        places_and_results = _on_this_machine(jobs, workers, threads)
+    else:
+        places_and_results = _on_cluster(jobs, workers, cluster)
+
+    results = dict[int, Result]()
+    with (
+        progress_bar(len(runs), label, unit) as bar,
+        # Also where `done` raises: what still runs ends with the generator.
+        contextlib.closing(places_and_results),
+    ):
+        for place, result in places_and_results:
             results[place] = result
             if done is not None:
                 done(place, result)
@@ -84,21 +79,35 @@ def run_all(
     return [results[place] for place in range(len(runs))]
 
 
+def _script() -> Path | None:
+    """The script that this process was started with; None: a module (`python -m`), or no file."""
+    main = sys.modules["__main__"]
+    if getattr(main, "__spec__", None) is not None or not hasattr(main, "__file__"):
+        return None
+    return Path(str(main.__file__)).absolute()
+
+
 def _run(
-    call: Callable[[Run], Result], origin: tuple[int, str, Path | None], place: int, run: Run
+    call: Callable[[Run], Result],
+    origin: tuple[int, tuple[str, ...], Path | None],
+    place: int,
+    run: Run,
 ) -> tuple[int, Result]:
     """The run's place and its result, in a process that has what a user's own modules and script
     register."""
     process, names, script = origin
     if os.getpid() != process:
-        import_extensions(names.split(","))
+        import_modules(names)
+        # A worker takes many runs: the script registers what it has once.
         if script is not None and script.is_file() and script not in _SCRIPTS:
             _SCRIPTS.add(script)
+            # Under the name that multiprocessing gives to it, so that it starts no runs itself.
             runpy.run_path(str(script), run_name="__mp_main__")
     return place, call(run)
 
 
-_SCRIPTS = set[Path]()  # that were run in this process
+_SCRIPTS = set[Path]()
+"""Scripts that were run in this process."""
 
 
 def _on_this_machine(
@@ -109,13 +118,14 @@ def _on_this_machine(
     import joblib
     from threadpoolctl import threadpool_limits
 
-    kind, options = (
-        ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
-    )
-    with threadpool_limits(1), joblib.parallel_config(kind, n_jobs=workers, **options):
-        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(
-            joblib.delayed(_run)(*job) for job in jobs
-        )
+    options: dict[str, Any] = {"backend": "threading", "n_jobs": workers}
+    if workers > 1 and not threads:
+        options |= {"backend": "loky", "inner_max_num_threads": 1}
+    tasks = [joblib.delayed(_run)(*job) for job in jobs]
+    with threadpool_limits(1), joblib.parallel_config(**options):
+        # Runs differ in length, so a worker takes one at a time.
+        parallel = joblib.Parallel(batch_size=1, return_as="generator_unordered")
+        yield from parallel(tasks)
 
 
 def _on_cluster(
@@ -126,16 +136,18 @@ def _on_cluster(
     with ray_cluster(cluster, workers, "runs side by side"):
         import ray
 
-        task, waiting = ray.remote(num_cpus=1)(_run), iter(jobs)
+        task = ray.remote(num_cpus=1)(_run)
+        waiting = iter(jobs)
         running = [task.remote(*job) for job in itertools.islice(waiting, workers)]
         while running:
+            # One ends, the next begins: as many run as there are workers.
             (ready,), running = ray.wait(running)
             running += [task.remote(*job) for job in itertools.islice(waiting, 1)]
             try:
-                found = ray.get(ready)
+                place_and_result = ray.get(ready)
             except ray.exceptions.RayTaskError as error:
                 raise error.cause from error
-            yield found
+            yield place_and_result
 
 
 @contextlib.contextmanager
@@ -151,25 +163,23 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    own: dict[str, Any] = (
-        {}
-        if address
-        else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
-    )
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if not address:
+        cores = max(processors, os.cpu_count() or 1)
+        options |= {"num_cpus": cores, "include_dashboard": False}
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), timeout=CONNECTING).close()
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+        ray.init(address or "local", **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(
             f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}"
         ) from error
     try:
-        if (
-            there := int(ray.cluster_resources().get("CPU", 0))
-        ) < processors:  # runs would wait for ever
-            raise ValueError(f"{what} need {processors} processors, the cluster has {there}")
+        available = int(ray.cluster_resources().get("CPU", 0))
+        if available < processors:  # runs would wait for ever
+            raise ValueError(f"{what} need {processors} processors, the cluster has {available}")
         yield
     finally:
         ray.shutdown()
@@ -184,28 +194,6 @@ def check_cluster(address: str | None) -> None:
 
 def processors() -> int:
     """Number of threads that this process may run at a time."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def import_extensions(names: Iterable[str] = ()) -> None:
-    """Import modules of these names, and those that VARIABLE names; the current folder is looked in
-    too. Raises ValueError."""
-    every = [
-        name for name in dict.fromkeys([*os.environ.get(VARIABLE, "").split(","), *names]) if name
-    ]
-    for name in every:
-        look_in_this_folder()
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            where = "it should be a module, in this folder or on PYTHONPATH"
-            raise ValueError(f"--import names {name!r}: {where}; {describe(error)}") from error
-    if every:
-        os.environ[VARIABLE] = ",".join(every)
-
-
-def look_in_this_folder() -> None:
-    """Lets modules of the current folder be imported, after all others: scripts that pip installs
-    do not see it."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

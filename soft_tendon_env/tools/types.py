@@ -15,20 +15,19 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 Array = NDArray[np.float64]  # of numbers; its shape stands beside it
 
-LEAST, GREATEST = (
-    1e-20,
-    1e20,
-    # of quantities in SI units: those of all arms, from cells to ships, lie between with room to
-    # spare
-)
-SHORTEST, LONGEST = (
-    1e-9,
-    1e6,
-)  # of lengths [m], of which sections and stiffnesses take the fourth power
-SOONEST = 1e-7  # shortest time step [s]: a second takes minutes
-FASTEST = (
-    1e5  # highest frequency [Hz] of what is prescribed in time, and speed [rad/s] of what turns
-)
+LEAST = 1e-20
+"""Smallest size of a quantity in SI units, but zero: those of all arms, from cells to ships, are
+greater with room to spare."""
+GREATEST = 1e20
+"""Greatest size of a quantity in SI units, likewise."""
+SHORTEST = 1e-9
+"""Shortest length [m]: sections and stiffnesses take the fourth power of it."""
+LONGEST = 1e6
+"""Greatest length [m], likewise."""
+SOONEST = 1e-7
+"""Shortest time step [s]: a second takes minutes."""
+FASTEST = 1e5
+"""Highest frequency [Hz] of what is prescribed in time, and speed [rad/s] of what turns."""
 
 
 def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
@@ -51,26 +50,27 @@ Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
 Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
-UNIT = 1e-3  # by which the length of a unit quaternion may be off: numbers with four digits have it
+UNIT = 1e-3
+"""By how much the length of a unit quaternion may be off: numbers with four digits have it."""
 
 
 def _is_unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+    problem = None
     size = math.hypot(*quaternion)
-    if len(quaternion) != 4 or abs(size - 1.0) > UNIT:
-        what = (
-            f"length 1, not {size:.4g}"
-            if len(quaternion) == 4
-            else f"four numbers, not {len(quaternion)}"
-        )
+    if len(quaternion) != 4:
+        problem = f"four numbers, not {len(quaternion)}"
+    elif abs(size - 1.0) > UNIT:
+        problem = f"length 1, not {size:.4g}"
+    if problem is not None:
         raise ValueError(
-            f"should have {what}: (w, x, y, z) of a rotation within {UNIT:g}, (1, 0, 0, 0) for none"
+            f"should have {problem}: (w, x, y, z) of a rotation within {UNIT:g}, (1, 0, 0, 0) for"
+            " none"
         )
     return quaternion
 
 
-Quaternion = Annotated[
-    tuple[Number, ...], AfterValidator(_is_unit)
-]  # its length is for its user to make 1
+Quaternion = Annotated[tuple[Number, ...], AfterValidator(_is_unit)]
+"""(w, x, y, z), whose length is for its user to make 1."""
 
 
 def _is_direction(vector: Triple) -> Triple:
@@ -82,11 +82,11 @@ def _is_direction(vector: Triple) -> Triple:
 Direction = Annotated[Triple, AfterValidator(_is_direction)]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-COMMANDS = {
-    "N": "tension",
-    "m": "displacement",
-}  # what is commanded by its unit; displacements: by which actuators pull tendons in
+"""Metres by unit of length."""
+COMMANDS = {"N": "tension", "m": "displacement"}
+"""What is commanded by its unit; displacements are those by which actuators pull tendons in."""
 LENGTH = re.compile(rf"\s*([-+.\de]+)\s*({'|'.join(UNITS)})\s*")
+"""Texts of a number and a unit of length."""
 
 
 def is_length(text: str) -> bool:
@@ -96,17 +96,20 @@ def is_length(text: str) -> bool:
 
 def read_length(text: object) -> float:
     """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
-    with contextlib.suppress(ValueError):
-        if (match := LENGTH.fullmatch(str(text))) and 0.0 < (
-            value := float(match[1]) * UNITS[match[2]]
-        ) < float("inf"):
-            return value
-    raise ValueError(f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm")
+    metres = math.nan
+    match = LENGTH.fullmatch(str(text))
+    if match is not None:
+        with contextlib.suppress(ValueError):  # such as of "1e", which stays NaN
+            metres = float(match[1]) * UNITS[match[2]]
+    if not 0.0 < metres < math.inf:
+        raise ValueError(
+            f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm"
+        )
+    return metres
 
 
-GivenLength = Annotated[
-    float, BeforeValidator(read_length)
-]  # metres, given as a text with its unit
+GivenLength = Annotated[float, BeforeValidator(read_length)]
+"""Metres, given as a text with its unit."""
 
 
 def length_text(metres: float) -> str:

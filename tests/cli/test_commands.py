@@ -1,5 +1,6 @@
 """Every command once, at its smallest: what it prints and what it leaves."""
 
+import importlib.metadata
 import subprocess
 import sys
 
@@ -7,6 +8,7 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
+from soft_tendon_env.cli import doctor
 from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
 from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.effects import EFFECTS
@@ -96,7 +98,14 @@ QUICK = [
     ),
     (
         ("doctor", "--scene", "three_tendon"),
-        ["TendonRod-Reach-v0 one step in ", " ms\n", "all is well\n"],
+        [
+            f"soft_tendon_env   {importlib.metadata.version('soft_tendon_env')} in ",
+            f"torch             {importlib.metadata.version('torch')}, a build for ",
+            f"sb3-contrib       {importlib.metadata.version('sb3-contrib')}\n",
+            "TendonRod-Reach-v0 one step in ",
+            " ms\n",
+            "all is well\n",
+        ],
         [],
     ),
 ]
@@ -145,6 +154,35 @@ def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, c
         "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed
         and "TendonRod-TipPose-v0 one step in " in printed
     )
+
+
+def test_the_doctor_names_the_extra_of_a_library_that_is_not_there(monkeypatch):
+    installed = importlib.metadata.version
+
+    def version(name):
+        if name == "rerun-sdk":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return installed(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    expected = 'not installed: pip install "soft_tendon_env[recording]"'
+    assert doctor.library_version("rerun-sdk") == expected
+    assert doctor.library_version("sb3-contrib") == installed("sb3-contrib")
+
+
+@pytest.mark.parametrize(
+    "cuda, hip, expected",
+    [
+        (None, None, "a build for CPUs"),
+        ("13.0", None, "a build for CUDA 13.0, of which this package uses the CPU alone"),
+        (None, "7.1", "a build for ROCm 7.1, of which this package uses the CPU alone"),
+    ],
+)
+def test_the_doctor_names_the_build_of_torch(monkeypatch, cuda, hip, expected):
+    version = pytest.importorskip("torch").version
+    monkeypatch.setattr(version, "cuda", cuda)
+    monkeypatch.setattr(version, "hip", hip)
+    assert doctor.torch_build() == expected
 
 
 @pytest.mark.parametrize("name", COMMANDS)

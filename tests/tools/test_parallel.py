@@ -1,12 +1,11 @@
 """Independent runs side by side: results in order, one thread each, errors as they were raised."""
 
 import os
-import sys
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from soft_tendon_env.tools.parallel import VARIABLE, run_all
+from soft_tendon_env.tools.parallel import run_all
 
 
 def square(x):
@@ -35,16 +34,6 @@ def test_results_come_in_order_from_as_many_processes(options):
     assert (os.getpid() not in processes) == (options == {"workers": 2}) and set.union(
         *threads
     ) == {1}, "as digits of sums depend on it"
-
-
-def has_module(run):
-    return "xml.dom.minicompat" in sys.modules
-
-
-@pytest.mark.slow
-def test_processes_import_a_users_own_modules(monkeypatch):
-    monkeypatch.setenv(VARIABLE, "xml.dom.minicompat")
-    assert run_all(has_module, range(3), 2, "imports") == [True] * 3
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
