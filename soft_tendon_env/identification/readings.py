@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.identification.clusters import clusters
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import Parameter, Quantity
-from soft_tendon_env.identification.recordings import Recording, clusters
+from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
