@@ -103,7 +103,7 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         yield from _unlikely_material(segment, i, length)
     bent = 0.0  # angle [rad] by which the limit of the strongest tension bends the rod
     for i, tendon in enumerate(scene.tendons):
-        path = _Path.of(scene, tendon)
+        path = _Path.of_tendon(scene, tendon)
         text = _unlikely_radius(scene, path) or _unlikely_tendon(path, i)
         if text:  # one is enough: they are likely in the same wrong unit
             yield text
@@ -149,7 +149,7 @@ class _Path(NamedTuple):
     stretch: Array  # (m,) stiffness [N]
 
     @classmethod
-    def of(cls, scene: Scene, tendon: Tendon) -> "_Path":
+    def of_tendon(cls, scene: Scene, tendon: Tendon) -> "_Path":
         """Path of a scene's tendon."""
         start, end = tendon_ends(scene, tendon)
         places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
