@@ -7,8 +7,8 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
+from soft_tendon_env.identification.clusters import SHARE
 from soft_tendon_env.identification.identify import FIDELITY, identify, save_estimate, summary
-from soft_tendon_env.identification.recordings import SHARE
 from soft_tendon_env.tools.types import GivenLength
 
 DATA = (

@@ -26,29 +26,33 @@ class Allocation(NamedTuple):
 def allocate(
     hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None
 ) -> Allocation:
-    """The x within least <= x <= greatest (m,) of least x^T hessian x / 2 + gradient^T x; hessian
-    (m, m) positive definite.
+    """Quadratic program with bounds: the x of least x^T hessian x / 2 + gradient^T x.
 
-    start: multipliers of a similar problem. Where the program cannot be solved, x is zero within
-    the bounds and `solved` false.
+    Args:
+        hessian: (m, m) positive definite.
+        gradient: (m,).
+        least: bounds (m,) of x.
+        greatest: (m,).
+        start: multipliers (m,) of a similar problem.
+
+    Returns:
+        x within the bounds, and multipliers for the next problem. Where the program cannot be
+        solved, x is zero within the bounds and `solved` false.
     """
     size = gradient.size
-    unit = np.trace(hessian) / size
     fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size), False)
-    if not (
-        np.isfinite(hessian).all()
-        and np.isfinite(unit)
-        and unit > 0.0
-        and np.isfinite(gradient).all()
-    ):
+    if not np.isfinite(hessian).all() or not np.isfinite(gradient).all():
         return fallback
-    bounds = [np.array(bound, dtype=np.float64) for bound in (greatest, least)]
-    none, sense = (
-        np.empty((0, size)),
-        np.zeros(size, dtype=np.int32),
-    )  # of constraints but the bounds
+    # the solver's tolerances are absolute: a problem of usual size
+    unit = np.trace(hessian) / size
+    if not np.isfinite(unit) or unit <= 0.0:
+        return fallback
+    upper = np.array(greatest, dtype=np.float64)
+    lower = np.array(least, dtype=np.float64)
+    no_rows = np.empty((0, size))  # of constraints besides the bounds
+    inequalities = np.zeros(size, dtype=np.int32)
     x, _, flag, info = daqp.solve(
-        hessian / unit, gradient / unit, none, *bounds, sense, dual_start=start
+        hessian / unit, gradient / unit, no_rows, upper, lower, inequalities, dual_start=start
     )
     if flag not in OPTIMAL or not np.isfinite(x).all():
         return fallback

@@ -43,33 +43,38 @@ class Entry:
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
         """The controller with some of its `parameters` changed."""
         numbers: dict[str, Any] = {**self.parameters, **parameters}
-        ahead = (
-            Tuning(**numbers).looks_ahead
-            if numbers.keys() == DEFAULT._asdict().keys()
-            else self.looks_ahead
-        )
-        return replace(
-            self, make=partial(self.make, **parameters), looks_ahead=ahead, parameters=numbers
-        )
+        looks_ahead = self.looks_ahead
+        # predictive control looks as far ahead as its horizon
+        if numbers.keys() == DEFAULT._asdict().keys():
+            looks_ahead = Tuning(**numbers).looks_ahead
+        make = partial(self.make, **parameters)
+        return replace(self, make=make, looks_ahead=looks_ahead, parameters=numbers)
 
 
 def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
-    """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a
-    controller; its keyword arguments that are numbers by default are parameters."""
-    arguments = [*inspect.signature(make).parameters.values()][3:]
-    return Entry(
-        description,
-        make,
-        parameters={
-            one.name: one.default for one in arguments if type(one.default) in (int, float)
-        },
-    )
+    """Entry of the catalogue for a controller.
+
+    Args:
+        description: what it does.
+        make: a class or function (model, limits (n_a, 2) [N], control period [s]) that makes it;
+            its keyword arguments that are numbers by default are parameters.
+
+    Returns:
+        The entry.
+    """
+    signature = inspect.signature(make)
+    arguments = [*signature.parameters.values()][3:]  # after model, limits and period
+    parameters = {
+        argument.name: argument.default
+        for argument in arguments
+        if type(argument.default) in (int, float)
+    }
+    return Entry(description, make, parameters=parameters)
 
 
-ROBUST, LATE = (
-    "; tuned on arms that differ from the model, under noise",
-    "; half a second ahead, for arms that answer late",
-)
+# what descriptions of presets add
+ROBUST = "; tuned on arms that differ from the model, under noise"
+LATE = "; half a second ahead, for arms that answer late"
 PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.2, "smoothness": 1.1}),
     "long_horizon_predictive": (
@@ -102,19 +107,22 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
         damping: float = 1.0,
         integral_time: float = 0.5,
     ) -> Controller:
-        gains = {"settling_time": settling_time, "damping": damping, "integral_time": integral_time}
-        return ReferenceGovernor(
-            statics(model, limits, period),
-            TipTracking(model, limits, period, objective(model), **gains),
+        controller = TipTracking(
+            model,
+            limits,
+            period,
+            objective(model),
+            settling_time=settling_time,
+            damping=damping,
+            integral_time=integral_time,
         )
+        return ReferenceGovernor(statics(model, limits, period), controller)
 
     def predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
-        return ReferenceGovernor(
-            statics(model, limits, period),
-            Predictive(model, limits, period, objective(model), Tuning(**tuning)),
-        )
+        controller = Predictive(model, limits, period, objective(model), Tuning(**tuning))
+        return ReferenceGovernor(statics(model, limits, period), controller)
 
-    found = {
+    entries = {
         "feedforward": entry_of("inverse statics along the target, nothing measured", statics),
         "tracking": entry_of("(39) at the control period, within limits, with integral", tracking),
         "predictive": Entry(
@@ -122,10 +130,16 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
         ),
     }
     for name, (base, added, numbers) in PRESETS.items():
-        found[name] = replace(
-            found[base].with_parameters(numbers), description=found[base].description + added
+        entry = entries[base]
+        entries[name] = replace(
+            entry.with_parameters(numbers), description=entry.description + added
         )
-    return found
+    return entries
+
+
+def _shape_predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
+    """Predictive control of shapes, which tensions hold: they need no governor."""
+    return Predictive(model, limits, period, Shape(model), Tuning(**tuning))
 
 
 OF_POSITION = _tip_controllers(lambda model: TipPosition())
@@ -141,12 +155,7 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": replace(
-            OF_POSITION["predictive"],
-            make=lambda model, limits, period, **tuning: Predictive(
-                model, limits, period, Shape(model), Tuning(**tuning)
-            ),
-        ),
+        "predictive": replace(OF_POSITION["predictive"], make=_shape_predictive),
     },
     "Reach": OF_POSITION,
 }

@@ -11,6 +11,8 @@ from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
 
 DECADES = 4.0  # time constants until an error has settled to 2 %
+LEAST_TIME = 1e-9  # [s] that counts as positive
+LEAST_DAMPING = 1e-9  # ratio that does
 
 
 class ImplicitStep(NamedTuple):
@@ -29,20 +31,38 @@ class ImplicitStep(NamedTuple):
 def implicit_inertia(terms: Terms, period: float) -> Array:
     """A = M + h D + h^2 G (n, n) of the implicit step over a period."""
     stiffness = terms.stiffness + terms.external_stiffness
-    return np.asarray(
-        terms.mass + period * (terms.damping + terms.external_damping + period * stiffness)
-    )
+    damping = terms.damping + terms.external_damping
+    return np.asarray(terms.mass + period * (damping + period * stiffness))
 
 
 def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
-    """The step from where `terms` were computed. Raises LinAlgError if A is singular."""
-    force = terms.external_force + terms.external_damping @ q_dot - terms.elastic_force - terms.bias
-    impulses = np.column_stack([terms.mass @ q_dot + period * force, period * terms.actuation])
+    """Linearly implicit Euler step of the motion.
+
+    Args:
+        terms: of the equation of motion, where the step begins.
+        q_dot: rates (n,) there.
+        period: of the step [s].
+
+    Returns:
+        The rates after the step, as a linear function of the tensions.
+
+    Raises:
+        LinAlgError: if A is singular.
+    """
+    # A v+ = M v + h (F + D_F v - K - C v) + h B u: F is linearised about v, and the external
+    # damping D_F stands on both sides
+    effects = terms.external_force + terms.external_damping @ q_dot
+    force = effects - terms.elastic_force - terms.bias
+    free_impulse = terms.mass @ q_dot + period * force
+    impulses = np.column_stack([free_impulse, period * terms.actuation])
     rates = impulses.copy()
     solve_symmetric(implicit_inertia(terms, period), rates)
     if not np.isfinite(rates).all():
         raise np.linalg.LinAlgError("the matrix of the implicit step is singular")
-    return ImplicitStep(rates[:, 0], rates[:, 1:], impulses[:, 1:].T @ rates[:, 1:])
+    free = rates[:, 0]
+    response = rates[:, 1:]
+    metric = impulses[:, 1:].T @ response
+    return ImplicitStep(free, response, metric)
 
 
 class Gains(NamedTuple):
@@ -56,35 +76,50 @@ class Gains(NamedTuple):
 def discrete_gains(
     settling_time: float, damping: float, period: float, integral_time: float | None = None
 ) -> Gains:
-    """The gains that give a double integrator, held over each period, the poles exp(s period) of
-    the continuous loop with poles s.
+    """Gains by pole placement: they give a double integrator, held over each period, the poles
+    exp(s period) of the continuous loop with poles s.
 
-    The slowest s has the real part -4 / settling_time: e settles to 2 % in that time [s]. `damping`
-    is the ratio zeta of the pair. `integral_time` [s]: a third pole at -4 / integral_time and the
-    integral that goes with it; None: no integral. The loop is e_dot+ = e_dot - period (kp e + kd
-    e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+. Raises TypeError, ValueError.
+    The slowest s has the real part -4 / settling_time: e settles to 2 % in that time. The loop is
+    e_dot+ = e_dot - period (kp e + kd e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+.
+
+    Args:
+        settling_time: [s].
+        damping: ratio zeta of the pair of poles.
+        period: of control [s].
+        integral_time: [s] of a third pole at -4 / integral_time, and the integral that goes with
+            it; None: no integral.
+
+    Returns:
+        kp, kd and ki.
+
+    Raises:
+        TypeError, ValueError: for what is no positive number.
     """
-    checked_number("period", period, 1e-9, "a positive number")
-    poles = natural_frequency(settling_time, damping) * (
-        -damping + np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0)
-    )
+    checked_number("period", period, LEAST_TIME, "a positive number")
+    natural = natural_frequency(settling_time, damping)
+    split = np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0)
+    poles = natural * (split - damping)
     if integral_time is not None:
-        poles = np.append(
-            poles,
-            -DECADES
-            / checked_number("integral_time", integral_time, 1e-9, "a positive number, or None"),
-        )
-    _, *rest = np.real(np.poly(np.exp(poles * period) - 1.0))  # in z - 1
-    first, second, third = (*rest, 0.0)[:3]
+        checked_number("integral_time", integral_time, LEAST_TIME, "a positive number, or None")
+        poles = np.append(poles, -DECADES / integral_time)
+    # characteristic polynomial in z - 1; without an integral it has no third coefficient
+    coefficients = np.real(np.poly(np.exp(poles * period) - 1.0))
+    first, second = coefficients[1:3]
+    third = coefficients[3] if integral_time is not None else 0.0
     return Gains(
-        (second - 2.0 * third) / period**2, (first - second + third) / period, third / period**3
+        kp=(second - 2.0 * third) / period**2,
+        kd=(first - second + third) / period,
+        ki=third / period**3,
     )
 
 
 def natural_frequency(settling_time: float, damping: float) -> float:
     """Natural frequency [rad/s] of a second-order system whose slowest pole has the real part -4 /
     settling_time [s]. Raises as above."""
-    checked_number("settling_time", settling_time, 1e-9, "a positive number")
-    checked_number("damping", damping, 1e-9, "a positive number")
-    slow = damping if damping <= 1.0 else damping - np.sqrt(damping**2 - 1.0)
+    checked_number("settling_time", settling_time, LEAST_TIME, "a positive number")
+    checked_number("damping", damping, LEAST_DAMPING, "a positive number")
+    # real part of the slowest pole, in natural frequencies: above 1 there are two real poles
+    slow = damping
+    if damping > 1.0:
+        slow = damping - np.sqrt(damping**2 - 1.0)
     return float(DECADES / settling_time / slow)

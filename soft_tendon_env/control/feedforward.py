@@ -26,10 +26,10 @@ from soft_tendon_env.tools.types import Array
 # weight of the tensions against that of errors, where both are measured by what they do to the task
 EFFORT = 1e-3
 STRIDE = 0.2  # longest way to the target that a step looks at, as a share of the rod's length
-FIRST_STEPS, STEPS = 20, 1  # Gauss-Newton steps at the beginning of an episode, and in every period
-PARTS = 0.5 ** np.arange(
-    7
-)  # of a step, tried one after another before the tensions stay as they are
+FIRST_STEPS = 20  # Gauss-Newton steps at the beginning of an episode
+STEPS = 1  # and in every period
+PARTS = 0.5 ** np.arange(7)  # of a step, tried in turn before the tensions stay as they are
+LEAST_ERROR = 1e-12  # [m] that counts as one, where its size divides
 STILL = 1e-5  # of the range of tensions, steps that are not worth taking
 # dead band, as a share of the rod's length, within which targets out of reach are left as they are
 MARGIN = 0.0005
@@ -56,46 +56,59 @@ class StaticFeedforward(ModelController):
     def act(self, now: ControllerInput, memory: StaticMemory | None = None) -> ControllerOutput:
         """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed
         as near as the statics come."""
-        at, steps = memory, STEPS
-        if at is None:
-            found = static_equilibrium(self.model, self.preferred)
-            at, steps = (
-                StaticMemory(
-                    self.preferred, found.q, found.tip_pose, np.zeros_like(self.preferred)
-                ),
-                FIRST_STEPS,
-            )
+        equilibrium = memory
+        steps = STEPS
+        if equilibrium is None:
+            rest = static_equilibrium(self.model, self.preferred)
+            no_multipliers = np.zeros_like(self.preferred)
+            equilibrium = StaticMemory(self.preferred, rest.q, rest.tip_pose, no_multipliers)
+            steps = FIRST_STEPS
         for _ in range(steps):
-            at = self._improve(at, now.reference)
-        return self.output(at.tension, at)
+            equilibrium = self._improve(equilibrium, now.reference)
+        return self.output(equilibrium.tension, equilibrium)
 
-    def error(self, at: StaticMemory, reference: Reference) -> Array:
-        """Error (k,) [m] of the equilibrium from the target when the tensions will have acted."""
-        return self.objective.error(at.q, at.tip_pose, reference, self.period)
+    def error(self, equilibrium: StaticMemory, reference: Reference) -> Array:
+        """Error (k,) [m] of an equilibrium from the target when the tensions will have acted."""
+        return self.objective.error(equilibrium.q, equilibrium.tip_pose, reference, self.period)
 
-    def _improve(self, at: StaticMemory, reference: Reference) -> StaticMemory:
+    def _improve(self, equilibrium: StaticMemory, reference: Reference) -> StaticMemory:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
-        model, u, near = self.model, at.tension, ChordSolver(self.model, at.q, at.tension)
-        away = self.error(at, reference)
-        error = away * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(away)), 1e-12))
-        task = self.objective.jacobian(near.terms.tip_jacobian) @ near.answer
-        cost = EFFORT**2 * np.trace(task.T @ task)
-        hessian, gradient = (
-            task.T @ task + cost * np.eye(u.size),
-            cost * (u - self.preferred) - task.T @ error,
+        u = equilibrium.tension
+        nearby = ChordSolver(self.model, equilibrium.q, u)
+        # change of the task by tensions
+        task = self.objective.jacobian(nearby.terms.tip_jacobian) @ nearby.answer
+        curvature = task.T @ task
+        effort = EFFORT**2 * np.trace(curvature)
+        error = self.error(equilibrium, reference)
+        distance = max(float(np.linalg.norm(error)), LEAST_ERROR)
+        stride = error * min(1.0, STRIDE * self.model.length / distance)
+        allocation = allocate(
+            curvature + effort * np.eye(u.size),
+            effort * (u - self.preferred) - task.T @ stride,
+            self.least - u,
+            self.greatest - u,
+            equilibrium.multipliers,
         )
-        found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
-        if np.abs(found.x).max() <= STILL * np.ptp(np.stack([self.least, self.greatest])):
-            return at
-        present = away @ away + cost * np.sum((u - self.preferred) ** 2)
+        span = np.ptp(np.stack([self.least, self.greatest]))
+        if np.abs(allocation.x).max() <= STILL * span:
+            return equilibrium
+        present = self._cost(equilibrium, reference, effort)
         for part in PARTS:
-            trial = u + part * found.x
-            if (there := near.at(trial)) is not None:
-                moved = StaticMemory(trial, *there, found.multipliers)
-                left = self.error(moved, reference)
-                if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
-                    return moved
-        return at
+            tension = u + part * allocation.x
+            solution = nearby.at(tension)
+            if solution is None:
+                continue
+            q, tip_pose = solution
+            trial = StaticMemory(tension, q, tip_pose, allocation.multipliers)
+            if self._cost(trial, reference, effort) <= present:
+                return trial
+        return equilibrium
+
+    def _cost(self, equilibrium: StaticMemory, reference: Reference, effort: float) -> float:
+        """Square of the error [m^2], and of the tensions by the weight of their effort."""
+        error = self.error(equilibrium, reference)
+        excess = equilibrium.tension - self.preferred
+        return float(error @ error + effort * np.sum(excess**2))
 
 
 @dataclass(frozen=True)
@@ -116,21 +129,20 @@ class ReferenceGovernor:
     ) -> ControllerOutput:
         """Tensions of the controller for a target within reach; memory: of statics and controller.
         `report` also has "out_of_reach" [m]."""
-        of_statics, of_controller = memory or (None, None)
-        at: StaticMemory = self.statics.act(now, of_statics).memory
-        away = float(np.linalg.norm(self.statics.error(at, now.reference)))
-        beyond = max(away - MARGIN * self.statics.model.length, 0.0)
+        static_memory, controller_memory = memory or (None, None)
+        nearest: StaticMemory = self.statics.act(now, static_memory).memory
+        reference = now.reference
+        distance = float(np.linalg.norm(self.statics.error(nearest, reference)))
+        beyond = max(distance - MARGIN * self.statics.model.length, 0.0)
         if beyond > 0.0:
-            now = now._replace(
-                reference=self.statics.objective.moved_back(
-                    now.reference, at.tip_pose, self.statics.period, beyond / away
-                )
+            share = beyond / distance
+            reference = self.statics.objective.moved_back(
+                reference, nearest.tip_pose, self.statics.period, share
             )
-        decision = self.controller.act(
-            now._replace(reference=now.reference._replace(tension=at.tension)), of_controller
-        )
+        reference = reference._replace(tension=nearest.tension)
+        decision = self.controller.act(now._replace(reference=reference), controller_memory)
         return replace(
             decision,
-            memory=(at, decision.memory),
+            memory=(nearest, decision.memory),
             report={**decision.report, "out_of_reach": beyond},
         )

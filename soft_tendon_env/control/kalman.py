@@ -26,14 +26,16 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import erring_actuators
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
 IMPLAUSIBLE = 1e3  # scaled coordinates or rates, beyond which a filter begins anew
+# mean square of the innovations, in their standard deviations, above which the forces that the
+# model lacks are taken for greater
 SURPRISE = 4.0
-"""Mean square of the innovations, in their standard deviations, above which the forces that the
-model lacks are taken for greater."""
-GAINS = 0.5, 2.0  # least and greatest of a tendon
+LEAST_GAIN = 0.5  # of a tendon
+GREATEST_GAIN = 2.0
 # relative model noise added to measured velocities, for the neglected dependence of the Jacobian on
 # q
 CHANGING = 0.05
@@ -76,9 +78,8 @@ class Uncertainty(NamedTuple):
     tip_start: float = 2e-3
     latency: float = 5e-4  # [s]
     latency_start: float = 8e-3
-    state_start: float = (
-        1e-2  # coordinates, in units of `coordinate_scale`; their rates ten times that
-    )
+    # coordinates, in units of `coordinate_scale`; their rates ten times that
+    state_start: float = 1e-2
 
 
 USUAL = Uncertainty()
@@ -114,163 +115,198 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     At a point its strains are far less exact than poses and lengths, their integrals: in bending
     the paper's arm at "fast" is off by 0.11 over its length, and its tip by 0.0002 of it. Unknown
     loads add to that.
+
+    Args:
+        model: of the filter.
+        noise: standard deviations of the sensors.
+        sensors: number of strain sensors.
+
+    Returns:
+        Variances, each (k,) or a number for all k entries of the field.
     """
-    length, inside = model.length, np.repeat([1.0 / model.length, 1e-2], 3)
-    found: dict[str, tuple[Any, Any]] = {
-        "tip_pose": (
-            np.repeat([noise.rotation, noise.position], 3),
-            np.repeat([1e-3, 1e-4 * length], 3),
-        ),
-        "tip_twist": (0.0, np.repeat([1e-2, 1e-3 * length], 3)),
-        "tendon_length": (noise.length, 1e-4 * length),
-        "strain": (noise.of_strains(sensors), np.tile(0.1 * inside, sensors)),
-        "strain_rate": (noise.of_strain_rates(sensors), np.tile(0.2 * inside, sensors)),
+    length = model.length
+    # of the sensors, and of the model, by field
+    sensor_deviations: dict[str, Any] = {
+        "tip_pose": np.repeat([noise.rotation, noise.position], 3),
+        "tip_twist": 0.0,
+        "tendon_length": noise.length,
+        "strain": noise.of_strains(sensors),
+        "strain_rate": noise.of_strain_rates(sensors),
     }
-    return {
-        name: np.asarray(of_sensors) ** 2 + np.asarray(of_model) ** 2
-        for name, (of_sensors, of_model) in found.items()
+    strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
+    model_deviations: dict[str, Any] = {
+        "tip_pose": np.repeat([1e-3, 1e-4 * length], 3),
+        "tip_twist": np.repeat([1e-2, 1e-3 * length], 3),
+        "tendon_length": 1e-4 * length,
+        "strain": 0.1 * strain_unit,
+        "strain_rate": 0.2 * strain_unit,
     }
+    variances = dict[str, Array]()
+    for name, deviation in sensor_deviations.items():
+        sensor_variance = np.asarray(deviation) ** 2
+        variances[name] = sensor_variance + np.asarray(model_deviations[name]) ** 2
+    return variances
 
 
 class ExtendedKalmanFilter:
-    """Extended Kalman filter of an arm. Raises TypeError, ValueError."""
+    """Extended Kalman filter of an arm.
+
+    Args:
+        model: what the filter believes of the arm.
+        setting: its sensors and actuators.
+        greatest_latency: [s] of one that is estimated, None: the setting's is known.
+
+    Raises:
+        TypeError, ValueError: for arrays of another shape, and numbers below 0.
+    """
 
     def __init__(
         self, model: Model, setting: Setting, greatest_latency: float | None = None
     ) -> None:
-        """greatest_latency: [s] of one that is estimated, None: the setting's is known."""
-        period, uncertainty, latency = setting.period, setting.uncertainty, setting.latency
-        self.model, self.period, self.latency, self.greatest_latency = (
-            model,
-            period,
-            latency,
-            greatest_latency,
-        )
+        period = setting.period
+        uncertainty = setting.uncertainty
+        self.model = model
+        self.period = period
+        self.latency = setting.latency
+        self.greatest_latency = greatest_latency
+        self.uncertainty = uncertainty
         self.start = checked_array("tension", setting.tension, (model.tendon_count,))
-        for name, value in {"latency": latency, **uncertainty._asdict()}.items():
+        for name, value in {"latency": self.latency, **uncertainty._asdict()}.items():
             checked_number(name, value, 0.0, "a number, at least 0")
-        self.history = (
-            whole_periods(latency if greatest_latency is None else greatest_latency, period)[0] + 2
-        )
-        n, tendons = model.coordinate_count, model.tendon_count
-        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
-        self._at = at = Layout(*map(slice, borders[:-1], borders[1:]))
-        self.uncertainty, self.needs = uncertainty, tuple(setting.observed)
+        self.needs = tuple(setting.observed)
+        longest = self.latency if greatest_latency is None else greatest_latency
+        # commands that acted in the last period: two, where one took over from another
+        self.history = whole_periods(longest, period)[0] + 2
         self._sensors = checked_array("sensors", setting.sensors, (None,))
         self._variance = noise_variances(model, setting.noise, self._sensors.size)
-        terms = model.terms(np.zeros(n), np.zeros(n))
-        give = np.einsum(
-            "ij,ij->j",
-            terms.actuation,
-            np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0],
+        self._simulation = Simulation(model)
+        self._rest = static_equilibrium(model, self.start).q
+        # units of the state's entries
+        self._layout = _layout(model)
+        self._scale = model.coordinate_scale()
+        self._tension = _bending_tension(model)
+        self._tip_unit = np.repeat([1.0, model.length], 3)
+        # change of the state in a period: the variance of its walks, and what is not forgotten
+        walks = self._variances(
+            z=0.0,
+            v=0.0,
+            offset=uncertainty.offset * self._tension,
+            gain=uncertainty.gain,
+            tip=uncertainty.tip * self._tip_unit,
+            latency=uncertainty.latency,
         )
-        self._tension = np.sqrt(
-            model.bending_energy / np.maximum(give, np.finfo(float).tiny)
-        )  # of one tendon that bends the arm by 1 rad
-        self._scale, self._tip_unit = model.coordinate_scale(), np.repeat([1.0, model.length], 3)
-        self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
-        walks = (
-            0.0,
-            0.0,
-            uncertainty.offset * self._tension,
-            uncertainty.gain,
-            uncertainty.tip * self._tip_unit,
-            uncertainty.latency,
-        )
-        self._drift, self._keep = self._variances(*walks) * period, np.ones(at.latency.stop)
-        self._keep[at.offset], self._keep[at.gain] = np.exp(
-            -period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]])
-        )
+        self._drift = walks * period
+        self._keep = np.ones(self._drift.size)
+        times = np.array([uncertainty.offset_time, uncertainty.gain_time])  # 0 s forgets at once
+        offset_kept, gain_kept = np.exp(-period / times)
+        self._keep[self._layout.offset] = offset_kept
+        self._keep[self._layout.gain] = gain_kept
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """Prediction over a period and update by what is measured; begins anew where the model has
-        no motion like that."""
-        believed = self._first() if last is None else self._predict(last.memory, measured)
-        updated = self._update(believed, measured)
+        """Estimates the state after a period: prediction and update. Begins anew where the model
+        has no motion like that.
+
+        Args:
+            measured: at the end of the period.
+            last: estimate of the period before, None when an episode begins.
+
+        Returns:
+            Coordinates, rates and tip pose, errors of the inputs, and the latency if it is
+            estimated.
+        """
+        predicted = self._first() if last is None else self._predict(last.memory, measured)
+        updated = self._update(predicted, measured)
         if updated is None:
             updated = self._update(self._first(), measured) or self._first()
         mean = updated.mean
-        q, tip = self._scale * mean[self._at.z], mean[self._at.tip]
-        latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
-        error = InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
+        layout = self._layout
+        q = self._scale * mean[layout.z]
+        is_latency_known = self.greatest_latency is None
         return Estimate(
-            q,
-            self._scale * mean[self._at.v],
-            moved_pose(self.model.tip_pose(q), tip),
-            error,
-            latency,
-            updated,
+            q=q,
+            q_dot=self._scale * mean[layout.v],
+            tip_pose=moved_pose(self.model.tip_pose(q), mean[layout.tip]),
+            input_error=InputError(1.0 + mean[layout.gain], mean[layout.offset]),
+            latency=None if is_latency_known else float(mean[layout.latency][0]),
+            memory=updated,
         )
 
     def _first(self) -> Belief:
-        known, mean = self.uncertainty, np.zeros(self._at.latency.stop)
-        mean[self._at.z], mean[self._at.latency] = self._rest / self._scale, self.latency
-        offset, tip = known.offset_start * self._tension, known.tip_start * self._tip_unit
+        """Belief when an episode begins: the arm at rest under the tensions that hold it."""
+        start = self.uncertainty
         variance = self._variances(
-            known.state_start,
-            10.0 * known.state_start,
-            offset,
-            known.gain_start,
-            tip,
-            known.latency_start,
+            z=start.state_start,
+            v=10.0 * start.state_start,
+            offset=start.offset_start * self._tension,
+            gain=start.gain_start,
+            tip=start.tip_start * self._tip_unit,
+            latency=start.latency_start,
         )
+        mean = np.zeros(variance.size)
+        mean[self._layout.z] = self._rest / self._scale
+        mean[self._layout.latency] = self.latency
+        motion = 2 * self._scale.size
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(variance), np.zeros((2 * self._scale.size,) * 2), effects)
+        return Belief(mean, np.diag(variance), np.zeros((motion, motion)), effects)
 
-    def _variances(self, *deviations: float | Array) -> Array:
-        """Variances (m,) of standard deviations in the order of Layout; a latency that is known has
-        none."""
-        variance = (
-            np.concatenate(
-                [
-                    np.full(part.stop - part.start, value)
-                    for part, value in zip(self._at, deviations, strict=True)
-                ]
-            )
-            ** 2
-        )
-        variance[self._at.latency] *= self.greatest_latency is not None
+    def _variances(self, **deviations: float | Array) -> Array:
+        """Variances (m,) of the state from standard deviations of the parts of Layout; a latency
+        that is known has none."""
+        variance = np.zeros(self._layout.latency.stop)
+        for name, part in self._layout._asdict().items():
+            variance[part] = np.asarray(deviations[name]) ** 2
+        if self.greatest_latency is None:
+            variance[self._layout.latency] = 0.0
         return variance
 
     def _predict(self, last: Belief, measured: Measurement) -> Belief:
-        mean, gain, offset = last.mean, 1.0 + last.mean[self._at.gain], last.mean[self._at.offset]
-        q, q_dot, began = (
-            self._scale * mean[self._at.z],
-            self._scale * mean[self._at.v],
-            measured.time - self.period,
-        )
-        whole, rest = whole_periods(float(mean[self._at.latency][0]), self.period)
-        newest = len(measured.sent) - 1 - whole
-        tension = measured.sent[
-            [max(newest - 1, 0), max(newest, 0)]
-        ]  # that acted over the last period
-        seconds = np.array([rest, self.period - rest])  # each for so long
+        """Belief after a period; the first one where the model has no such motion."""
+        layout = self._layout
+        mean = last.mean
+        gain = 1.0 + mean[layout.gain]
+        offset = mean[layout.offset]
+        tension, seconds = self._acting(float(mean[layout.latency][0]), measured)
         try:
-            self._simulation.reset(q, q_dot, time=began, effects=last.effects)
-            with erring_actuators():
-                rollout = self._simulation.rollout(
-                    (gain * tension + offset)[None], seconds, forces=self._forces
-                )
+            self._simulation.reset(
+                self._scale * mean[layout.z],
+                self._scale * mean[layout.v],
+                time=measured.time - self.period,
+                effects=last.effects,
+            )
+            driven = (gain * tension + offset)[None]
+            with erring_actuators():  # gain and offset may exceed the limits
+                rollout = self._simulation.rollout(driven, seconds, forces=self._forces)
         except FAILURES:
             return self._first()
-        uncertain = (
-            np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period
-        )  # periods of latency
-        white = np.hypot(
-            self.uncertainty.tension * self._tension,
-            self.uncertainty.timing * uncertain * np.ptp(measured.sent, axis=0),
-        )
+        white = self._white_tension(last, measured)
         transition, noise = self._linearise(rollout, tension, seconds, gain, white)
         after = mean.copy()
-        after[self._at.z], after[self._at.v] = (
-            rollout.q[1] / self._scale,
-            rollout.q_dot[1] / self._scale,
-        )
+        after[layout.z] = rollout.q[1] / self._scale
+        after[layout.v] = rollout.q_dot[1] / self._scale
+        # P+ = F P F^T + Q: Q is of white forces and tensions, and of the walks
         covariance = transition @ last.covariance @ transition.T
         covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
         return Belief(self._keep * after, covariance, noise, rollout.effects[1])
+
+    def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
+        """Two tensions (2, n_a) [N] that acted over the last period, one after the other, and for
+        how long each (2,) [s], with commands that arrive late by `latency` [s]."""
+        whole, rest = whole_periods(latency, self.period)
+        newest = len(measured.sent) - 1 - whole
+        tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]
+        return tension, np.array([rest, self.period - rest])
+
+    def _white_tension(self, last: Belief, measured: Measurement) -> Array:
+        """Standard deviations (n_a,) [N] of white tensions, more where commands change while their
+        latency is uncertain."""
+        latency = self._layout.latency
+        latency_deviation = np.sqrt(last.covariance[latency, latency][0, 0])
+        periods = latency_deviation / self.period
+        change = np.ptp(measured.sent, axis=0)
+        of_timing = self.uncertainty.timing * periods * change
+        return np.hypot(self.uncertainty.tension * self._tension, of_timing)
 
     def _linearise(
         self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
@@ -278,101 +314,135 @@ class ExtendedKalmanFilter:
         """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a)
         acted, and the covariance (2 n, 2 n) that white forces and tensions of deviations `white`
         (n_a,) [N] add to the motion."""
-        unit = np.tile(self._scale, 2)
-        response = rollout.by_tension[0] / unit[:, None]
-        moved = np.column_stack([response * white, rollout.by_force[0] / unit[:, None]])
-        inputs = np.column_stack(
-            [
-                np.eye(gain.size),
-                np.diag(seconds @ acted / self.period),
-                gain * (acted[0] - acted[1]) / self.period,
-            ]
-        )
-        motion, transition = slice(unit.size), np.eye(self._at.latency.stop)
+        layout = self._layout
+        unit = np.tile(self._scale, 2)  # of coordinates and rates
+        by_tension = rollout.by_tension[0] / unit[:, None]
+        by_force = rollout.by_force[0] / unit[:, None]
+        moved = np.column_stack([by_tension * white, by_force])
+        # tension of the period by offsets, by gains and by latency: a later command keeps the
+        # earlier tension for longer
+        mean_tension = seconds @ acted / self.period
+        by_offset = np.eye(gain.size)
+        by_gain = np.diag(mean_tension)
+        by_latency = gain * (acted[0] - acted[1]) / self.period
+        driven = by_tension @ np.column_stack([by_offset, by_gain, by_latency])
+        motion = slice(unit.size)
+        inputs = slice(layout.offset.start, layout.gain.stop)
+        transition = np.eye(layout.latency.stop)
         transition[motion, motion] = rollout.by_state[0] * unit / unit[:, None]
-        driven = response @ inputs
-        transition[motion, self._at.offset.start : self._at.gain.stop] = driven[:, :-1]
-        transition[motion, self._at.latency] = driven[:, -1:]
+        transition[motion, inputs] = driven[:, :-1]
+        transition[motion, layout.latency] = driven[:, -1:]
         return transition * self._keep[:, None], moved @ moved.T
 
-    def _update(self, believed: Belief, measured: Measurement) -> Belief | None:
+    def _update(self, predicted: Belief, measured: Measurement) -> Belief | None:
         """Update: the belief after a measurement; None where there is no such state."""
-        mean, covariance = believed.mean, believed.covariance
+        mean = predicted.mean
+        covariance = predicted.covariance
         try:
-            missed, slope, variance = self._innovations(mean, measured)
-            spread, weight = _gain(slope, covariance, variance, missed)
-            surprise = missed @ weight[:, -1] / missed.size
-            if (
-                surprise > SURPRISE
-            ):  # of the motion, not of what the model has wrong in the long run
-                covariance, moving = covariance.copy(), slice(len(believed.noise))
-                covariance[moving, moving] += (surprise / SURPRISE - 1.0) * believed.noise
-                spread, weight = _gain(slope, covariance, variance, missed)
+            innovation, slope, variance = self._innovations(mean, measured)
+            spread, weight = _gain(slope, covariance, variance, innovation)
+            surprise = innovation @ weight[:, -1] / innovation.size
+            if surprise > SURPRISE:
+                # of the motion, not of what the model has wrong in the long run
+                motion = slice(len(predicted.noise))
+                covariance = covariance.copy()
+                covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
+                spread, weight = _gain(slope, covariance, variance, innovation)
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
-        after[self._at.gain] = np.clip(after[self._at.gain], GAINS[0] - 1.0, GAINS[1] - 1.0)
-        if self.greatest_latency is not None:
-            after[self._at.latency] = np.clip(after[self._at.latency], 0.0, self.greatest_latency)
+        self._keep_plausible(after)
         if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
             return None
         try:
-            self.model.tip_pose(self._scale * after[self._at.z])
-        except FAILURES:
+            self.model.tip_pose(self._scale * after[self._layout.z])
+        except FAILURES:  # the model has no such shape
             return None
-        return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
+        symmetric = 0.5 * (covariance + covariance.T)  # also after round-off
+        return Belief(after, symmetric, predicted.noise, predicted.effects)
+
+    def _keep_plausible(self, mean: Array) -> None:
+        """Cuts gains and latency of a state (m,) off at their bounds, in place."""
+        gain = self._layout.gain
+        mean[gain] = np.clip(mean[gain], LEAST_GAIN - 1.0, GREATEST_GAIN - 1.0)
+        if self.greatest_latency is not None:
+            latency = self._layout.latency
+            mean[latency] = np.clip(mean[latency], 0.0, self.greatest_latency)
 
     def _innovations(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and
         the variances (k,) of the noise."""
-        at, scale = self._at, self._scale
-        q, q_dot = scale * mean[at.z], scale * mean[at.v]
+        layout = self._layout
+        scale = self._scale
+        q = scale * mean[layout.z]
+        q_dot = scale * mean[layout.v]
         terms = self.model.terms(q, q_dot, time=measured.time)
-        strain, slope = (
-            self.model.strain_at(q, self._sensors)
-            if self._sensors.size
-            else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
-        )
-        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
-        expected: dict[
-            str, tuple[Any, Array]
-        ] = {  # and Jacobians (k, n) by coordinates, of VELOCITIES by their rates
-            "tip_twist": (J @ q_dot, J),
+        expected = self._expected(q, q_dot, terms)
+        # the tip's pose, by coordinates and by the displacement between model and arm
+        tip_pose = moved_pose(terms.tip_pose, mean[layout.tip])
+        tip_row = np.zeros((6, mean.size))
+        tip_row[:, layout.z] = terms.tip_jacobian * scale
+        tip_row[:, layout.tip] = np.eye(6)
+        innovations = [pose_error(tip_pose, measured.tip_pose)]
+        rows = [tip_row]
+        variances = [np.broadcast_to(self._variance["tip_pose"], (6,))]
+        for name in self.needs:
+            value, jacobian = expected[name]
+            innovation = (getattr(measured, name) - value).ravel()
+            variance = np.broadcast_to(self._variance[name], innovation.shape)
+            row = np.zeros((innovation.size, mean.size))
+            if name in VELOCITIES:
+                row[:, layout.v] = jacobian * scale
+                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
+            else:
+                row[:, layout.z] = jacobian * scale
+            innovations.append(innovation)
+            rows.append(row)
+            variances.append(variance)
+        return np.concatenate(innovations), np.vstack(rows), np.concatenate(variances)
+
+    def _expected(self, q: Array, q_dot: Array, terms: Terms) -> dict[str, tuple[Array, Array]]:
+        """Expected measurements besides the tip's pose, with Jacobians (k, n) by coordinates, of
+        VELOCITIES by their rates."""
+        if self._sensors.size:
+            strain, slopes = self.model.strain_at(q, self._sensors)
+            slope = slopes.reshape(-1, q.size)
+        else:
+            strain = np.zeros((0, 6))
+            slope = np.zeros((0, q.size))
+        tip = terms.tip_jacobian
+        return {
+            "tip_twist": (tip @ q_dot, tip),
             "tendon_length": (self.model.tendon_lengths(q), -terms.actuation.T),
             "strain": (strain, slope),
             "strain_rate": ((slope @ q_dot).reshape(-1, 6), slope),
         }
-        missed, rows, variances = [], [], []
-        for name in ("tip_pose", *self.needs):
-            if name == "tip_pose":
-                innovation, jacobian = (
-                    pose_error(moved_pose(terms.tip_pose, mean[at.tip]), measured.tip_pose),
-                    J,
-                )
-            else:
-                innovation, jacobian = (
-                    (getattr(measured, name) - expected[name][0]).ravel(),
-                    expected[name][1],
-                )
-            row, variance = (
-                np.zeros((innovation.size, mean.size)),
-                np.broadcast_to(self._variance[name], innovation.shape),
-            )
-            row[:, at.v if name in VELOCITIES else at.z] = jacobian * scale
-            if name in VELOCITIES:
-                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
-            if name == "tip_pose":
-                row[:, at.tip] = np.eye(6)
-            missed.append(innovation)
-            rows.append(row)
-            variances.append(variance)
-        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
 
 
-def _gain(slope: Array, covariance: Array, variance: Array, missed: Array) -> tuple[Array, Array]:
+def _layout(model: Model) -> Layout:
+    """Layout of the state of a model's filter."""
+    n = model.coordinate_count
+    n_a = model.tendon_count
+    borders = np.cumsum([0, n, n, n_a, n_a, 6, 1]).tolist()
+    return Layout(*map(slice, borders[:-1], borders[1:]))
+
+
+def _bending_tension(model: Model) -> Array:
+    """Tensions (n_a,) [N] of single tendons that bend the arm by 1 rad."""
+    rest = np.zeros(model.coordinate_count)
+    terms = model.terms(rest, rest)
+    answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
+    # twice the energy that a unit of each stores; none, of a tendon along the axis
+    energy = np.einsum("ij,ij->j", terms.actuation, answer)
+    return np.sqrt(model.bending_energy / np.maximum(energy, np.finfo(float).tiny))
+
+
+def _gain(
+    slope: Array, covariance: Array, variance: Array, innovation: Array
+) -> tuple[Array, Array]:
     """H P, and (H P H^T + R)^-1 (H P, innovations)."""
     spread = slope @ covariance
-    return spread, np.asarray(
-        np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
-    )
+    innovation_covariance = spread @ slope.T + np.diag(variance)
+    columns = np.column_stack([spread, innovation])
+    return spread, np.asarray(np.linalg.solve(innovation_covariance, columns))

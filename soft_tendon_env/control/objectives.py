@@ -86,16 +86,19 @@ class TipPose(Objective):
         return self._weight[:, None] * tip_jacobian
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        target, then = _pose(now.reference, time), _pose(now.reference, time + period)
-        twist = adjoint(inverse_pose(now.tip_pose) @ then) @ pose_error(target, then) / period
-        error, jacobian = (
-            self._weight * pose_error(now.tip_pose, target),
-            self.jacobian(terms.tip_jacobian),
+        target = _pose(now.reference, time)
+        next_target = _pose(now.reference, time + period)
+        # the target's own twist, in the tip's frame
+        from_tip = inverse_pose(now.tip_pose) @ next_target
+        twist = adjoint(from_tip) @ pose_error(target, next_target) / period
+        # the frame moves: the target's own twist is not the tip's
+        turning = adjoint_of_twist(terms.tip_jacobian @ now.q_dot) @ twist
+        return Aim(
+            error=self._weight * pose_error(now.tip_pose, target),
+            velocity=self._weight * twist,
+            jacobian=self.jacobian(terms.tip_jacobian),
+            bias=self._weight * (terms.tip_bias + turning),
         )
-        turning = (
-            adjoint_of_twist(terms.tip_jacobian @ now.q_dot) @ twist
-        )  # the frame moves, the target's own twist is not the tip's
-        return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         return _displace(reference, pose_error(measured_pose, model_pose))
@@ -103,7 +106,8 @@ class TipPose(Objective):
     def moved_back(
         self, reference: Reference, nearest: Array, time: float, share: float
     ) -> Reference:
-        return _displace(reference, share * pose_error(_pose(reference, time), nearest))
+        way = pose_error(_pose(reference, time), nearest)
+        return _displace(reference, share * way)
 
 
 @dataclass(frozen=True)
@@ -112,44 +116,34 @@ class TipPosition(Objective):
     the world frame."""
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        return np.asarray(
-            tip_pose[:3, :3].T
-            @ (value_at(reference.ahead, _positions(reference), time) - tip_pose[:3, 3])
-        )
+        way = _position(reference, time) - tip_pose[:3, 3]
+        return np.asarray(tip_pose[:3, :3].T @ way)
 
     def jacobian(self, tip_jacobian: Array) -> Array:
         return tip_jacobian[3:]
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        target, then = (
-            value_at(now.reference.ahead, _positions(now.reference), t)
-            for t in (time, time + period)
-        )
-        back = now.tip_pose[:3, :3].T
+        target = _position(now.reference, time)
+        next_target = _position(now.reference, time + period)
+        into_tip = now.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ now.q_dot, 2)
-        bias = terms.tip_bias[3:] + np.cross(
-            angular, linear
-        )  # the frame turns, the target's axes do not
         return Aim(
-            back @ (target - now.tip_pose[:3, 3]),
-            back @ (then - target) / period,
-            self.jacobian(terms.tip_jacobian),
-            bias,
+            error=into_tip @ (target - now.tip_pose[:3, 3]),
+            velocity=into_tip @ (next_target - target) / period,
+            jacobian=self.jacobian(terms.tip_jacobian),
+            # the frame turns, the target's axes do not
+            bias=terms.tip_bias[3:] + np.cross(angular, linear),
         )
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        return reference._replace(
-            tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3]
-        )
+        positions = _positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3]
+        return reference._replace(tip_position=positions)
 
     def moved_back(
         self, reference: Reference, nearest: Array, time: float, share: float
     ) -> Reference:
-        positions = _positions(reference)
-        return reference._replace(
-            tip_position=positions
-            + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time))
-        )
+        way = nearest[:3, 3] - _position(reference, time)
+        return reference._replace(tip_position=_positions(reference) + share * way)
 
 
 class Shape(Objective):
@@ -162,38 +156,49 @@ class Shape(Objective):
     def __init__(self, model: Model) -> None:
         n = model.coordinate_count
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
-        self._root = np.asarray(
-            0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T,
-            dtype=np.float64,
-        )
+        # root of the stiffness: the square of the error is the energy, in units of bending
+        root = np.linalg.cholesky(stiffness / model.bending_energy).T
+        self._root = np.asarray(0.5 * model.length * root, dtype=np.float64)
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         assert reference.q is not None
-        return np.asarray(self._root @ (value_at(reference.ahead, reference.q, time) - q))
+        target = value_at(reference.ahead, reference.q, time)
+        return np.asarray(self._root @ (target - q))
 
     def jacobian(self, tip_jacobian: Array) -> Array:
         return self._root
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        error, then = (
-            self.error(now.q, now.tip_pose, now.reference, t) for t in (time, time + period)
+        error = self.error(now.q, now.tip_pose, now.reference, time)
+        next_error = self.error(now.q, now.tip_pose, now.reference, time + period)
+        return Aim(
+            error=error,
+            velocity=(next_error - error) / period,
+            jacobian=self._root,
+            bias=np.zeros(error.size),
         )
-        return Aim(error, (then - error) / period, self._root, np.zeros(error.size))
 
 
 def _pose(reference: Reference, time: float) -> Array:
+    """The target's pose (4, 4) at a time ahead [s]."""
     assert reference.tip_pose is not None
     return pose_at(reference.ahead, reference.tip_pose, time)
 
 
 def _displace(reference: Reference, twist: Array) -> Reference:
+    """The target with every pose moved by a body displacement (6,)."""
     assert reference.tip_pose is not None
-    return reference._replace(
-        tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose])
-    )
+    poses = [moved_pose(pose, twist) for pose in reference.tip_pose]
+    return reference._replace(tip_pose=np.stack(poses))
+
+
+def _position(reference: Reference, time: float) -> Array:
+    """The target's position (3,) [m] at a time ahead [s]."""
+    return value_at(reference.ahead, _positions(reference), time)
 
 
 def _positions(reference: Reference) -> Array:
+    """The target's positions (m, 3) [m], also of poses."""
     if reference.tip_position is not None:
         return reference.tip_position
     assert reference.tip_pose is not None

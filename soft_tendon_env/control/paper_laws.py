@@ -55,24 +55,34 @@ class TipPoseTarget(NamedTuple):
 
 
 def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
-    """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the
-    tensions.
+    """Shape control laws (37), and (38) where the coordinates are not just the tensions.
 
     The latter holds with passive coordinates, and with redundant tendons, which have fewer
-    coordinates than tensions. Raises ValueError for explicit bases, whose coordinates are no
-    tensions, and ValueError or TypeError for bad arrays.
+    coordinates than tensions.
+
+    Args:
+        model: of the arm.
+        q: coordinates (n,).
+        q_dot: their rates (n,).
+        wanted: the shape to reach.
+        gains: kp and kd.
+
+    Returns:
+        Tensions (n_a,) [N], without limits.
+
+    Raises:
+        ValueError: for explicit bases, whose coordinates are no tensions, and for bad arrays.
+        TypeError: for what are no arrays.
     """
-    error = model.rest_coordinates(wanted.tension) - checked_array(
-        "q", q, (model.coordinate_count,)
-    )
-    error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array(
-        "q_dot", q_dot, (model.coordinate_count,)
-    )
+    shape = (model.coordinate_count,)
+    q_bar = model.rest_coordinates(wanted.tension)
+    error = q_bar - checked_array("q", q, shape)
+    q_bar_dot = model.rest_coordinates(wanted.tension_rate)
+    error_dot = q_bar_dot - checked_array("q_dot", q_dot, shape)
     push = gains.kd * error_dot + gains.kp * error
-    return np.asarray(
-        wanted.tension
-        + (push if model.arm.strain.is_tensions else model.terms(q, q_dot).actuation.T @ push)
-    )
+    if not model.arm.strain.is_tensions:
+        push = model.terms(q, q_dot).actuation.T @ push
+    return np.asarray(wanted.tension + push)
 
 
 LeftInverse = Callable[[Terms], Array]
@@ -84,8 +94,10 @@ def energy_left_inverse(terms: Terms) -> Array:
 
     So it does not depend on the choice of coordinates. Of redundant tendons the least tensions.
     """
+    # with G = L L^T: B^+ = (L^-1 B)^+ L^-1
     root = np.linalg.cholesky(terms.stiffness)
-    weighted = np.linalg.pinv(np.linalg.solve(root, terms.actuation), rtol=DEPENDENT)
+    scaled = np.linalg.solve(root, terms.actuation)
+    weighted = np.linalg.pinv(scaled, rtol=DEPENDENT)
     return np.asarray(np.linalg.solve(root.T, weighted.T).T)
 
 
@@ -102,12 +114,22 @@ def tip_pose_tension(
     gains: Gains,
     left_inverse: LeftInverse = energy_left_inverse,
 ) -> Array:
-    """Tensions (n_a,) [N] of (39); `terms` are those at q and q_dot (n,), of any strain
-    parametrisation.
+    """Tip pose control law (39), feedback linearisation: with full actuation the twist's
+    derivative is then what (39) has in its brackets before J M^-1.
 
-    With full actuation the twist's derivative is then what (39) has in its brackets before J M^-1:
-    feedback linearisation. Raises ValueError where tensions cannot accelerate the tip in all six
-    directions, as with fewer than six coordinates or tendons.
+    Args:
+        terms: at q and q_dot, of any strain parametrisation.
+        q_dot: rates (n,).
+        wanted: the pose to follow.
+        gains: kp and kd.
+        left_inverse: B^+ (n_a, n) of the terms.
+
+    Returns:
+        Tensions (n_a,) [N], without limits.
+
+    Raises:
+        ValueError: where tensions cannot accelerate the tip in all six directions, as with fewer
+            than six coordinates or tendons.
     """
     twist = terms.tip_jacobian @ q_dot
     twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
@@ -122,9 +144,10 @@ def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, 
 
     The two lines below (39), Ad of g^-1 g_bar.
     """
-    into = adjoint(inverse_pose(pose) @ wanted.pose)
-    seen = into @ wanted.twist
-    return seen, adjoint_of_twist(seen - twist) @ seen + into @ wanted.acceleration
+    Ad = adjoint(inverse_pose(pose) @ wanted.pose)
+    target_twist = Ad @ wanted.twist
+    turning = adjoint_of_twist(target_twist - twist) @ target_twist
+    return target_twist, turning + Ad @ wanted.acceleration
 
 
 def accelerating_tension(
@@ -132,54 +155,53 @@ def accelerating_tension(
 ) -> Array:
     """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,)
     for these rows of eta_dot, see (39)."""
-    J, M, B = terms.tip_jacobian[rows], terms.mass, terms.actuation
-    J_over_M = np.linalg.solve(M, J.T).T
-    rank = np.linalg.matrix_rank(J_over_M @ B, rtol=DEPENDENT)
+    J = terms.tip_jacobian[rows]
+    J_over_M = np.linalg.solve(terms.mass, J.T).T  # J M^-1
+    rank = np.linalg.matrix_rank(J_over_M @ terms.actuation, rtol=DEPENDENT)
     if rank < acceleration.size:
         raise ValueError(
             f"tensions accelerate the tip in {rank} of {acceleration.size} directions at these"
             " coordinates: too few for (39)"
         )
     resistance = terms.bias + terms.damping @ q_dot + terms.elastic_force - terms.external_force
-    force = J.T @ np.linalg.solve(
-        J_over_M @ J.T, acceleration + J_over_M @ resistance - terms.tip_bias[rows]
-    )
-    return np.asarray(left_inverse(terms) @ force)
+    # Omega = (J M^-1 J^T)^-1, the inertia of the tip
+    driven = acceleration + J_over_M @ resistance - terms.tip_bias[rows]
+    wrench = np.linalg.solve(J_over_M @ J.T, driven)
+    return np.asarray(left_inverse(terms) @ (J.T @ wrench))
 
 
 class PaperTipPose(ModelController):
-    """(39) for the tip's pose; the target's twist and its derivative from its poses within two
+    """Tip pose controller by (39); the target's twist and its derivative from its poses within two
     periods."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         assert now.reference.tip_pose is not None
-        poses = [
-            pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)
-        ]
-        first, second = (
-            pose_error(poses[0], poses[1]) / self.period,
-            pose_error(poses[1], poses[2]) / self.period,
+        h = self.period
+        pose, next_pose, last_pose = (
+            pose_at(now.reference.ahead, now.reference.tip_pose, k * h) for k in range(3)
         )
-        acceleration = (second - first) / self.period
-        wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
+        # mean twists of the two periods are those in their middle
+        first_twist = pose_error(pose, next_pose) / h
+        second_twist = pose_error(next_pose, last_pose) / h
+        acceleration = (second_twist - first_twist) / h
+        twist = first_twist - 0.5 * h * acceleration
+        target = TipPoseTarget(pose, twist, acceleration)
         try:
-            terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(
-                tip_pose=now.tip_pose
-            )
-            return self.output(tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS))
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)
+            measured = terms._replace(tip_pose=now.tip_pose)
+            return self.output(tip_pose_tension(measured, now.q_dot, target, TIP_GAINS))
         except (*FAILURES, ValueError):
             return self.hold(now)
 
 
 class PaperShape(ShapeController):
-    """(37) or (38)."""
+    """Shape controller by (37), or (38)."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        here, then = (
-            self._tensions @ self.shape_at(now.reference, time) for time in (0.0, self.period)
-        )
-        wanted = ShapeTarget(here, (then - here) / self.period)
+        tension = self._tensions @ self.shape_at(now.reference, 0.0)
+        next_tension = self._tensions @ self.shape_at(now.reference, self.period)
+        target = ShapeTarget(tension, (next_tension - tension) / self.period)
         try:
-            return self.output(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))
+            return self.output(shape_tension(self.model, now.q, now.q_dot, target, SHAPE_GAINS))
         except (*FAILURES, ValueError):
             return self.hold(now)

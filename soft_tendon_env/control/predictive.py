@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.allocation import Allocation, allocate
 from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import (
@@ -45,17 +45,15 @@ class Tuning(NamedTuple):
     """Weights and horizon of a model-predictive controller; efforts and errors are measured by what
     they do to the task."""
 
-    settling_time: float = (
-        0.3  # [s] within which errors that are there now are planned to fall to 2 %
-    )
+    # [s] within which errors that are there now are planned to fall to 2 %
+    settling_time: float = 0.3
     horizon: int = 6  # intervals to plan
     # control periods that an interval lasts, in which tensions stay as they are (move blocking)
     hold: int = 1
     effort: float = 3e-3  # weight of tensions against that of errors
     smoothness: float = 0.42  # the same of their changes from period to period
-    observer: float = (
-        0.25  # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
-    )
+    # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
+    observer: float = 0.25
 
     @property
     def looks_ahead(self) -> int:
@@ -64,11 +62,20 @@ class Tuning(NamedTuple):
 
 
 DEFAULT = Tuning()
+# relative singular value below which motions are not explained by tensions
+EXPLAINED = 1e-6
 
 
 class Predictive(ModelController):
-    """Model-predictive controller by real-time iterations: `objective` is the error to drive to
-    zero, `tuning` has weights and horizon."""
+    """Model-predictive controller by real-time iterations.
+
+    Args:
+        model: what the controller believes of the arm.
+        limits: (n_a, 2) [N] of tensions.
+        period: of control [s].
+        objective: the error to drive to zero.
+        tuning: weights and horizon.
+    """
 
     def __init__(
         self,
@@ -79,16 +86,20 @@ class Predictive(ModelController):
         tuning: Tuning = DEFAULT,
     ) -> None:
         super().__init__(model, limits, period)
-        self.objective, self.horizon = objective, tuning.horizon
-        self._hold, self._interval = tuning.hold, tuning.hold * period
-        self.observer, self._decay = (
-            tuning.observer,
-            np.exp(-DECADES * self._interval / tuning.settling_time),
-        )
+        self.objective = objective
+        self.observer = tuning.observer
+        self.horizon = tuning.horizon
+        self._hold = tuning.hold
+        self._interval = tuning.hold * period
+        # factor by which errors are planned to fall in an interval
+        self._decay = np.exp(-DECADES * self._interval / tuning.settling_time)
+        # changes of a plan (N n_a,) from interval to interval, and the weight of plan and changes
         size = self.least.size
-        self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
-        self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
-        self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
+        plan_size = self.horizon * size
+        self._change = np.eye(plan_size) - np.eye(plan_size, k=-size)
+        self._effort = tuning.effort**2
+        self._smoothness = tuning.smoothness**2 * self._change.T
+        self._penalty = self._effort * np.eye(plan_size) + self._smoothness @ self._change
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
@@ -96,77 +107,113 @@ class Predictive(ModelController):
     def act(self, now: ControllerInput, memory: Plan | None = None) -> ControllerOutput:
         """First tensions of the improved plan. Where the model cannot follow its plan, the last
         ones are held and the plan begins anew."""
-        size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
-        plan = np.tile(last, (N, 1))
-        if memory is not None:  # a period later
-            share = 1.0 / self._hold
-            plan = (1.0 - share) * memory.tension + share * np.vstack(
-                [memory.tension[1:], memory.tension[-1:]]
-            )
-        error = now.input_error or InputError(
-            np.ones(size), np.zeros(size) if memory is None else self._observe(memory, now)
-        )
+        plan = self._continued(last, memory)
+        error = self._input_error(memory, now)
         try:
-            self._simulation.reset(
-                now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects
-            )
-            with erring_actuators():
+            effects = None if memory is None else memory.effects
+            self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
+            with erring_actuators():  # gain and offset may exceed the limits
                 rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval)
         except FAILURES:
             return self.hold(now)
-        hessian, gradient = self._program(rollout, error.gain, now)
-        offset = plan.ravel()
-        change = self._change @ offset
-        change[:size] -= last
-        unit = np.trace(hessian) / offset.size
+        multipliers = None if memory is None else memory.multipliers
+        allocation = self._improvement(rollout, plan, last, error.gain, now, multipliers)
+        better = plan + allocation.x.reshape(plan.shape)
+        rates, effects = self._predicted(error.gain * better[0] + error.offset)
+        improved = Plan(
+            tension=better,
+            multipliers=allocation.multipliers,
+            disturbance=error.offset,
+            response=rollout.by_tension[0, now.q.size :] / self._hold,
+            rates=rates,
+            effects=effects,
+        )
+        disturbance = float(np.abs(error.offset).max())
+        return self.output(better[0], improved, not allocation.solved, disturbance=disturbance)
+
+    def _continued(self, last: Array, memory: Plan | None) -> Array:
+        """The last plan (N, n_a) a period later, its end held on; at first the last tensions."""
+        if memory is None:
+            return np.tile(last, (self.horizon, 1))
+        # of the tensions of an interval, a period is a share
+        share = 1.0 / self._hold
+        later = np.vstack([memory.tension[1:], memory.tension[-1:]])
+        return (1.0 - share) * memory.tension + share * later
+
+    def _input_error(self, memory: Plan | None, now: ControllerInput) -> InputError:
+        """The estimator's error of the inputs, or else the disturbance that is observed."""
+        if now.input_error is not None:
+            return now.input_error
+        size = self.least.size
+        offset = np.zeros(size) if memory is None else self._observe(memory, now)
+        return InputError(np.ones(size), offset)
+
+    def _improvement(
+        self,
+        rollout: Rollout,
+        plan: Array,
+        last: Array,
+        gain: Array,
+        now: ControllerInput,
+        multipliers: Array | None,
+    ) -> Allocation:
+        """Change (N n_a,) of a plan by the quadratic program about its rollout, of errors, tensions
+        and changes from the last tensions (n_a,) on."""
+        hessian, gradient = self._program(rollout, gain, now)
+        tension = plan.ravel()
+        change = self._change @ tension
+        change[: last.size] -= last
+        unit = np.trace(hessian) / tension.size
         hessian = hessian + unit * self._penalty
-        gradient = gradient + unit * (self._effort * offset + self._smoothness @ change)
-        least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        found = allocate(
-            hessian, gradient, least, greatest, None if memory is None else memory.multipliers
-        )
-        better = plan + found.x.reshape(N, size)
-        rates = effects = (
-            None  # predicted for the end of the period, where the model has such a motion
-        )
+        gradient = gradient + unit * (self._effort * tension + self._smoothness @ change)
+        least = np.tile(self.least, self.horizon) - tension
+        greatest = np.tile(self.greatest, self.horizon) - tension
+        return allocate(hessian, gradient, least, greatest, multipliers)
+
+    def _predicted(self, tension: Array) -> tuple[Array | None, Array | None]:
+        """Rates (n,) and internal states of effects (m,) after a period under tensions (n_a,); None
+        where the model has no such motion."""
         try:
             with erring_actuators():
-                self._simulation.step(error.gain * better[0] + error.offset, self.period)
-            rates, effects = self._simulation.state.q_dot, self._simulation.state.effects
+                self._simulation.step(tension, self.period)
         except FAILURES:
-            pass
-        response = rollout.by_tension[0, now.q.size :] / self._hold
-        improved = Plan(better, found.multipliers, error.offset, response, rates, effects)
-        return self.output(
-            better[0], improved, not found.solved, disturbance=float(np.abs(error.offset).max())
-        )
+            return None, None
+        state = self._simulation.state
+        return state.q_dot, state.effects
 
     def _observe(self, memory: Plan, now: ControllerInput) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum
         that tensions explain."""
         if memory.rates is None:
             return memory.disturbance
+        unexplained = now.q_dot - memory.rates
         push = memory.response.T @ self._inertia
-        explained = np.linalg.lstsq(
-            push @ memory.response, push @ (now.q_dot - memory.rates), rcond=1e-6
-        )[0]
-        return np.asarray(memory.disturbance + self.observer * explained)
+        mobility = push @ memory.response
+        tension, *_ = np.linalg.lstsq(mobility, push @ unexplained, rcond=EXPLAINED)
+        return np.asarray(memory.disturbance + self.observer * tension)
 
     def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
-        n, size, N, aim = now.q.size, gain.size, self.horizon, self.objective
+        n = now.q.size
+        size = gain.size
+        N = self.horizon
+        aim = self.objective
         reference = aim.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)
         error = [
             aim.error(rollout.q[k], rollout.tip_pose[k], reference, k * self._interval)
             for k in range(N + 1)
         ]
-        change, slopes, left = np.zeros((2 * n, N * size)), [], []
+        # change of coordinates and rates by the plan's tensions, interval by interval
+        change = np.zeros((2 * n, N * size))
+        slopes = list[Array]()
+        remaining = list[Array]()
         for k in range(N):
-            given = slice(k * size)  # the tensions that have acted before
-            change[:, given] = rollout.by_state[k] @ change[:, given]
-            change[:, k * size : (k + 1) * size] = rollout.by_tension[k] * gain
+            earlier = slice(k * size)  # tensions that have acted before
+            acting = slice(k * size, (k + 1) * size)
+            change[:, earlier] = rollout.by_state[k] @ change[:, earlier]
+            change[:, acting] = rollout.by_tension[k] * gain
             slopes.append(aim.jacobian(rollout.tip_jacobian[k + 1]) @ change[:n])
-            left.append(error[k + 1] - self._decay ** (k + 1) * error[0])
+            remaining.append(error[k + 1] - self._decay ** (k + 1) * error[0])
         slope = np.concatenate(slopes)
-        return slope.T @ slope, -slope.T @ np.concatenate(left)
+        return slope.T @ slope, -slope.T @ np.concatenate(remaining)

@@ -34,15 +34,12 @@ class Reference(NamedTuple):
     # predicted
     ahead: Array
     tip_pose: Array | None = None  # (m, 4, 4)
-    tip_position: Array | None = (
-        None  # (m, 3) [m]; the tip may point anywhere where only this is given
-    )
+    # (m, 3) [m]; the tip may point anywhere where only this is given
+    tip_position: Array | None = None
     q: Array | None = None  # (m, n) coordinates of the shapes, which tensions can hold
-    tension: Array | None = (
-        # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see
-        # ReferenceGovernor
-        None
-    )
+    # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see
+    # ReferenceGovernor
+    tension: Array | None = None
 
 
 class InputError(NamedTuple):
@@ -63,10 +60,8 @@ class ControllerInput(NamedTuple):
     tension: Array  # (n_a,) [N] asked for last
     reference: Reference
     time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
-    input_error: InputError | None = (
-        # where an estimator finds one: a controller that allows for it needs no observer of its own
-        None
-    )
+    # where an estimator finds one: a controller that allows for it needs no observer of its own
+    input_error: InputError | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,8 @@ class ModelController:
     control period [s]."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
-        self.model, self.period = model, period
+        self.model = model
+        self.period = period
         self.least, self.greatest = limits.T.copy()
         self._near = AT_LIMIT * (self.greatest - self.least)
 
@@ -106,15 +102,14 @@ class ModelController:
     ) -> ControllerOutput:
         """Tensions (n_a,) [N] cut off at their limits, with their report; `more` goes into that."""
         tension = np.minimum(np.maximum(tension, self.least), self.greatest)
-        limited = (
-            np.count_nonzero(
-                (tension <= self.least + self._near) | (tension >= self.greatest - self._near)
-            )
-            / tension.size
-        )
-        return ControllerOutput(
-            tension, memory, {"limited": limited, "singular": float(is_singular), **more}
-        )
+        is_least = tension <= self.least + self._near
+        is_greatest = tension >= self.greatest - self._near
+        report = {
+            "limited": np.count_nonzero(is_least | is_greatest) / tension.size,
+            "singular": float(is_singular),
+            **more,
+        }
+        return ControllerOutput(tension, memory, report)
 
 
 class Measurement(NamedTuple):
@@ -147,11 +142,13 @@ class SensorNoise(Configuration):
 
     def of_strains(self, sensors: int) -> Array:
         """Deviations (6 sensors,) of the strains at so many sensors."""
-        return np.tile(np.repeat([self.curvature, self.stretch], 3), sensors)
+        of_one = np.repeat([self.curvature, self.stretch], 3)
+        return np.tile(of_one, sensors)
 
     def of_strain_rates(self, sensors: int) -> Array:
         """Deviations (6 sensors,) of the rates of those strains."""
-        return np.tile(np.repeat([self.curvature_rate, self.stretch_rate], 3), sensors)
+        of_one = np.repeat([self.curvature_rate, self.stretch_rate], 3)
+        return np.tile(of_one, sensors)
 
 
 class Estimate(NamedTuple):

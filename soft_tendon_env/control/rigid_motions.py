@@ -6,6 +6,9 @@ import numpy as np
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses, pose_errors
 from soft_tendon_env.tools.types import Array
 
+SAME_TIME = 1e-9  # [s] by which a time may be beyond a pose's and still count as it
+SAME_SHARE = 1e-9  # of the way between two poses
+
 
 def pose_error(pose: Array, wanted: Array) -> Array:
     """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in
@@ -24,46 +27,72 @@ def moved_pose(pose: Array, twist: Array) -> Array:
 
 def inverse_pose(pose: Array) -> Array:
     """g^-1 (4, 4)."""
+    transposed = pose[:3, :3].T
     out = np.eye(4)
-    out[:3, :3] = pose[:3, :3].T
-    out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    out[:3, :3] = transposed
+    out[:3, 3] = -transposed @ pose[:3, 3]
     return out
 
 
 def adjoint(pose: Array) -> Array:
     """Ad_g (6, 6)."""
-    R, out = pose[:3, :3], np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = R
+    R = pose[:3, :3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = R
+    out[3:, 3:] = R
     out[3:, :3] = skew(pose[:3, 3]) @ R
     return out
 
 
 def adjoint_of_twist(twist: Array) -> Array:
     """ad_xi (6, 6)."""
+    angular = skew(twist[:3])
     out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = skew(twist[:3])
+    out[:3, :3] = angular
+    out[3:, 3:] = angular
     out[3:, :3] = skew(twist[3:])
     return out
 
 
 def skew(x: Array) -> Array:
     """x~ (3, 3) with x~ y = x × y."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    a, b, c = x
+    return np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:
-    """The pose (4, 4) at a time ahead [s] of poses (m, 4, 4) at `ahead` (m,): along the screw
-    between two, the last for ever."""
-    after = int(np.searchsorted(ahead, time - 1e-9))
-    if after == 0 or after == ahead.size:
-        return np.asarray(poses[min(after, ahead.size - 1)])
-    share = (time - ahead[after - 1]) / (ahead[after] - ahead[after - 1])
-    if share > 1.0 - 1e-9:
+    """Interpolated pose of a trajectory, along the screw between two poses.
+
+    Args:
+        ahead: (m,) [s] of the poses from now, increasing.
+        poses: (m, 4, 4).
+        time: ahead [s].
+
+    Returns:
+        The pose (4, 4); before the first and after the last of them that one.
+    """
+    after = int(np.searchsorted(ahead, time - SAME_TIME))
+    if after == 0:
+        return np.asarray(poses[0])
+    if after == ahead.size:
+        return np.asarray(poses[-1])
+    before = after - 1
+    share = (time - ahead[before]) / (ahead[after] - ahead[before])
+    if share > 1.0 - SAME_SHARE:  # one of the poses itself, without round-off
         return np.asarray(poses[after])
-    return moved_pose(poses[after - 1], share * pose_error(poses[after - 1], poses[after]))
+    screw = pose_error(poses[before], poses[after])
+    return moved_pose(poses[before], share * screw)
 
 
 def value_at(ahead: Array, values: Array, time: float) -> Array:
-    """The vector (k,) at a time ahead [s] of vectors (m, k) at `ahead` (m,): linear between two,
-    the last for ever."""
+    """Interpolated vector of a trajectory, linear between two.
+
+    Args:
+        ahead: (m,) [s] of the vectors from now, increasing.
+        values: (m, k).
+        time: ahead [s].
+
+    Returns:
+        The vector (k,); before the first and after the last of them that one.
+    """
     return np.array([np.interp(time, ahead, column) for column in values.T])

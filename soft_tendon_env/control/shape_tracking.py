@@ -39,12 +39,10 @@ class ShapeController(ModelController):
                 "shape control needs coordinates that are tensions: the statics-based strain, not"
                 " an explicit basis"
             )
-        at_rest = np.stack(
-            [model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1
-        )
-        self._tensions = np.linalg.pinv(
-            at_rest
-        )  # (n_a, n) of coordinates at rest, of least norm where tendons are redundant (34)
+        units = np.eye(model.tendon_count)
+        at_rest = np.stack([model.rest_coordinates(unit) for unit in units], axis=1)
+        # (n_a, n) of coordinates at rest, of least norm where tendons are redundant (34)
+        self._tensions = np.linalg.pinv(at_rest)
 
     def shape_at(self, reference: Reference, time: float) -> Array:
         """Coordinates (n,) of the reference at a time ahead [s]."""
@@ -53,8 +51,8 @@ class ShapeController(ModelController):
 
 
 class ShapeFeedforward(ShapeController):
-    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within
-    limits."""
+    """Shape control by u = q_a_bar, the tensions that hold the shape wanted at the end of the
+    period, within limits."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         return self.output(self._tensions @ self.shape_at(now.reference, self.period))
@@ -79,19 +77,18 @@ class ShapeTracking(ShapeController):
         damping: float = 10.0,
     ) -> None:
         super().__init__(model, limits, period)
-        terms, natural = (
-            model.terms(*np.zeros((2, model.coordinate_count))),
-            natural_frequency(settling_time, damping),
-        )
+        natural = natural_frequency(settling_time, damping)
+        rest = np.zeros(model.coordinate_count)
+        terms = model.terms(rest, rest)
+        # slowest mode of M^-1 G: with control its frequency is that of (1 + kp) G, and its damping
+        # that of D + kd G
         squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
-        square, mode = squares.real.min(), modes[:, np.argmin(squares.real)].real
-        damped = (
-            mode @ terms.damping @ mode / (mode @ terms.mass @ mode)
-        )  # [1/s] of the slowest mode without control
-        self.kp, self.kd = (
-            max(natural**2 / square - 1.0, 0.0),
-            max((2.0 * damping * natural - damped) / square, 0.0),
-        )
+        slowest = np.argmin(squares.real)
+        square = squares.real[slowest]
+        mode = modes[:, slowest].real
+        own_damping = mode @ terms.damping @ mode / (mode @ terms.mass @ mode)  # [1/s]
+        self.kp = max(natural**2 / square - 1.0, 0.0)
+        self.kd = max((2.0 * damping * natural - own_damping) / square, 0.0)
 
     def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
         """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""
@@ -101,18 +98,20 @@ class ShapeTracking(ShapeController):
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
             return self.hold(now, memory)
-        q, then = self.shape_at(now.reference, 0.0), self.shape_at(now.reference, h)
-        project = (
-            np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T)
-            @ self._tensions
-            @ terms.stiffness
-        )
-        goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
+        q_bar = self.shape_at(now.reference, 0.0)
+        next_q_bar = self.shape_at(now.reference, h)
+        # u = goal - grip v+, with the rates v+ at the end of the period
+        actuation = self._tensions @ terms.stiffness
+        project = np.linalg.pinv(actuation @ self._tensions.T) @ self._tensions @ terms.stiffness
+        push = kd * (next_q_bar - q_bar) / h + kp * (next_q_bar - now.q)
+        goal = self._tensions @ next_q_bar + project @ push
         grip = (kd + h * kp) * project
-        rates = np.linalg.solve(
-            np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal
-        )
-        wanted = goal - grip @ rates
-        motion = step.metric + LOOSE * np.trace(step.metric) / wanted.size * np.eye(wanted.size)
-        found = allocate(motion, -motion @ wanted, self.least, self.greatest, memory)
-        return self.output(found.x, found.multipliers, not found.solved)
+        # v+ = free + response u
+        closed_loop = np.eye(now.q.size) + step.response @ grip
+        rates = np.linalg.solve(closed_loop, step.free + step.response @ goal)
+        tension = goal - grip @ rates
+        # within the limits, the tensions whose motion is nearest to that of these
+        loose = LOOSE * np.trace(step.metric) / tension.size
+        motion = step.metric + loose * np.eye(tension.size)
+        allocation = allocate(motion, -motion @ tension, self.least, self.greatest, memory)
+        return self.output(allocation.x, allocation.multipliers, not allocation.solved)

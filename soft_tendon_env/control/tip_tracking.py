@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import discrete_gains, implicit_step
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.dynamics import ImplicitStep, discrete_gains, implicit_step
+from soft_tendon_env.control.objectives import Aim, Objective
 from soft_tendon_env.control.protocol import (
     FAILURES,
     ControllerInput,
     ControllerOutput,
+    InputError,
     ModelController,
 )
 from soft_tendon_env.model.model import Model
@@ -26,12 +27,9 @@ from soft_tendon_env.tools.types import Array
 # least over greatest singular value of the map from tensions to the task, below which the task
 # counts as singular
 SINGULAR = 1e-3
-FREE, STATIC = (
-    1e-3,
-    0.1,
-    # weights of leaving the arm to itself, or to the static tensions where they are known, against
-    # the task's
-)
+# weights against that of the task
+FREE = 1e-3  # of leaving the arm to itself
+STATIC = 0.1  # of leaving it to the static tensions, where they are known
 
 
 class TipMemory(NamedTuple):
@@ -61,59 +59,76 @@ class TipTracking(ModelController):
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
 
     def act(self, now: ControllerInput, memory: TipMemory | None = None) -> ControllerOutput:
-        h, gains = self.period, self.gains
+        """Tensions of the implicit law; memory: integral and multipliers of the last period."""
+        h = self.period
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
             return self.hold(now, memory)
-        aim, next_aim = (self.objective.aim(now, terms, time, h) for time in (0.0, h))
+        aim = self.objective.aim(now, terms, 0.0, h)
+        next_aim = self.objective.aim(now, terms, h, h)
         integral = np.zeros_like(aim.error) if memory is None else memory.integral
-        velocity = aim.jacobian @ now.q_dot
-        last_velocity = (
-            2.0 * aim.velocity - next_aim.velocity
-        )  # of the target over the period that has passed
-        feedback = (
-            gains.kp * aim.error + gains.kd * (last_velocity - velocity) + gains.ki * integral
-        )
-        wanted = velocity + h * feedback + aim.velocity - last_velocity
-        (free, response, metric), static = step, now.reference.tension
-        if now.input_error is not None:
-            gain, offset = now.input_error
-            free, response, metric = (
-                free + response @ offset,
-                response * gain,
-                metric * gain * gain[:, None],
-            )
-            static = None if static is None else (static - offset) / gain
-        task = aim.jacobian @ response
-        missing = wanted - aim.jacobian @ free - h * aim.bias
-        weight, reference = (
-            (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
-        )
-        passive = (
-            weight * np.trace(task.T @ task) / np.trace(metric) * metric
-        )  # of the motion by other tensions than these
-        hessian, gradient = task.T @ task + passive, -task.T @ missing - passive @ reference
-        found = allocate(
-            hessian,
-            gradient,
-            self.least,
-            self.greatest,
-            None if memory is None else memory.multipliers,
-        )
-        ways, scale, _ = np.linalg.svd(task)
-        open_ways = ways[:, : scale.size][
-            :, scale > SINGULAR * scale[0]
-        ]  # directions in which tensions move the tip at all
-        refused = (
-            task @ (np.linalg.lstsq(hessian, -gradient, rcond=None)[0] - found.x) / h
-        )  # by the limits
-        integral = integral + h * (
-            open_ways @ (open_ways.T @ aim.error) - refused / gains.kp
-        )  # no wind-up by what cannot be done
+        velocity = self._next_velocity(aim, next_aim, integral, now.q_dot)
+        step, static = _allowing_for(now.input_error, step, now.reference.tension)
+        # the task: jacobian (free + response u) + h bias = velocity
+        task = aim.jacobian @ step.response
+        missing = velocity - aim.jacobian @ step.free - h * aim.bias
+        # besides, the least motion by other tensions than the static ones
+        weight = FREE if static is None else STATIC
+        preferred = np.zeros_like(self.least) if static is None else static
+        scale = weight * np.trace(task.T @ task) / np.trace(step.metric)
+        passive = scale * step.metric
+        hessian = task.T @ task + passive
+        gradient = -task.T @ missing - passive @ preferred
+        multipliers = None if memory is None else memory.multipliers
+        allocation = allocate(hessian, gradient, self.least, self.greatest, multipliers)
+        # the integral does not wind up by what cannot be done: by what the limits refuse, and in
+        # directions in which no tensions move the tip
+        unlimited, *_ = np.linalg.lstsq(hessian, -gradient, rcond=None)
+        refused = task @ (unlimited - allocation.x) / h
+        ways = _open_ways(task)
+        integral = integral + h * (ways @ (ways.T @ aim.error) - refused / self.gains.kp)
+        is_singular = ways.shape[1] < task.shape[0]
         return self.output(
-            found.x,
-            TipMemory(integral, found.multipliers),
-            not found.solved or open_ways.shape[1] < task.shape[0],
+            allocation.x,
+            TipMemory(integral, allocation.multipliers),
+            not allocation.solved or is_singular,
         )
+
+    def _next_velocity(self, aim: Aim, next_aim: Aim, integral: Array, q_dot: Array) -> Array:
+        """Velocity (k,) that the law asks for at the end of the period: the target's, and
+        feedback."""
+        gains = self.gains
+        velocity = aim.jacobian @ q_dot
+        # of the target over the period that has passed, of which `velocity` is the end
+        last_target_velocity = 2.0 * aim.velocity - next_aim.velocity
+        feedback = (
+            gains.kp * aim.error
+            + gains.kd * (last_target_velocity - velocity)
+            + gains.ki * integral
+        )
+        return velocity + self.period * feedback + aim.velocity - last_target_velocity
+
+
+def _allowing_for(
+    error: InputError | None, step: ImplicitStep, static: Array | None
+) -> tuple[ImplicitStep, Array | None]:
+    """The step as a function of the tensions that are asked for, and the static ones of these,
+    where an estimator has found an error of the inputs."""
+    if error is None:
+        return step, static
+    gain, offset = error
+    corrected = ImplicitStep(
+        free=step.free + step.response @ offset,
+        response=step.response * gain,
+        metric=step.metric * gain * gain[:, None],
+    )
+    return corrected, None if static is None else (static - offset) / gain
+
+
+def _open_ways(task: Array) -> Array:
+    """Orthonormal directions (k, r) of the task in which tensions move the tip at all."""
+    ways, scale, _ = np.linalg.svd(task)
+    is_open = scale > SINGULAR * scale[0]
+    return np.asarray(ways[:, : scale.size][:, is_open])

@@ -9,24 +9,24 @@ again as a whole, since errors within one are common, each time with one Newton 
 estimate and priors drawn around theirs (Davison and Hinkley 1997, 3.8 and 7.6).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.evaluation.summaries import CONFIDENCE
+from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import NoHoldError, Readings
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
-FIRST_SIGMA, LEAST_SIGMA = (
-    0.02,
-    1e-8,
-)  # standard deviations of readings at first, and at least, as shares of the rod's length
-SAME_SIGMA, MOST_ROUNDS, RESAMPLES = 0.02, 10, 2000
-TOLERANCE, ROOM = (
-    1e-8,
-    0.02,
-)  # of the method, and the distance from bounds, of that of both, at which it begins
+FIRST_SIGMA = 0.02  # standard deviation of readings at first, as a share of the rod's length
+LEAST_SIGMA = 1e-8  # at least, as a share of the rod's length
+SAME_SIGMA = 0.02  # relative change of it below which another round would change nothing
+MOST_ROUNDS = 10  # in which it and the estimate are sought in turn
+RESAMPLES = 2000  # of the bootstrap: its standard deviations are good to 2 %
+TOLERANCE = 1e-8  # of the method, on coordinates, sum of squares and gradient
+ROOM = 0.02  # distance from bounds, of that of both, at which the method begins
 # fall of the sum of squares, in mean squares of a reading, that says nothing: a parameter moves by
 # 3 % of its deviation
 PROGRESS = 1e-3
@@ -71,119 +71,185 @@ class Intervals(NamedTuple):
 
 
 def fit(readings: Readings, sigma: float | None = None) -> Fit:
-    """Estimate of the parameters. sigma: standard deviation [m] of the readings, None: unknown.
-    Raises ValueError for fewer readings than parameters without priors, NoHoldError where the scene
-    itself does not hold the data."""
-    parameters, length = readings.plants.parameters, readings.plants.model.length
-    prior = np.array(
-        [0.0 if one.prior is None else (one.scale / one.prior) ** 2 for one in parameters]
-    )
-    free, count = int((prior == 0.0).sum()), readings.cluster.size
+    """Estimates parameters by least squares with priors, from readings of recordings.
+
+    Args:
+        readings: of the recordings to fit to.
+        sigma: standard deviation [m] of the readings, None: unknown.
+
+    Returns:
+        The estimate, with the linearised readings there.
+
+    Raises:
+        ValueError: for fewer readings than parameters without priors.
+        NoHoldError: where the scene itself does not hold the data.
+    """
+    length = readings.plants.model.length
+    prior = _prior_information(readings.plants.parameters)
+    count = readings.cluster.size
+    free = int((prior == 0.0).sum())
     if count <= free:
         raise ValueError(
             f"there are {count} readings for {free} parameters without priors: record more holds,"
             " or estimate fewer"
         )
-    x, here = np.zeros(len(parameters)), FIRST_SIGMA * length if sigma is None else sigma
-    for _ in range(
-        MOST_ROUNDS if sigma is None and prior.any() else 1
-    ):  # where sigma changes the estimate
-        found = _solve(readings, x, here, prior)
-        x, before, data = found.x, here, found.information
+    x = np.zeros(prior.size)
+    deviation = FIRST_SIGMA * length if sigma is None else sigma
+    # without priors a deviation scales all squares alike, and the estimate stays
+    rounds = MOST_ROUNDS if sigma is None and prior.any() else 1
+    for _ in range(rounds):
+        estimate = _solve(readings, x, deviation, prior)
+        x = estimate.x
+        before = deviation
         if sigma is None:
-            decided = float(
-                np.trace(np.linalg.pinv(data + np.diag(prior), hermitian=True) @ data)
-            )  # parameters: the priors decide others
-            here = max(
-                float(np.sqrt(found.residual @ found.residual / max(count - decided, 1.0))),
-                LEAST_SIGMA * length,
-            )
-        if not found.converged or abs(here - before) <= SAME_SIGMA * before:
+            deviation = max(_root_mean_square(estimate), LEAST_SIGMA * length)
+        if not estimate.converged or abs(deviation - before) <= SAME_SIGMA * before:
             break
-    return found._replace(sigma=here)
+    return estimate._replace(sigma=deviation)
+
+
+def _prior_information(parameters: Sequence[Parameter]) -> Array:
+    """Inverse variances (k,) of the priors of coordinates, 0 without a prior."""
+    information = np.zeros(len(parameters))
+    for i, parameter in enumerate(parameters):
+        if parameter.prior is not None:
+            information[i] = (parameter.scale / parameter.prior) ** 2
+    return information
+
+
+def _root_mean_square(estimate: Fit) -> float:
+    """Standard deviation [m] of readings from their residuals, less the degrees of freedom that the
+    data decided."""
+    data = estimate.information
+    posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
+    decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
+    squares = estimate.residual @ estimate.residual
+    return float(np.sqrt(squares / max(estimate.residual.size - decided, 1.0)))
 
 
 def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     """Estimate at a given standard deviation, from coordinates x (k,) on."""
-    from scipy.optimize import (
-        least_squares,
-    )  # here: it takes longer to import than all else that most scenes need
+    # here: it takes longer to import than all else that most scenes need
+    from scipy.optimize import least_squares
 
+    # rows of the priors stand beneath those of the readings
     root = np.diag(np.sqrt(prior))[prior > 0.0]
-    bounds = np.array([one.bounds for one in readings.plants.parameters]).T
+    bounds = np.array([parameter.bounds for parameter in readings.plants.parameters]).T
+    low, high = bounds
     inside = ROOM * np.ptp(bounds, axis=0)  # from a bound itself the method hardly moves
-    x = np.clip(x, bounds[0] + inside, bounds[1] - inside)
-    size = readings.residual(x).size  # raises where the scene itself does not hold the data
+    start = np.clip(x, low + inside, high - inside)
+    size = readings.residual(start).size  # raises where the scene itself does not hold the data
 
-    def residual(at: Array) -> Array:
+    def residual(x: Array) -> Array:
         try:
-            data = readings.residual(at)
+            data = readings.residual(x)
         except (NoHoldError, ConfigurationError):  # the trust region shrinks
             data = np.full(size, np.inf)
-        return np.concatenate([data / sigma, root @ at])
+        return np.concatenate([data / sigma, root @ x])
 
-    def jacobian(at: Array) -> Array:
-        return np.vstack([readings.jacobian(at) / sigma, root])
+    def jacobian(x: Array) -> Array:
+        return np.vstack([readings.jacobian(x) / sigma, root])
 
-    ftol = max(PROGRESS / size, TOLERANCE)
-    done = least_squares(
+    result = least_squares(
         residual,
-        x,
+        start,
         jacobian,
         bounds,
         xtol=TOLERANCE,
-        ftol=ftol,
+        ftol=max(PROGRESS / size, TOLERANCE),
         gtol=TOLERANCE,
         max_nfev=MOST_TRIALS,
     )
-    return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior, done.success)
+    return Fit(
+        x=result.x,
+        residual=sigma * result.fun[:size],
+        jacobian=sigma * result.jac[:size],
+        sigma=sigma,
+        prior=prior,
+        converged=result.success,
+    )
 
 
 def intervals(found: Fit, readings: Readings) -> Intervals:
-    """Intervals of an estimate from readings."""
-    from scipy.special import (
-        stdtrit,
-    )  # here: it takes longer to import than all else that most scenes need
+    """Intervals of an estimate at 95 %, the wider of linear and bootstrap ones.
 
-    parameters, cluster, tail = (
-        readings.plants.parameters,
-        readings.cluster,
-        0.5 * (1.0 + CONFIDENCE),
-    )
-    bounds = np.array([one.bounds for one in parameters])
-    values, vectors = np.linalg.eigh(found.information + np.diag(found.prior))
-    none = values <= SINGULAR * max(
-        values[-1], np.finfo(float).tiny
-    )  # directions without information
-    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
-    variances = np.where(free, np.inf, (vectors[:, ~none] ** 2 / values[~none]).sum(axis=1))
-    linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(variances)
-    bootstrap = stdtrit(max(int(cluster.max()), 1), tail) * _bootstrap(found, cluster).std(axis=0)
-    reach = np.where(np.isfinite(linear), np.maximum(linear, bootstrap), np.ptp(bounds, axis=1))
+    Args:
+        found: the estimate.
+        readings: those that it is of.
+
+    Returns:
+        Intervals in the parameters' own units, and what the data do not contain.
+    """
+    # here: it takes longer to import than all else that most scenes need
+    from scipy.special import stdtrit
+
+    parameters = readings.plants.parameters
+    bounds = np.array([parameter.bounds for parameter in parameters])
+    tail = 0.5 * (1.0 + CONFIDENCE)
+    reading_freedom = max(found.residual.size - found.x.size, 1)
+    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(found))
+    # errors within a cluster are common: there are as many independent ones as clusters
+    cluster_freedom = max(int(readings.cluster.max()), 1)
+    deviations = _bootstrap(found, readings.cluster).std(axis=0)
+    bootstrap = stdtrit(cluster_freedom, tail) * deviations
+    wider = np.maximum(linear, bootstrap)
+    reach = np.where(np.isfinite(linear), wider, np.ptp(bounds, axis=1))
     ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
-    low, high = np.array(
-        [
-            sorted((one.at(low), one.at(high)))
-            for one, low, high in zip(parameters, *ends, strict=True)
-        ]
-    ).T
-    information, vectors = np.linalg.eigh(found.information)
-    seen = information > max(SEEN, SINGULAR * information[-1])
-    identified = (np.abs(vectors[:, ~seen]) < UNSEEN).all(axis=1)
-    return Intervals(low, high, identified, [*vectors[:, ~seen].T])
+    # the value of a factor of a negative number falls with its coordinate
+    values = [
+        sorted((parameter.at(low), parameter.at(high)))
+        for parameter, low, high in zip(parameters, *ends, strict=True)
+    ]
+    low, high = np.array(values).T
+    identified, unseen = _identified(found)
+    return Intervals(low, high, identified, unseen)
+
+
+def _variances(found: Fit) -> Array:
+    """Variances (k,) of the coordinates, of data and priors; infinite without information."""
+    total = found.information + np.diag(found.prior)
+    information, directions = np.linalg.eigh(total)
+    largest = max(information[-1], np.finfo(float).tiny)
+    is_empty = information <= SINGULAR * largest
+    empty = directions[:, is_empty]
+    known = directions[:, ~is_empty]
+    is_free = (np.abs(empty) > np.sqrt(SINGULAR)).any(axis=1)
+    variances = (known**2 / information[~is_empty]).sum(axis=1)
+    return np.where(is_free, np.inf, variances)
+
+
+def _identified(found: Fit) -> tuple[Array, list[Array]]:
+    """Whether the data contain each parameter (k,); directions (k,) that they do not contain, the
+    least known first."""
+    information, directions = np.linalg.eigh(found.information)
+    is_seen = information > max(SEEN, SINGULAR * information[-1])
+    unseen = directions[:, ~is_seen]
+    return (np.abs(unseen) < UNSEEN).all(axis=1), [*unseen.T]
 
 
 def _bootstrap(found: Fit, cluster: Array) -> Array:
-    """Coordinates (draws, k) of resampled estimates."""
-    random, clusters, weight = np.random.default_rng(0), int(cluster.max()) + 1, found.sigma**-2
-    parts = [(found.jacobian[cluster == i], found.residual[cluster == i]) for i in range(clusters)]
-    curvature = np.array([weight * J.T @ J for J, _ in parts])
-    gradient = np.array([weight * J.T @ r for J, r in parts])
-    drawn = random.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=RESAMPLES).astype(
-        float
-    )
-    centre = random.normal(size=(RESAMPLES, found.x.size)) * np.sqrt(found.prior)
-    A = np.einsum("dr,rij->dij", drawn, curvature) + np.diag(found.prior)
-    b = drawn @ gradient + found.prior * found.x - centre
-    ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(found.x.size)
-    return found.x - np.linalg.solve(A + ridge, b[..., None])[..., 0]
+    """Coordinates (draws, k) of resampled estimates, by one Newton step each. cluster: index of
+    each reading (N,)."""
+    random = np.random.default_rng(0)
+    clusters = int(cluster.max()) + 1
+    weight = found.sigma**-2
+    # curvature J^T J and gradient J^T r of the sum of squares, cluster by cluster
+    curvature, gradient = list[Array](), list[Array]()
+    for i in range(clusters):
+        J = found.jacobian[cluster == i]
+        r = found.residual[cluster == i]
+        curvature.append(weight * J.T @ J)
+        gradient.append(weight * J.T @ r)
+    # how often each cluster is drawn, with as many draws as there are clusters
+    shares = np.full(clusters, 1.0 / clusters)
+    times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
+    # b of the priors' own draws, around each of which x / prior is measured
+    k = found.x.size
+    prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(found.prior)
+    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(found.prior)
+    b = times @ np.array(gradient) + found.prior * found.x - prior_draw
+    # keeps A invertible where a draw leaves out all that says something about a parameter
+    ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
+    A += ridge[:, None, None] * np.eye(k)
+    step = np.linalg.solve(A, b[..., None])
+    return found.x - step[..., 0]

@@ -2,7 +2,7 @@
 with what they do not contain."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,19 @@ import tomli_w
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.evaluation.tables import markdown_table, number
-from soft_tendon_env.identification.findings import findings, misread_text
+from soft_tendon_env.identification.clusters import SHARE, split
+from soft_tendon_env.identification.findings import findings
 from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
+from soft_tendon_env.identification.misread import misread_text
 from soft_tendon_env.identification.parameters import (
-    DELAY,
     Parameter,
+    Quantity,
     command_limits,
     read_parameters,
 )
 from soft_tendon_env.identification.readings import NoHoldError, Plants, Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
+from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.checks import checked_count, checked_type
@@ -50,9 +52,8 @@ class Estimate:
     intervals: Intervals
     scene: Scene  # with the estimated numbers
     markers: MarkerSet  # with the estimated offsets
-    error_fit: dict[
-        str, float
-    ]  # mean distance [m] of the markers in the recordings of the fit, by their names
+    # mean distance [m] of the markers in the recordings of the fit, by their names
+    error_fit: dict[str, float]
     error_held_out: dict[str, float]
     before: tuple[float, float]  # mean of either [m] at the numbers of the scene that was given
     noise: float  # standard deviation of a marker's coordinate [m]
@@ -78,13 +79,24 @@ def identify(
 ) -> Estimate:
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
-    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers.
-    parameters: as `KEY` or `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the
-    recordings, a column, see identification.recordings, or a CSV file of others. fit_to: greatest
-    number of recordings to fit to, evenly over the data; None: all. fidelity: of the fitted model,
-    whose errors go into the parameters. noise: standard deviation of a marker's coordinate [m];
-    None: it is estimated. Raises ValueError, ConfigurationError or FileNotFoundError for data that
-    cannot be used, in one line that says where.
+    Args:
+        scene: the arm as it is known.
+        data: CSV files, see identification.recordings.
+        markers: TOML file, see identification.markers, or what was read from it.
+        parameters: as `KEY` or `KEY=LOW..HIGH`, see identification.parameters.
+        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file
+            of others.
+        fit_to: greatest number of recordings to fit to, evenly over the data; None: all.
+        fidelity: of the fitted model, whose errors go into the parameters.
+        noise: standard deviation of a marker's coordinate [m]; None: it is estimated.
+
+    Returns:
+        The estimate, with its intervals, errors and findings.
+
+    Raises:
+        ValueError: for data that cannot be used, in one line that says where.
+        ConfigurationError: for markers, keys and values that the scene does not allow.
+        FileNotFoundError: for data that are missing.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
@@ -93,157 +105,212 @@ def identify(
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
-    recordings, judge = (
-        read_recordings([Path(file) for file in files], scene, placed),
-        str(held_out),
-    )
-    parts = (
-        [recordings, read_recordings([Path(judge)], scene, placed)]
-        if judge.endswith(".csv")
-        else split(recordings, judge)
-    )
-    if fit_to is not None and checked_count("fit_to", fit_to, 1) < (count := len(parts[0])):
-        parts[0] = [parts[0][int(i)] for i in (np.arange(fit_to) + 0.5) * count / fit_to]
-    accurate = at_fidelity(scene, fidelity)
-    period = min((one.period for part in parts for one in part if one.period), default=np.inf)
-    accurate = accurate.replace(
-        {"integrator.step": min(period, accurate.integrator.step)}
-    )  # a command may arrive in each period
+    paths = [Path(file) for file in files]
+    fit_part, judge_part = _read_parts(paths, str(held_out), fit_to, scene, placed)
+    accurate = _fitted_scene(scene, fidelity, fit_part + judge_part)
     plants = Plants(accurate, build_model(accurate), placed, chosen)
-    fitted, unseen = (Readings(plants, part) for part in parts)
+    fitted = Readings(plants, fit_part)
+    judge = Readings(plants, judge_part)
+    nominal = np.zeros(len(chosen))
     try:
-        found = fit(fitted, noise)
-        (error_fit, error_held_out), before = (
-            [part.errors(x) for part in (fitted, unseen)] for x in (found.x, 0.0 * found.x)
-        )
-        spread, measurement = intervals(found, fitted), plants.measurement(found.x)
-        told = findings(found, spread.unseen, fitted, noise)
-    except (
-        NoHoldError
-    ) as error:  # of the arm as it is given, or of one at the edge of those that hold the data
-        raise NoHoldError(
-            f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise) or LOOK}"
-        ) from error
+        estimate = fit(fitted, noise)
+        error_fit, error_held_out = fitted.errors(estimate.x), judge.errors(estimate.x)
+        before_fit, before_held_out = fitted.errors(nominal), judge.errors(nominal)
+        spread = intervals(estimate, fitted)
+        texts = findings(estimate, spread.unseen, fitted, noise)
+    except NoHoldError as error:
+        # of the arm as it is given, or of one at the edge of those that hold the data
+        advice = misread_text(fitted, None, noise) or LOOK
+        raise NoHoldError(f"{str(error).rstrip('.')}. {advice}") from error
+    values = [parameter.at(x) for parameter, x in zip(chosen, estimate.x, strict=True)]
     return Estimate(
         parameters=chosen,
-        value=np.array([one.at(x) for one, x in zip(chosen, found.x, strict=True)]),
+        value=np.array(values),
         intervals=spread,
-        scene=plants.scene_at(found.x, scene),
-        markers=placed.with_offsets(measurement.offsets),
+        scene=plants.scene_at(estimate.x, scene),
+        markers=placed.with_offsets(plants.measurement(estimate.x).offsets),
         error_fit=error_fit,
         error_held_out=error_held_out,
-        before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),
-        noise=found.sigma,
-        findings=tuple(told),
+        before=(mean_of_finite(before_fit.values()), mean_of_finite(before_held_out.values())),
+        noise=estimate.sigma,
+        findings=tuple(texts),
         data=tuple(os.fspath(file) for file in files),
     )
 
 
+def _read_parts(
+    paths: Sequence[Path], held_out: str, fit_to: int | None, scene: Scene, markers: MarkerSet
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit to, at most `fit_to`, and held-out ones, as `identify` is given them."""
+    recordings = read_recordings(paths, scene, markers)
+    if held_out.endswith(".csv"):
+        fit_part = recordings
+        judge_part = read_recordings([Path(held_out)], scene, markers)
+    else:
+        fit_part, judge_part = split(recordings, held_out)
+    count = len(fit_part)
+    if fit_to is not None and checked_count("fit_to", fit_to, 1) < count:
+        # the middle one of each of as many equal stretches of the data
+        places = (np.arange(fit_to) + 0.5) * count / fit_to
+        fit_part = [fit_part[int(place)] for place in places]
+    return fit_part, judge_part
+
+
+def _fitted_scene(scene: Scene, fidelity: str, recordings: Sequence[Recording]) -> Scene:
+    """The scene whose model is fitted: at a fidelity, with steps no longer than sample periods,
+    since a command may arrive in each."""
+    accurate = at_fidelity(scene, fidelity)
+    periods = [recording.period for recording in recordings if recording.period]
+    step = min([*periods, accurate.integrator.step])
+    return accurate.replace({"integrator.step": step})
+
+
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:
-    """Writes an estimate into a folder; returns the files. Raises OSError."""
+    """Writes an estimate into a folder: the scene, the markers, and all numbers as JSON.
+
+    Args:
+        found: the estimate.
+        folder: made where it is missing.
+
+    Returns:
+        The files.
+
+    Raises:
+        OSError: where they cannot be written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    comment = "".join(f"# {line}".rstrip() + "\n" for line in summary(found).splitlines())
-    scene = (
-        "# Identified by soft-tendon"
-        f" identify:\n{comment}\n{tomli_w.dumps(scene_to_dict(found.scene))}"
-    )
-    files = [folder / name for name in ("scene.toml", "markers.toml", "estimate.json")]
-    files[0].write_text(scene, encoding="utf-8")
-    files[1].write_text(tomli_w.dumps(plain(found.markers)), encoding="utf-8")
-    write_json(files[-1], _as_json(found), say=False)
-    return files
+    comments = [f"# {line}".rstrip() for line in summary(found).splitlines()]
+    lines = ["# Identified by soft-tendon identify:", *comments, ""]
+    scene_file = folder / "scene.toml"
+    markers_file = folder / "markers.toml"
+    estimate_file = folder / "estimate.json"
+    scene_text = "\n".join(lines) + "\n" + tomli_w.dumps(scene_to_dict(found.scene))
+    scene_file.write_text(scene_text, encoding="utf-8")
+    markers_file.write_text(tomli_w.dumps(plain(found.markers)), encoding="utf-8")
+    write_json(estimate_file, _as_json(found), say=False)
+    return [scene_file, markers_file, estimate_file]
 
 
 def summary(found: Estimate) -> str:
-    """Tables of errors and parameters, and the findings."""
-    counts = zip(
-        ("fit", "held out"),
-        (found.error_fit, found.error_held_out),
-        found.before,
-        found.errors,
-        strict=True,
-    )
+    """Tables of errors and parameters, and the findings.
+
+    Args:
+        found: the estimate.
+
+    Returns:
+        Markdown.
+    """
     errors = [
         (name, str(len(each)), number(1e3 * before), number(1e3 * after))
-        for name, each, before, after in counts
+        for name, each, before, after in zip(
+            ("fit", "held out"),
+            (found.error_fit, found.error_held_out),
+            found.before,
+            found.errors,
+            strict=True,
+        )
     ]
     rows = [
         (
-            one.name,
-            f"{one.value:.4g}",
+            parameter.name,
+            f"{parameter.value:.4g}",
             f"{value:.4g}",
             f"{low:.4g} to {high:.4g}",
-            "yes" if seen else "no",
+            "yes" if identified else "no",
         )
-        for one, value, low, high, seen in zip(
-            found.parameters, found.value, *found.intervals[:3], strict=True
-        )
+        for parameter, value, low, high, identified in _rows(found)
     ]
+    error_header = ("markers' mean distance", "recordings", "before [mm]", "identified [mm]")
+    header = ("parameter", "before", "identified", "95 % interval", "in the data")
     parts = [
-        markdown_table(
-            ("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors
-        ),
-        markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
+        markdown_table(error_header, errors),
+        markdown_table(header, rows),
         "\n".join(f"- {text}" for text in found.findings),
     ]
     return "\n\n".join(parts).rstrip()
 
 
+def _rows(found: Estimate) -> Iterator[tuple[Parameter, float, float, float, bool]]:
+    """Every parameter with its value, the ends of its interval, and whether the data contain
+    it."""
+    spread = found.intervals
+    return zip(
+        found.parameters, found.value, spread.low, spread.high, spread.identified, strict=True
+    )
+
+
 def _as_json(found: Estimate) -> dict[str, Any]:
     """Estimate as plain JSON: parameters, errors, findings, randomisation, versions, digests of the
     data."""
-    rows = zip(found.parameters, found.value, *found.intervals[:3], strict=True)
     parameters = {
-        one.name: {
+        parameter.name: {
             "value": value,
             "low": low,
             "high": high,
-            "before": one.value,
-            "prior": one.prior,
-            "identified": bool(seen),
+            "before": parameter.value,
+            "prior": parameter.prior,
+            "identified": bool(identified),
         }
-        for one, value, low, high, seen in rows
+        for parameter, value, low, high, identified in _rows(found)
     }
-    parts = zip(
-        ("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True
-    )
-    errors = {
-        name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}}
-        for name, each, mean in parts
-    }
-    told = {
+    mean_fit, mean_held_out = found.errors
+    table = {
+        "parameters": parameters,
+        "error_mm": {
+            "fit": _errors_in_mm(found.error_fit, mean_fit),
+            "held_out": _errors_in_mm(found.error_held_out, mean_held_out),
+        },
         "noise_mm": 1e3 * found.noise,
         "findings": found.findings,
         "randomize": randomize(found),
+        "data": {Path(file).name: digest(Path(file)) for file in found.data},
     }
-    data = {Path(file).name: digest(Path(file)) for file in found.data}
-    return plain({"parameters": parameters, "error_mm": errors, **told, "data": data, **origin()})
+    return plain({**table, **origin()})
+
+
+def _errors_in_mm(errors: dict[str, float], mean: float) -> dict[str, Any]:
+    """Mean error and that of each recording, of errors [m]."""
+    each = {name: 1e3 * error for name, error in errors.items()}
+    return {"mean": 1e3 * mean, "each": each}
 
 
 def randomize(found: Estimate) -> dict[str, Any]:
     """Table `randomize` of an environment with the identified scene: what the intervals leave open,
-    of parameters that the data or a prior contain. Latency comes on top of the scene's delay.
-    Offsets are tensions [N], also of arms that are driven by displacement."""
-    table, ranges = dict[str, Any](), dict[str, list[float]]()
-    tensions = [tendon.tension_limits for tendon in found.scene.tendons]
-    unit = np.ptp(tensions, axis=1) / np.ptp(
-        command_limits(found.scene), axis=1
-    )  # [N] of an offset by 1
-    for one, value, low, high, seen in zip(
-        found.parameters, found.value, *found.intervals[:3], strict=True
-    ):
-        if not seen and one.prior is None:
+    of parameters that the data or a prior contain.
+
+    Latency comes on top of the scene's delay. Offsets are tensions [N], also of arms that are
+    driven by displacement.
+
+    Args:
+        found: the estimate.
+
+    Returns:
+        Ranges by keys of the scene, `latency` [s], `tension_gain` and `tension_offset` [N].
+    """
+    tension_limits = [tendon.tension_limits for tendon in found.scene.tendons]
+    tension_span = np.ptp(tension_limits, axis=1)
+    tension_of_command = tension_span / np.ptp(command_limits(found.scene), axis=1)
+    table = dict[str, Any]()
+    gains = list[float]()
+    offsets = list[float]()
+    for parameter, value, low, high, identified in _rows(found):
+        if not identified and parameter.prior is None:
             continue
-        if one.of_scene is not None:
-            table[one.name] = {"factor": [low, high]} if one.of_scene.is_factor else [low, high]
-        elif one.name == DELAY:
+        if parameter.of_scene is not None:
+            interval = [low, high]
+            # a common factor of numbers that differ
+            is_factor = parameter.of_scene.is_factor
+            table[parameter.name] = {"factor": interval} if is_factor else interval
+        elif parameter.quantity is Quantity.COMMAND_DELAY:
             table["latency"] = [0.0, high - value]
-        elif one.name.endswith(".gain"):
-            ranges.setdefault("tension_gain", []).extend([low, high])
-        elif one.name.startswith("commands."):
-            ranges.setdefault("tension_offset", []).extend(
-                unit[int(one.name.split(".")[1])] * np.array([low, high])
-            )
-    return dict[str, Any](
-        plain(table | {name: [min(ends), max(ends)] for name, ends in ranges.items()})
-    )
+        elif parameter.quantity is Quantity.COMMAND_GAIN:
+            gains += [low, high]
+        elif parameter.quantity is Quantity.COMMAND_OFFSET:
+            unit = tension_of_command[parameter.index[0]]
+            offsets += [unit * low, unit * high]
+    # environments draw every tendon's from one range, which covers those of all
+    if gains:
+        table["tension_gain"] = [min(gains), max(gains)]
+    if offsets:
+        table["tension_offset"] = [min(offsets), max(offsets)]
+    return dict[str, Any](plain(table))

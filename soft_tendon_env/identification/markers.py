@@ -18,6 +18,9 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.types import Array, NotNegative, Quaternion, Triple
 
+TOLERANCE = 1e-9  # relative, by which a marker may be beyond the tip: of round-off
+MILLIMETRES = 10.0  # rod's lengths from which on a place is in another unit, likely mm
+
 UNITS: Mapping[str, Mapping[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "N": {"N": 1.0, "mN": 1e-3, "kg": 9.80665, "g": 9.80665e-3},  # of a mass, its weight
@@ -30,11 +33,8 @@ class Marker(Configuration):
     """Marker that is fixed to a section of the rod, `[markers.NAME]`."""
 
     arc_length: NotNegative  # of the section, from the rod's base [m]
-    offset: Triple = (
-        0.0,
-        0.0,
-        0.0,
-    )  # of the marker in the section's frame (x along the rod, y, z) [m]
+    # of the marker in the section's frame (x along the rod, y, z) [m]
+    offset: Triple = (0.0, 0.0, 0.0)
 
 
 class Frame(Configuration):
@@ -78,38 +78,55 @@ class MarkerSet(Configuration):
 
     def with_offsets(self, offsets: Array) -> "MarkerSet":
         """The markers with other offsets (m, 3) [m]."""
-        pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
-        moved = {
-            name: marker.model_copy(update={"offset": tuple(offset)})
-            for (name, marker), offset in pairs
-        }
+        moved = dict[str, Marker]()
+        for (name, marker), offset in zip(self.markers.items(), offsets.tolist(), strict=True):
+            moved[name] = marker.model_copy(update={"offset": tuple(offset)})
         return MarkerSet(markers=moved, frame=self.frame, columns=self.columns)
 
 
 def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:
-    """Markers, frame and columns of a TOML file, for the arm of a scene. Raises ConfigurationError,
-    see `check_places`."""
-    found = MarkerSet.parse(read_toml(path), os.fspath(path))
-    check_places(found, scene, os.fspath(path))
-    return found
+    """Reads markers, frame and columns from a TOML file.
+
+    Args:
+        path: of the file.
+        scene: the arm that has the markers.
+
+    Returns:
+        The markers in the order of the file.
+
+    Raises:
+        ConfigurationError: for a file that cannot be read, for keys and values that are not
+            allowed, and see `check_places`.
+    """
+    source = os.fspath(path)
+    markers = MarkerSet.parse(read_toml(path), source)
+    check_places(markers, scene, source)
+    return markers
 
 
 def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
-    """Raises ConfigurationError for markers beyond the rod's tip, and for offsets that are longer
-    than the rod."""
-    length, problems = rod_length(scene), list[Problem]()
+    """Checks that markers are on the rod.
+
+    Args:
+        markers: to check.
+        scene: the arm that has them.
+        source: where they are from, for messages.
+
+    Raises:
+        ConfigurationError: for markers beyond the rod's tip, and for offsets that are longer than
+            the rod.
+    """
+    length = rod_length(scene)
+    problems = list[Problem]()
     for name, marker in markers.markers.items():
-        for key, size in (
-            ("arc_length", marker.arc_length),
-            ("offset", float(np.linalg.norm(marker.offset))),
-        ):
-            if size > length * (1 + 1e-9):
-                hint = "; is it in mm?" if size > 10.0 * length else ""
-                problems.append(
-                    Problem(
-                        ("markers", name, key),
-                        f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}",
-                    )
-                )
+        sizes = {
+            "arc_length": marker.arc_length,
+            "offset": float(np.linalg.norm(marker.offset)),
+        }
+        for key, size in sizes.items():
+            if size > length * (1 + TOLERANCE):
+                hint = "; is it in mm?" if size > MILLIMETRES * length else ""
+                text = f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"
+                problems.append(Problem(("markers", name, key), text))
     if problems:
         raise ConfigurationError(problems, source)

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.identification.clusters import clusters
 from soft_tendon_env.identification.markers import MarkerSet
-from soft_tendon_env.identification.parameters import DELAY, Parameter
-from soft_tendon_env.identification.recordings import Recording, clusters
+from soft_tendon_env.identification.parameters import Parameter, Quantity
+from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
@@ -25,12 +26,8 @@ from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
-DIFFERENCES = (
-    1e-4,
-    1e-3,
-    # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps'
-    # tolerance
-)
+HOLD_DIFFERENCE = 1e-4  # of coordinates, central: equilibria are exact to 1e-10
+MOTION_DIFFERENCE = 1e-3  # of coordinates where there are motions: exact to the steps' tolerance
 
 
 class NoHoldError(ValueError):
@@ -48,8 +45,10 @@ class Measurement(NamedTuple):
     def positions(self, poses: Array) -> Array:
         """Positions (..., m, 3) [m] of markers in the world, of section poses (..., m, 4, 4) along
         its axes, but beginning at the base."""
-        away = poses[..., :3, 3] + np.einsum("...ij,...j->...i", poses[..., :3, :3], self.offsets)
-        return np.asarray(away + self.position)
+        rotation = poses[..., :3, :3]
+        centre = poses[..., :3, 3]
+        from_base = centre + np.einsum("...ij,...j->...i", rotation, self.offsets)
+        return np.asarray(from_base + self.position)
 
 
 class Near(NamedTuple):
@@ -68,44 +67,48 @@ class Plants:
     def __init__(
         self, scene: Scene, model: Model, markers: MarkerSet, parameters: Sequence[Parameter]
     ) -> None:
-        self.scene, self.model, self.markers, self.parameters = (
-            scene,
-            model,
-            markers,
-            tuple(parameters),
-        )
-        is_uniform = all(effect.is_uniform for effect in scene.effects.on_arm().chosen().values())
-        still = ("markers.", "base.position") if is_uniform else ("markers.",)
-        self.moves_arm = [
-            not one.name.startswith(still) for one in self.parameters
-        ]  # beside its base
+        self.scene = scene
+        self.model = model
+        self.markers = markers
+        self.parameters = tuple(parameters)
+        # quantities that leave the poses of sections as they are, seen from the base's place; that
+        # place matters to an arm where an effect changes from place to place, as contact does
+        still = {Quantity.MARKER_OFFSET}
+        if all(effect.is_uniform for effect in scene.effects.on_arm().chosen().values()):
+            still.add(Quantity.BASE_POSITION)
+        self.moves_arm = [parameter.quantity not in still for parameter in self.parameters]
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
         """A scene with the numbers at coordinates (k,) of the parameters. Raises
         ConfigurationError."""
         changes = dict[str, Any]()
         for parameter, coordinate in zip(self.parameters, x, strict=True):
-            if parameter.name == DELAY:
-                changes["effects.actuators.delay"] = parameter.at(coordinate)
+            value = parameter.at(coordinate)
+            if parameter.quantity is Quantity.COMMAND_DELAY:
+                changes["effects.actuators.delay"] = value
             elif parameter.of_scene is not None:
-                changes |= parameter.of_scene.changes(parameter.at(coordinate))
+                changes |= parameter.of_scene.changes(value)
         return scene_with_numbers(scene, changes)
 
     def measurement(self, x: Array) -> Measurement:
         """Base, markers and commands at coordinates (k,)."""
-        n_a, names = len(self.scene.tendons), [*self.markers.markers]
-        found = Measurement(
-            np.array(self.scene.base.position), self.markers.offsets, np.ones(n_a), np.zeros(n_a)
+        n_a = len(self.scene.tendons)
+        measurement = Measurement(
+            position=np.array(self.scene.base.position),
+            offsets=self.markers.offsets,
+            gain=np.ones(n_a),
+            offset=np.zeros(n_a),
         )
+        arrays = {
+            Quantity.BASE_POSITION: measurement.position,
+            Quantity.MARKER_OFFSET: measurement.offsets,
+            Quantity.COMMAND_GAIN: measurement.gain,
+            Quantity.COMMAND_OFFSET: measurement.offset,
+        }
         for parameter, coordinate in zip(self.parameters, x, strict=True):
-            match parameter.name.split("."):
-                case ["base", "position", axis]:
-                    found.position[int(axis)] = parameter.at(coordinate)
-                case ["markers", name, "offset", axis]:
-                    found.offsets[names.index(name), int(axis)] = parameter.at(coordinate)
-                case ["commands", tendon, kind]:
-                    getattr(found, kind)[int(tendon)] = parameter.at(coordinate)
-        return found
+            if parameter.quantity in arrays:
+                arrays[parameter.quantity][parameter.index] = parameter.at(coordinate)
+        return measurement
 
 
 class Readings:
@@ -114,24 +117,22 @@ class Readings:
     with common errors share, see `clusters`."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
-        self.plants, self.recordings = (
-            plants,
-            sorted(recordings, key=lambda one: bool(one.period)),
-        )  # holds, then motions
+        self.plants = plants
+        # holds, then motions
+        self.recordings = sorted(recordings, key=lambda recording: bool(recording.period))
+        # equilibrium of each that was found last, from which the next one is sought
         self._rests: list[Array | None] = [None] * len(recordings)
-        self._difference = DIFFERENCES[any(one.period for one in recordings)]
-        samples = [len(one.command) for one in self.recordings]
-        self.ends, group = np.cumsum(samples), clusters(self.recordings)
+        has_motions = any(recording.period for recording in recordings)
+        self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
+        samples = [len(recording.command) for recording in self.recordings]
+        self.ends = np.cumsum(samples)
+        nothing = np.empty((0, len(plants.markers.markers), 3))  # its shape, without recordings
         self.measured = np.concatenate(
-            [
-                np.empty((0, len(plants.markers.markers), 3)),
-                *(one.positions for one in self.recordings),
-            ]
+            [nothing, *(recording.positions for recording in self.recordings)]
         )
         self.seen = np.isfinite(self.measured)
-        self.cluster = np.broadcast_to(np.repeat(group, samples)[:, None, None], self.seen.shape)[
-            self.seen
-        ]
+        sample_cluster = np.repeat(clusters(self.recordings), samples)
+        self.cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError,
@@ -141,111 +142,129 @@ class Readings:
     def residual(self, x: Array, poses: Array | None = None) -> Array:
         """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given.
         Raises as `positions`."""
-        simulated = self.plants.measurement(x).positions(self._poses(x) if poses is None else poses)
+        if poses is None:
+            poses = self._poses(x)
+        simulated = self.plants.measurement(x).positions(poses)
         return np.asarray((simulated - self.measured)[self.seen])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within
         the bounds. Raises as `positions`."""
-        columns, still = [], self._poses(x)
-        arms = zip(self.recordings, self._rests, self._arms(x), strict=True)
-        near = [
-            None if one.period or q is None else _near(model, command[0], q)
-            for one, q, (model, command) in arms
-        ]
+        poses = self._poses(x)  # which also finds the equilibria that the holds begin from
+        near = self._near_holds(x)
+        h = self._difference
+        columns = list[Array]()
         for i, parameter in enumerate(self.plants.parameters):
-            ends = np.clip([x[i] - self._difference, x[i] + self._difference], *parameter.bounds)
-            places = [np.where(np.arange(x.size) == i, end, x) for end in ends]
-            low, high = (
-                self.residual(at, self._poses(at, near) if self.plants.moves_arm[i] else still)
-                for at in places
-            )
-            columns.append((high - low) / (ends[1] - ends[0]))
+            low, high = np.clip([x[i] - h, x[i] + h], *parameter.bounds)
+            residuals = list[Array]()
+            for value in (low, high):
+                coordinates = x.copy()
+                coordinates[i] = value
+                # an arm that stays keeps its poses, which take nearly all of the time
+                moves = self.plants.moves_arm[i]
+                moved_poses = self._poses(coordinates, near) if moves else poses
+                residuals.append(self.residual(coordinates, moved_poses))
+            low_residual, high_residual = residuals
+            columns.append((high_residual - low_residual) / (high - low))
         return np.stack(columns, axis=-1)
+
+    def _near_holds(self, x: Array) -> list[Near | None]:
+        """Equilibria of the holds with how they move, at coordinates x (k,); None for motions."""
+        near = list[Near | None]()
+        for recording, q, (model, command) in zip(
+            self.recordings, self._rests, self._arms(x), strict=True
+        ):
+            is_hold = not recording.period
+            near.append(_near(model, command[0], q) if is_hold and q is not None else None)
+        return near
 
     def errors(self, x: Array) -> dict[str, float]:
         """Mean distance [m] of the seen markers from where they are simulated, by recordings, NaN
         without any. Raises as `positions`."""
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
-        return {
-            one.name: mean_of_finite(part.ravel())
-            for one, part in zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
-        }
+        # without recordings there is one empty part
+        parts = zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
+        return {recording.name: mean_of_finite(part.ravel()) for recording, part in parts}
 
     def _arms(self, x: Array) -> list[tuple[Model, Array]]:
         """The model at coordinates x (k,), with the commands (samples, n_a) of each recording."""
-        model, measurement = (
-            self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene)),
-            self.plants.measurement(x),
-        )
+        model = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene))
+        measurement = self.plants.measurement(x)
         return [
-            (model, measurement.gain * one.command + measurement.offset) for one in self.recordings
+            (model, measurement.gain * recording.command + measurement.offset)
+            for recording in self.recordings
         ]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
         """Poses (samples, m, 4, 4) of markers' sections from the base's place; of holds `near`
         others linear. Raises NoHoldError."""
-        arms, simulated, places = self._arms(x), list[Array](), self.plants.markers.arc_lengths
+        arms = self._arms(x)
+        simulated = list[Array]()  # coordinates (n,) of each sample
         with erring_actuators():  # by the gains and offsets that are looked for
             for i, (model, command) in enumerate(arms):
                 moved = _moved(model, command[0], near[i]) if near else None
-                simulated += self._simulate(model, command, i) if moved is None else [moved]
+                if moved is None:
+                    simulated += self._simulate(model, command, i)
+                else:
+                    simulated.append(moved)
         model = arms[0][0] if arms else self.plants.model
-        poses = np.array([model.backbone_at(q, places) for q in simulated]).reshape(
-            -1, places.size, 4, 4
-        )
+        places = self.plants.markers.arc_lengths
+        poses = np.array([model.backbone_at(q, places) for q in simulated])
+        poses = poses.reshape(-1, places.size, 4, 4)  # its shape, also without recordings
         poses[..., :3, 3] -= self.plants.measurement(x).position
         return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
         """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises
         NoHoldError."""
-        one = self.recordings[i]
+        recording = self.recordings[i]
         try:
-            if model.command_unit == "N":
-                rest, tension = (
-                    static_equilibrium(model, command[0], self._rests[i], settle=bool(one.period)),
-                    command[0],
+            return self._simulated(model, command, i)
+        except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
+            if recording.period:
+                text = (
+                    f"motion {recording.name!r} cannot be simulated: {error}. Its samples are"
+                    f" {recording.period:.3g} s apart, if their unit is right"
                 )
             else:
-                rest, tension = commanded_equilibrium(model, command[0])
-            if not rest.converged:
-                raise NoHoldError(rest.reason)
-            self._rests[i] = rest.q
-            if not one.period:
-                return [rest.q]
-            start = Simulation(model).reset(rest.q, tension=tension)
-            return list(
-                simulate(model, command[:-1], one.period * (len(command) - 1), one.period, start).q
-            )
-        except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
-            motion = (
-                f"cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their"
-                " unit is right"
-            )
-            text = (
-                f"motion {one.name!r} {motion}"
-                if one.period
-                else f"hold {one.name!r} has no equilibrium: {error}"
-            )
-            raise NoHoldError(f"{one.where}: {text}.") from error
+                text = f"hold {recording.name!r} has no equilibrium: {error}"
+            raise NoHoldError(f"{recording.where}: {text}.") from error
+
+    def _simulated(self, model: Model, command: Array, i: int) -> list[Array]:
+        """The same. Raises SimulationDiverged, NoHoldError or StrainLimitError without the
+        recording's name."""
+        period = self.recordings[i].period
+        if model.command_unit == "N":
+            tension = command[0]
+            rest = static_equilibrium(model, tension, self._rests[i], settle=bool(period))
+        else:
+            rest, tension = commanded_equilibrium(model, command[0])
+        if not rest.converged:
+            raise NoHoldError(rest.reason)
+        self._rests[i] = rest.q
+        if not period:
+            return [rest.q]
+        start = Simulation(model).reset(rest.q, tension=tension)
+        duration = period * (len(command) - 1)
+        return list(simulate(model, command[:-1], duration, period, start).q)
 
 
 def _near(model: Model, command: Array, q: Array) -> Near | None:
     """The equilibrium q (n,) of a hold under a command (n_a,); None where it does not move to first
     order."""
-    path, (u, pulls) = model.arm.effects.transmission, _tension(model, command, q)
+    u, pulls = _tension(model, command, q)
     with model.workspace() as work:
-        here = Balance(model, u, work).linearise(q, 1.0)
-    if here is None:
+        linearised = Balance(model, u, work).linearise(q, 1.0)
+    if linearised is None:
         return None
-    compliance = here.compliance
+    compliance = linearised.compliance
     if pulls.any():
+        # springs of tendons that follow the arm stand in parallel with it (Woodbury's identity)
         columns = model.terms(q, np.zeros_like(q), u).actuation[:, pulls]
-        answer, springs = compliance @ columns, np.diag(1.0 / path.stiffness[pulls])
-        compliance = compliance - answer @ np.linalg.solve(
-            springs + columns.T @ answer, columns.T @ compliance
-        )
+        spring_compliance = np.diag(1.0 / model.arm.effects.transmission.stiffness[pulls])
+        response = compliance @ columns
+        forces = np.linalg.solve(spring_compliance + columns.T @ response, columns.T @ compliance)
+        compliance = compliance - response @ forces
     return Near(q, compliance, pulls)
 
 
@@ -258,8 +277,10 @@ def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
     if (pulls != near.pulls).any():
         return None
     with model.workspace() as work:
-        at = Balance(model, u, work).at(near.q, 1.0)
-    return None if at is None else np.asarray(near.q + near.compliance @ at.force)
+        balance = Balance(model, u, work).at(near.q, 1.0)
+    if balance is None:
+        return None
+    return np.asarray(near.q + near.compliance @ balance.force)
 
 
 def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
@@ -268,13 +289,15 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
     path = model.arm.effects.transmission
     if not path.elastic:
         return command, np.zeros(command.size, dtype=bool)
-    u = np.clip(
-        path.stiffness * (command - path.length + model.tendon_lengths(q)), 0.0, path.strength
-    )
-    return u, (u > 0.0) & (u < path.strength)
+    stretch = command - path.length + model.tendon_lengths(q)
+    u = np.clip(path.stiffness * stretch, 0.0, path.strength)
+    # a slack tendon, and one at its drive's strength, keep their tension as the arm moves
+    is_taut = u > 0.0
+    is_held = u < path.strength
+    return u, is_taut & is_held
 
 
 def mean_of_finite(values: Iterable[float]) -> float:
     """Mean of the values that are there, NaN without any."""
-    there = [value for value in values if np.isfinite(value)]
-    return float(np.mean(there)) if there else np.nan
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else np.nan

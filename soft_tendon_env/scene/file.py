@@ -19,8 +19,18 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Loads a shipped scene by its name, or a file by its path in ".toml". Raises TypeError,
-    ConfigurationError with a line per mistake."""
+    """Loads the scene of an arm from a TOML file.
+
+    Args:
+        name_or_path: name of a shipped scene, or the path of a file in ".toml".
+
+    Returns:
+        The scene.
+
+    Raises:
+        TypeError: for what is neither a text nor a path.
+        ConfigurationError: with a line per mistake, in the file or in the name.
+    """
     if not isinstance(name_or_path, str | os.PathLike):
         raise TypeError(
             "name_or_path should be the name of a shipped scene or the path of a TOML file, not"
@@ -37,17 +47,24 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
         path = SHIPPED / f"{name}.toml"
     values = read_toml(path)
     strain = values.get("strain")
-    table = strain.get("passive") if isinstance(strain, dict) else None
-    if isinstance(table, dict) and isinstance(
-        table.get("file"), str
-    ):  # relative to the scene's own
-        table["file"] = str((path.parent / table["file"]).absolute())
+    passive = strain.get("passive") if isinstance(strain, dict) else None
+    # a file of fields is written relative to the scene's own; wrong types are for the check
+    if isinstance(passive, dict) and isinstance(passive.get("file"), str):
+        passive["file"] = str((path.parent / passive["file"]).absolute())
     return Scene.parse(values, str(path))
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Saves a scene as TOML that loads back equal. The file appears whole or not at all. Raises
-    `TypeError`, `OSError`."""
+    """Saves a scene as TOML that loads back equal. The file appears whole or not at all.
+
+    Args:
+        scene: to save.
+        path: of the file.
+
+    Raises:
+        TypeError: for what is no scene.
+        OSError: where the file cannot be written.
+    """
     checked_type("scene", scene, Scene, "see load_scene")
     with replacing(Path(path)) as temporary:
         temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")

@@ -13,12 +13,8 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
-TABLES = (
-    "segments",
-    "tendons",
-    "base",
-    "effects",
-)  # with the numbers of the arm; the others say how it is computed
+# tables with the numbers of the arm; the others say how it is computed
+TABLES = ("segments", "tendons", "base", "effects")
 FIXED = {  # patterns of keys whose numbers are no parameters, and why
     r"segments\.\d+\.length|tendons\.\d+\.(start|end)": (
         "it decides where the quadrature points lie; build a model for each value"
@@ -58,10 +54,9 @@ class Parameter(NamedTuple):
 
     def changes(self, value: float) -> dict[str, float]:
         """Dotted keys and values that give the parameter a value, for `Scene.replace`."""
-        return {
-            key: value * number if self.is_factor else value
-            for key, number in zip(self.keys, self.values, strict=True)
-        }
+        if not self.is_factor:
+            return dict.fromkeys(self.keys, value)
+        return {key: value * number for key, number in zip(self.keys, self.values, strict=True)}
 
 
 class Range(NamedTuple):
@@ -77,19 +72,21 @@ class Range(NamedTuple):
 
     def changes(self, number: float) -> dict[str, float]:
         """Dotted keys and values for a number of the range, for `Scene.replace`."""
-        factor, offset = {"value": (0.0, number), "factor": (number, 0.0), "offset": (1.0, number)}[
-            self.kind
-        ]
-        return {
-            key: factor * value + offset for key, value in zip(self.keys, self.values, strict=True)
-        }
+        if self.kind == "value":
+            return dict.fromkeys(self.keys, number)
+        values = zip(self.keys, self.values, strict=True)
+        if self.kind == "factor":
+            return {key: number * value for key, value in values}
+        return {key: value + number for key, value in values}
 
     def share(self, numbers: Mapping[str, float]) -> float:
         """How far from the least to the greatest number of the range a scene is, 0 to 1, with these
         numbers by dotted keys."""
         key = self.keys[0]
-        least, greatest = self.changes(self.least)[key], self.changes(self.greatest)[key]
-        return (numbers.get(key, self.values[0]) - least) / (greatest - least)
+        least = self.changes(self.least)[key]
+        greatest = self.changes(self.greatest)[key]
+        number = numbers.get(key, self.values[0])
+        return (number - least) / (greatest - least)
 
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
@@ -98,138 +95,199 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
 
     Any number of `[[segments]]`, `[[tendons]]`, `[base]` and `[effects]` can be one, but for
     lengths of segments, ends and limits of tendons, and the quaternion. An effect that does nothing
-    unless it is told to, as a tip load, need not be in the scene. Raises ConfigurationError for
-    keys of anything else, with those that there are.
+    unless it is told to, as a tip load, need not be in the scene.
+
+    Args:
+        scene: the arm.
+        names: dotted keys.
+
+    Returns:
+        One parameter for each name.
+
+    Raises:
+        ConfigurationError: for keys of anything else, with those that there are.
     """
     entries = _entries(scene)
     return tuple(_parameter(name, entries) for name in names)
 
 
 def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
-    """The scene with other numbers by dotted keys, also of effects that it lacks, see
-    `scene_parameters`. Raises ConfigurationError."""
-    named = {
-        key.split(".")[1] for key in changes if key.startswith("effects.")
-    } - scene.effects.chosen().keys()
-    return scene.replace(
-        {**{f"effects.{name}": table for name, table in _idle_effects(named).items()}, **changes}
-    )
+    """The scene with other numbers, also of effects that it lacks, see `scene_parameters`.
+
+    Args:
+        scene: to change.
+        changes: numbers by dotted keys.
+
+    Returns:
+        The scene.
+
+    Raises:
+        ConfigurationError: for keys and values that are not allowed.
+    """
+    named = {key.split(".")[1] for key in changes if key.startswith("effects.")}
+    lacking = _idle_effects(named - scene.effects.chosen().keys())
+    tables = {f"effects.{name}": table for name, table in lacking.items()}
+    return scene.replace({**tables, **changes})
 
 
 def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A table of ranges with tables in tables as dotted keys."""
-    found: dict[str, Any] = {}
+    """Ranges by dotted keys of a table with tables in tables.
+
+    Args:
+        table: as it is written.
+        prefix: of its keys.
+
+    Returns:
+        The ranges, not checked.
+    """
+    ranges = dict[str, Any]()
     for name, value in table.items():
-        nested = isinstance(value, Mapping) and not _is_relative(value)
-        found |= dotted_ranges(value, f"{prefix}{name}.") if nested else {prefix + name: value}
-    return found
+        key = prefix + name
+        if isinstance(value, Mapping) and not _is_relative(value):
+            ranges |= dotted_ranges(value, f"{key}.")
+        else:
+            ranges[key] = value
+    return ranges
 
 
 def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Ranges by dotted keys of a scene, of a vector a list with one for each entry.
+    """Ranges of a scene's numbers, as domain randomisation draws them.
 
-    Raises ConfigurationError for keys that are no numbers of the scene, for what is no range, and
-    for a number that two of them draw.
+    Args:
+        scene: the arm.
+        wanted: ranges by dotted keys, of a vector a list with one for each entry.
+
+    Returns:
+        The ranges, of a list one by one.
+
+    Raises:
+        ConfigurationError: for keys that are no numbers of the scene, for what is no range, and for
+            a number that two of them draw.
     """
-    entries, found, drawn = _entries(scene), list[Range](), dict[str, str]()
+    entries = _entries(scene)
+    ranges = list[Range]()
+    drawn = dict[str, str]()  # the range that draws a number, by the number's key
     for name, value in wanted.items():
-        places = sorted({key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)})
-        parts, is_vector = [(name, value)], bool(places) and places[-1].isdecimal()
-        if is_vector and _is_relative(value):
-            parts = [(f"{name}.*", value)]
-        elif is_vector:
-            if not isinstance(value, list) or len(value) != len(places):
-                _fail(
-                    name,
-                    f"is {shown(value)}: it should be a list of {len(places)}, each {NUMBER}; or"
-                    f" {{'{KINDS[0]}': {NUMBER}}}",
-                )
-            parts = [(f"{name}.{i}", entry) for i, entry in enumerate(value)]
-        for key, given in parts:
+        for key, written in _by_entry(name, value, entries):
             _, keys, values, _ = _parameter(key, entries)
-            ((kind, interval),) = given.items() if _is_relative(given) else (("value", given),)
-            found.append(Range(key, keys, values, kind, *_interval(key, interval)))
-            if twice := next((drawn[number] for number in keys if number in drawn), None):
-                _fail(key, f"draws what {twice!r} draws already")
+            if _is_relative(written):
+                ((kind, interval),) = written.items()
+            else:
+                kind, interval = "value", written
+            ranges.append(Range(key, keys, values, kind, *_interval(key, interval)))
+            for number in keys:
+                if number in drawn:
+                    _fail(key, f"draws what {drawn[number]!r} draws already")
             drawn |= dict.fromkeys(keys, key)
-    return tuple(found)
+    return tuple(ranges)
+
+
+def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Keys and ranges, as they are written, of a number, or of the entries of a vector. Raises
+    ConfigurationError for a list of another length."""
+    places = sorted({key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)})
+    is_vector = bool(places) and places[-1].isdecimal()
+    if not is_vector:
+        return [(name, value)]
+    if _is_relative(value):
+        return [(f"{name}.*", value)]
+    if not isinstance(value, list) or len(value) != len(places):
+        _fail(
+            name,
+            f"is {shown(value)}: it should be a list of {len(places)}, each {NUMBER}; or"
+            f" {{'{KINDS[0]}': {NUMBER}}}",
+        )
+    return [(f"{name}.{i}", entry) for i, entry in enumerate(value)]
 
 
 def _entries(scene: Scene) -> dict[str, Any]:
-    table = scene_to_dict(scene, {*TABLES})
-    return dict(_leaves({**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}))
+    """Entries of a scene by dotted keys, also of effects that do nothing by default."""
+    tables = scene_to_dict(scene, {*TABLES})
+    tables["effects"] = {**_idle_effects(EFFECTS), **tables["effects"]}
+    return dict(_leaves(tables))
 
 
 def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
     """Tables of those of the effects that do nothing by default, by name."""
-    found = {}
+    tables = {}
     for name in names:
+        # others have numbers that must be given, or are no effects: the scene's own checks say so
         with contextlib.suppress(ConfigurationError, KeyError):
-            if not (effect := EFFECTS[name]()).acts:
-                found[name] = effect.model_dump(mode="json", exclude_none=True)
-    return found
+            effect = EFFECTS[name]()
+            if not effect.acts:
+                tables[name] = effect.model_dump(mode="json", exclude_none=True)
+    return tables
 
 
 def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and entries of tables and lists in each other."""
     if not isinstance(node, dict | list) or not node:
         yield key.removeprefix("."), node
         return
-    for name, value in node.items() if isinstance(node, dict) else enumerate(node):
+    children = node.items() if isinstance(node, dict) else enumerate(node)
+    for name, value in children:
         yield from _leaves(value, f"{key}.{name}")
 
 
 def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
     """Keys of the parameters that a name stands for, or several with `|` between them."""
-    pattern = (
-        re.escape(re.sub(r"\[(\d+|\*)\]", r".\1", name))
-        .replace(r"\*", r"[^.]+")
-        .replace(r"\|", "|")
-    )
-    return [
-        key
-        for key, value in entries.items()
-        if re.fullmatch(pattern, key) and not _misfit(key, value)
-    ]
+    dotted = re.sub(r"\[(\d+|\*)\]", r".\1", name)  # entries may be in brackets, [0] or [*]
+    pattern = re.escape(dotted).replace(r"\*", r"[^.]+").replace(r"\|", "|")
+    matches = [key for key in entries if re.fullmatch(pattern, key)]
+    return [key for key in matches if not _misfit(key, entries[key])]
 
 
 def _misfit(key: str, value: Any) -> str:
     """Reason why an entry is no parameter."""
-    fixed = next((reason for pattern, reason in FIXED.items() if re.fullmatch(pattern, key)), "")
-    return fixed or (
-        "" if isinstance(value, float) else f"{shown(value)} is no number, or a whole one"
-    )
+    for pattern, reason in FIXED.items():
+        if re.fullmatch(pattern, key):
+            return reason
+    if not isinstance(value, float):
+        return f"{shown(value)} is no number, or a whole one"
+    return ""
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
+    """Parameter that a name stands for. Raises ConfigurationError."""
     keys = list[str]()
-    for one in map(".".join, itertools.product(*(part.split(",") for part in name.split(".")))):
-        if not (matches := _matching(one, entries)):
-            _fail(one, _refusal(one, entries))
+    # a part of a name may list several entries
+    choices = [part.split(",") for part in name.split(".")]
+    for single_name in map(".".join, itertools.product(*choices)):
+        matches = _matching(single_name, entries)
+        if not matches:
+            _fail(single_name, _refusal(single_name, entries))
         keys += [key for key in matches if key not in keys]
-    arrays = {re.sub(r"\.\d+$", "", key) for key in keys}  # of a number of its own the key itself
-    size = max(
+    arrays = {_array_of(key) for key in keys}
+    sizes = [
         abs(value)
         for key, value in entries.items()
-        if isinstance(value, float) and re.sub(r"\.\d+$", "", key) in arrays
-    )
-    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
+        if isinstance(value, float) and _array_of(key) in arrays
+    ]
+    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), max(sizes))
+
+
+def _array_of(key: str) -> str:
+    """Key of the array that an entry is of, of a number of its own the key itself."""
+    return re.sub(r"\.\d+$", "", key)
 
 
 def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     """Reason why a name stands for no parameter, for a message."""
     for key in (name, f"{name}.0".replace(".*", "")):
-        if key in entries and (misfit := _misfit(key, entries[key])):
-            return f"is no parameter: {misfit}"
-    effect = name.removeprefix("effects.").partition(".")[0] if name.startswith("effects.") else ""
-    if effect in EFFECTS and not any(f"{key}.".startswith(f"effects.{effect}.") for key in entries):
-        return f"is no number yet: the scene has no [effects.{effect}]: add it"
-    if parts := {
-        part
-        for key in _matching(f"{name}.*", entries)
-        if (part := key.rpartition(".")[2]).isdecimal()
-    }:
+        if key in entries:
+            misfit = _misfit(key, entries[key])
+            if misfit:
+                return f"is no parameter: {misfit}"
+    if name.startswith("effects."):
+        effect = name.removeprefix("effects.").partition(".")[0]
+        has_effect = any(f"{key}.".startswith(f"effects.{effect}.") for key in entries)
+        if effect in EFFECTS and not has_effect:
+            return f"is no number yet: the scene has no [effects.{effect}]: add it"
+    last_parts = {key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)}
+    places = [part for part in last_parts if part.isdecimal()]
+    if places:
         return (
-            f"is a vector of {len(parts)} numbers: name one, {name}.0, or all by a common factor,"
+            f"is a vector of {len(places)} numbers: name one, {name}.0, or all by a common factor,"
             f" {name}.*"
         )
     valid = {
@@ -241,25 +299,29 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
 
 
 def _is_relative(value: Any) -> bool:
-    return (
-        isinstance(value, Mapping)
-        and len(value) == 1
-        and [*value][0] in KINDS
-        and not isinstance([*value.values()][0], Mapping)
-    )
+    """Whether a value is a range of a factor or an offset, and no table of the scene."""
+    if not isinstance(value, Mapping) or len(value) != 1:
+        return False
+    ((kind, interval),) = value.items()
+    return kind in KINDS and not isinstance(interval, Mapping)
 
 
 def _interval(key: str, value: Any) -> tuple[float, float]:
     """Least and greatest of a number or a pair. Raises ConfigurationError."""
     pair = value if isinstance(value, list | tuple) else (value, value)
-    is_real = [
-        isinstance(end, int | float) and not isinstance(end, bool) and np.isfinite(end)
-        for end in pair
-    ]
-    if is_real != [True, True] or pair[0] > pair[1]:
+    if len(pair) != 2 or not all(map(_is_number, pair)) or pair[0] > pair[1]:
         _fail(key, f"has {shown(value)}: it should be {NUMBER}")
-    return float(pair[0]), float(pair[1])
+    least, greatest = pair
+    return float(least), float(greatest)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number, which True and False are not."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return bool(np.isfinite(value))
 
 
 def _fail(key: str, text: str) -> NoReturn:
+    """Raises ConfigurationError about a key."""
     raise ConfigurationError([Problem((key,), text)])

@@ -8,8 +8,8 @@ basis, and lose accuracy: how much, a trial finds, see accuracy/trial.py.
 
 import functools
 import hashlib
+import itertools
 import json
-import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -27,11 +27,11 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.types import Array
 
-MATERIAL, ALIKE = (
-    ("young_modulus", "density", "damping"),
-    1.25,
-)  # of a segment, and the factor up to which it may differ from the fields'
-ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"), ".fields.json"
+MATERIAL = ("young_modulus", "density", "damping")  # of a segment
+ALIKE = 1.25  # factor up to which material and tensions may differ from the fields'
+ARRAYS = ("tension_limits", "borders", "singular_values", "coefficients")  # of a file, by its keys
+SUFFIX = ".fields.json"  # of the files' names
+READ_AT_MOST = 256  # files that are kept in memory
 
 
 class FidelityWarning(UserWarning):
@@ -52,76 +52,77 @@ class PassiveFields:
     # the loads, none or those up to whose size they were drawn, see Effects.sample_smaller
     effects: Effects
     singular_values: Array  # (fields,), as shares of the first
-    errors: Mapping[
-        str, tuple[float, ...]
-    ]  # [m] largest of the tip, by kind of motion, for each of the numbers of fields in "fields"
+    # [m] largest of the tip, by kind of motion, for each of the numbers of fields in "fields"
+    errors: Mapping[str, tuple[float, ...]]
 
     @functools.cached_property
     def digest(self) -> str:
         """16 hex digits of the numbers that they are made of."""
-        return hashlib.sha256(
-            json.dumps([self.borders.tolist(), self.coefficients.tolist()]).encode()
-        ).hexdigest()[:16]
+        numbers = json.dumps([self.borders.tolist(), self.coefficients.tolist()])
+        return hashlib.sha256(numbers.encode()).hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
-        """The fewest fields whose errors on these motions are within the tolerance [m]; None: not
-        even all are, or that is not known."""
+        """The fewest fields whose errors are within a tolerance.
+
+        Args:
+            tolerance: of the tip [m].
+            motions: kinds of motion, keys of `errors`.
+
+        Returns:
+            Their number; None: not even all are, or that is not known.
+        """
+        counts = self.errors.get("fields", ())
         worst = np.max([self.errors.get(motion, ()) for motion in motions], axis=0)
-        return next(
-            (
-                int(count)
-                for count, error in zip(self.errors.get("fields", ()), worst, strict=True)
-                if error <= tolerance
-            ),
-            None,
-        )
+        for count, error in zip(counts, worst, strict=True):
+            if error <= tolerance:
+                return int(count)
+        return None
 
     def at(self, points: Array, count: int | None = None) -> Array:
-        """The leading fields, all by default, at arc lengths (...) [m]: (count, ..., 6)."""
+        """Wrench fields along the rod.
+
+        Args:
+            points: arc lengths (...) [m].
+            count: how many of the fields, the leading ones; None: all.
+
+        Returns:
+            Moments [N m] and forces [N], (count, ..., 6).
+        """
         coefficients = self.coefficients[:count]
+        order = coefficients.shape[-1] - 1
         values = np.zeros((len(coefficients), *points.shape, 6))
-        for piece, (a, b) in enumerate(zip(self.borders[:-1], self.borders[1:], strict=True)):
-            inside = (points > a) & (points < b)
-            basis = (
-                legendre.legvander(2 * (points - a) / (b - a) - 1, coefficients.shape[-1] - 1)
-                * inside[..., None]
-            )
+        for piece, (start, end) in enumerate(itertools.pairwise(self.borders)):
+            is_inside = (points > start) & (points < end)
+            scaled = 2 * (points - start) / (end - start) - 1  # from -1 to 1 over the piece
+            basis = legendre.legvander(scaled, order) * is_inside[..., None]
             values += np.einsum("...o,fco->f...c", basis, coefficients[:, piece])
         return values
 
     def fits(self, scene: Scene) -> bool:
         """Whether they are of an arm of this geometry."""
-        arms = self.arm, arm_of(scene)
-        here, there = (
-            {**arm, "segments": [{**part, **dict.fromkeys(MATERIAL)} for part in arm["segments"]]}
-            for arm in arms
-        )
-        return here == there
+        return _geometry(self.arm) == _geometry(arm_of(scene))
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where
         they fit."""
         for i, segment in enumerate(scene.segments):
             for name in MATERIAL:
-                made_for, given = self.arm["segments"][i].get(name), getattr(segment, name)
-                if given is not None and not made_for / ALIKE <= given <= made_for * ALIKE:
-                    return f"{name} of {made_for:g} in segment {i}, not {given:g}"
-        (low, high), limits = (
-            self.tension_limits.T,
-            np.array([tendon.tension_limits for tendon in scene.tendons]).T,
-        )
-        more = (ALIKE - 1.0) * (high - low)
-        if (limits[0] < low - more).any() or (limits[1] > high + more).any():
+                made_for = self.arm["segments"][i].get(name)
+                value = getattr(segment, name)
+                if value is not None and not made_for / ALIKE <= value <= made_for * ALIKE:
+                    return f"{name} of {made_for:g} in segment {i}, not {value:g}"
+        low, high = self.tension_limits.T
+        least, greatest = np.array([tendon.tension_limits for tendon in scene.tendons]).T
+        margin = (ALIKE - 1.0) * (high - low)
+        if (least < low - margin).any() or (greatest > high + margin).any():
             return (
-                f"tensions of {low.min():g} to {high.max():g} N, not {limits.min():g} to"
-                f" {limits.max():g} N"
+                f"tensions of {low.min():g} to {high.max():g} N, not {least.min():g} to"
+                f" {greatest.max():g} N"
             )
         if not self.effects.includes(scene.effects):
-            made, wanted = (
-                effects.model_dump(mode="json", exclude_none=True)
-                for effects in (self.effects, scene.effects)
-            )
-            return f"{made or 'no loads'}, not {wanted}"
+            loads = self.effects.model_dump(mode="json", exclude_none=True)
+            scene_loads = scene.effects.model_dump(mode="json", exclude_none=True)
+            return f"{loads or 'no loads'}, not {scene_loads}"
         return ""
 
     def save(self, path: Path) -> None:
@@ -133,25 +134,38 @@ class PassiveFields:
             "errors": self.errors,
             **arrays,
         }
+        # one key per line: an array's numbers stay together
+        lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()]
+        text = "{\n" + ",\n".join(lines) + "\n}\n"
         with replacing(path) as temporary:
-            temporary.write_text(
-                "{\n"
-                + ",\n".join(
-                    f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()
-                )
-                + "\n}\n"
-            )
+            temporary.write_text(text)
+
+
+def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of an arm without its material."""
+    no_material = dict.fromkeys(MATERIAL)
+    return {**arm, "segments": [{**segment, **no_material} for segment in arm["segments"]]}
 
 
 def read_fields(path: Path) -> PassiveFields:
-    """Fields that `PassiveFields.save` wrote. Raises ValueError, FileNotFoundError."""
+    """Reads passive fields from a file.
+
+    Args:
+        path: of a file that `PassiveFields.save` wrote.
+
+    Returns:
+        The fields.
+
+    Raises:
+        ValueError: for a file of something else.
+        FileNotFoundError: for one that is missing.
+    """
     table = read_json(path)
     try:
         arrays = {name: np.array(table[name], dtype=float) for name in ARRAYS}
         errors = {name: tuple(values) for name, values in table["errors"].items()}
-        fields = PassiveFields(
-            arm=table["arm"], effects=Effects(**table["effects"]), errors=errors, **arrays
-        )
+        effects = Effects(**table["effects"])
+        fields = PassiveFields(arm=table["arm"], effects=effects, errors=errors, **arrays)
         shape = (fields.singular_values.size, fields.borders.size - 1, 6, SNAPSHOT_ORDER + 1)
         if fields.coefficients.shape != shape or not np.isfinite(fields.coefficients).all():
             raise ValueError(
@@ -166,9 +180,15 @@ def read_fields(path: Path) -> PassiveFields:
     return fields
 
 
-@functools.lru_cache(maxsize=256)
-def _read_once(path: Path, _changed: int) -> PassiveFields:
+@functools.lru_cache(maxsize=READ_AT_MOST)
+def _read_at(path: Path, _changed: int) -> PassiveFields:
+    """Fields of a file that changed last at a time [ns]."""
     return read_fields(path)
+
+
+def _read_once(path: Path) -> PassiveFields:
+    """Fields of a file, read again only where it changed. Raises OSError, ValueError."""
+    return _read_at(path, path.stat().st_mtime_ns)
 
 
 def arm_of(scene: Scene) -> dict[str, Any]:
@@ -189,67 +209,84 @@ def arm_of(scene: Scene) -> dict[str, Any]:
 
 
 def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
-    """Passive fields of the scene's arm that ship or are in the user's cache, those made for its
-    loads first; digest: those alone."""
-    paths = [
-        path
-        for folder in (*data_folders("fields"), SHIPPED)
-        for path in sorted(folder.glob(f"*{SUFFIX}"))
-    ]
-    everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
-    known = [
-        fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)
-    ]
-    ranks = [
-        (
-            bool(fields.misfit(scene)),
-            not scene.effects.includes(fields.effects),
-            len(fields.effects.chosen()),
-        )
-        for fields in known
-    ]
-    return known[ranks.index(min(ranks))] if known else None
+    """Passive fields of an arm, among those that ship or are in the user's cache.
+
+    Args:
+        scene: the arm.
+        digest: of the fields, None: any that fit.
+
+    Returns:
+        Those made for loads like the scene's, if possible; None: there are none of this arm.
+    """
+    candidates = list[PassiveFields]()
+    for folder in (*data_folders("fields"), SHIPPED):
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
+            fields = _read_once(path)
+            if digest in (None, fields.digest) and fields.fits(scene):
+                candidates.append(fields)
+
+    def rank(fields: PassiveFields) -> tuple[bool, bool, int]:
+        """Less for fields that fit better; of those that fit alike, the ones with fewer loads."""
+        has_misfit = bool(fields.misfit(scene))
+        has_other_loads = not scene.effects.includes(fields.effects)
+        return has_misfit, has_other_loads, len(fields.effects.chosen())
+
+    return min(candidates, key=rank, default=None)
 
 
 def fields_of(scene: Scene) -> PassiveFields:
-    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError; warns
-    where they were made for other loads."""
-    assert not isinstance(scene.strain, ExplicitStrain) and isinstance(
-        scene.strain.passive, Snapshots
-    )
-    table, key, problem = scene.strain.passive, "file", ""
-    try:
-        found = (
-            find_fields(scene, table.digest)
-            if table.file is None
-            else _read_once(Path(table.file), os.stat(table.file).st_mtime_ns)
+    """Passive fields that a scene with `Snapshots` names. Warns where they were made for other
+    loads.
+
+    Args:
+        scene: the arm.
+
+    Returns:
+        The fields.
+
+    Raises:
+        ConfigurationError: where there are none, or not these.
+    """
+    assert not isinstance(scene.strain, ExplicitStrain)
+    passive = scene.strain.passive
+    assert isinstance(passive, Snapshots)
+    fields = _named_fields(scene, passive)
+    if passive.digest not in (None, fields.digest):
+        text = f"is {passive.digest!r}, but {passive.file} has {fields.digest!r}"
+        raise _passive_error("digest", text)
+    if not fields.fits(scene):
+        text = (
+            f"is {passive.file!r}: it is of an arm of other segments, tendons, strains or borders"
         )
-    except (OSError, ValueError) as error:
-        found, problem = None, f"is {table.file!r}: {error}"
-    if found is None:
-        problem = (
-            problem
-            or "names passive fields that this arm has not: `soft-tendon fields SCENE` makes them"
-        )
-    elif table.digest not in (None, found.digest):
-        key, problem = "digest", f"is {table.digest!r}, but {table.file} has {found.digest!r}"
-    elif not found.fits(scene):
-        problem = (
-            f"is {table.file!r}: it is of an arm of other segments, tendons, strains or borders"
-        )
-    elif table.fields > len(found.coefficients):
-        key, problem = (
-            "fields",
-            f"is {table.fields}: there are {len(found.coefficients)} of this arm",
-        )
-    if found is None or problem:
-        raise ConfigurationError([Problem(("strain", "passive", key), problem)])
-    if table.digest is None and (
-        misfit := found.misfit(scene)
-    ):  # else they were chosen as they are
+        raise _passive_error("file", text)
+    count = len(fields.coefficients)
+    if passive.fields > count:
+        raise _passive_error("fields", f"is {passive.fields}: there are {count} of this arm")
+    # those that are named by their digest were chosen as they are
+    misfit = fields.misfit(scene) if passive.digest is None else ""
+    if misfit:
         text = (
             f"the passive fields of {scene.name!r} were made for {misfit}: fidelity='standard'"
             " finds what its accuracy takes"
         )
         warnings.warn(text, FidelityWarning, stacklevel=2)
-    return found
+    return fields
+
+
+def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
+    """Fields of the file that is named, or else of the arm. Raises ConfigurationError."""
+    try:
+        if passive.file is not None:
+            return _read_once(Path(passive.file))
+        fields = find_fields(scene, passive.digest)
+    except (OSError, ValueError) as error:
+        raise _passive_error("file", f"is {passive.file!r}: {error}") from None
+    if fields is None:
+        text = "names passive fields that this arm has not: `soft-tendon fields SCENE` makes them"
+        raise _passive_error("file", text)
+    return fields
+
+
+def _passive_error(key: str, text: str) -> ConfigurationError:
+    """Error about a key of the table `strain.passive`."""
+    return ConfigurationError([Problem(("strain", "passive", key), text)])

@@ -17,6 +17,7 @@ from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Nu
 
 Offset = tuple[Number, Number]
 Ends = tuple[float, float]
+ROUND_OFF = 1e-9  # relative, by which a table may end before what it has to cover
 
 
 class AlongRod(Configuration):
@@ -31,7 +32,9 @@ class AlongRod(Configuration):
         """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the
         least distance of a table."""
         table = getattr(self, "arc_length", ())
-        return 2 * float(np.diff(table).min()) if table else float("inf")
+        if not table:
+            return float("inf")
+        return 2 * float(np.diff(table).min())
 
     @field_validator("arc_length", check_fields=False)
     @classmethod
@@ -84,16 +87,16 @@ class TaperTable(Taper):
     size: tuple[Length, ...] = Field(validation_alias=AliasChoices("size", "radius"))
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        from scipy.interpolate import (
-            PchipInterpolator,
-        )  # here: it takes longer to import than all else that most scenes need
+        # here: it takes longer to import than all else that most scenes need
+        from scipy.interpolate import PchipInterpolator
 
         curve = PchipInterpolator(self.arc_length, self.size)
         return curve(arc_length), curve.derivative()(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
         first, last = self.arc_length[0], self.arc_length[-1]
-        if first == 0.0 and abs(last - segment_length) <= 1e-9 * segment_length:
+        ends_there = abs(last - segment_length) <= ROUND_OFF * segment_length
+        if first == 0.0 and ends_there:
             return None
         return (
             f"should cover the segment, 0 to {segment_length:g}, but its arc_length runs from"
@@ -101,15 +104,18 @@ class TaperTable(Taper):
         )
 
 
+def _kind_of_size(value: Any) -> Any:
+    """Type of a size as it is written, or of a taper."""
+    if isinstance(value, Mapping):
+        return value.get("type")
+    return getattr(value, "type", "number")
+
+
 Size = Annotated[
     Annotated[Length, Tag("number")]
     | Annotated[LinearTaper, Tag("linear")]
     | Annotated[TaperTable, Tag("table")],
-    Discriminator(
-        lambda value: (
-            value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")
-        )
-    ),
+    Discriminator(_kind_of_size),
 ]
 
 
@@ -121,11 +127,16 @@ class TendonRouting(AlongRod):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        """Offset (m, 2) of the tendon from the axis, y and z [m], and its derivative (m, 2) d/dX
-        [-], at arc lengths (m,) [m].
+        """Offset of the tendon from the axis and its derivative along the rod.
 
-        radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there; ends: the
-        tendon's first and last arc length [m].
+        Args:
+            arc_length: (m,) [m] from the rod's base.
+            radius: (m,) of the rod there [m].
+            radius_slope: (m,) d radius/dX there [-].
+            ends: the tendon's first and last arc length [m].
+
+        Returns:
+            y and z [m], and their d/dX [-], each (m, 2).
         """
 
 
@@ -153,10 +164,10 @@ class ConvergingRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        slope = (np.array(self.end_offset) - self.start_offset) / (ends[1] - ends[0])
-        return self.start_offset + np.outer(arc_length - ends[0], slope), np.tile(
-            slope, (len(arc_length), 1)
-        )
+        start, end = ends
+        slope = (np.array(self.end_offset) - self.start_offset) / (end - start)
+        offset = self.start_offset + np.outer(arc_length - start, slope)
+        return offset, np.tile(slope, (len(arc_length), 1))
 
 
 class SurfaceRouting(TendonRouting):
@@ -194,11 +205,16 @@ class HelixRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
-        y, z = self.radius * np.cos(angle), self.radius * np.sin(angle)
-        return np.stack([y, z], axis=-1), self.angular_rate * np.stack([-z, y], axis=-1)
+        y = self.radius * np.cos(angle)
+        z = self.radius * np.sin(angle)
+        offset = np.stack([y, z], axis=-1)
+        slope = self.angular_rate * np.stack([-z, y], axis=-1)
+        return offset, slope
 
     def wavelength(self) -> float:
-        return 2 * np.pi / abs(self.angular_rate) if self.angular_rate else float("inf")
+        if not self.angular_rate:
+            return float("inf")
+        return 2 * np.pi / abs(self.angular_rate)
 
 
 class TableRouting(TendonRouting):
@@ -216,20 +232,21 @@ class TableRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        from scipy.interpolate import (
-            CubicSpline,
-        )  # here: it takes longer to import than all else that most scenes need
+        # here: it takes longer to import than all else that most scenes need
+        from scipy.interpolate import CubicSpline
 
-        curve = CubicSpline(self.arc_length, np.column_stack([self.y, self.z]))
+        points = np.column_stack([self.y, self.z])
+        curve = CubicSpline(self.arc_length, points)
         return curve(arc_length), curve(arc_length, 1)
 
     def misfit(self, ends: Ends) -> str | None:
         first, last = self.arc_length[0], self.arc_length[-1]
-        slack = 1e-9 * (last - first)
-        if first - slack <= ends[0] and ends[1] <= last + slack:
+        slack = ROUND_OFF * (last - first)
+        start, end = ends
+        if first - slack <= start and end <= last + slack:
             return None
         return (
-            f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from"
+            f"should cover the tendon, {start:g} to {end:g}, but its arc_length runs from"
             f" {first:g} to {last:g}"
         )
 

@@ -7,7 +7,7 @@ ranges.
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -54,13 +54,18 @@ LEAST_TOLERANCE = 1e-11
 SAME_PLACE = 1e-9  # share of the rod's length: arc lengths closer than this are one place
 SHORTEST = 4 * SAME_PLACE  # share of the rod's length that a tendon covers at least
 MOST_INTERVALS = 512  # quadrature intervals per piece of the rod
-MOST_COLUMNS = 6  # of extrapolation: 16 evaluations a step
+# of extrapolation
+MOST_COLUMNS = 6  # 16 evaluations a step
+SAFE_COLUMNS = 2  # which no motion makes unstable, damped or not
+DAMPED_COLUMNS = 3  # of an arm whose damping outweighs how more columns than 2 grow
+GROWTH_ANGLE = 0.64  # omega h at which they grow most, for an undamped oscillation
+ENOUGH_DAMPING = 0.01  # damping ratio there that outweighs it: 0.0029 would
 # lengths of the rod, largest coordinate of the base: beyond it float32 rounds observed positions by
 # more than 1e-4
 FARTHEST_BASE = 1e3
-TIP_TOLERANCE = (
-    2.5e-3  # share of the rod's length, displacement of the tip by quadrature that counts as small
-)
+# share of the rod's length, displacement of the tip by quadrature that counts as small
+TIP_TOLERANCE = 2.5e-3
+ALIKE = 1e-9  # relative difference of the bending stiffnesses about y and z: of round-off
 
 
 Angle = Annotated[float, Field(ge=-360, le=360)]
@@ -71,29 +76,32 @@ class Base(Configuration):
     the base's x axis."""
 
     position: Triple = (0.0, 0.0, 0.0)  # [m]
-    quaternion: Quaternion = (
-        1.0,
-        0.0,
-        0.0,
-        0.0,
-    )  # from the base's axes to the world's, (w, x, y, z)
-    rotation: tuple[Angle, Angle, Angle] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # further turn about the world's axes, a rotation vector [deg]
+    # from the base's axes to the world's, (w, x, y, z)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    # further turn about the world's axes, a rotation vector [deg]
+    rotation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Array:
         """Pose (4, 4) of the base: [[R, position], [0, 0, 0, 1]]."""
-        turn, angle = np.radians(self.rotation), math.radians(math.hypot(*self.rotation))
-        a, (b, c, d) = math.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn
-        product = (
-            np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-            @ self.quaternion
+        # quaternion (a, b, c, d) of the further turn: cos and sin of half of the angle
+        turn = np.radians(self.rotation)
+        angle = math.radians(math.hypot(*self.rotation))
+        a = math.cos(0.5 * angle)
+        b, c, d = 0.5 * np.sinc(0.5 * angle / np.pi) * turn
+        left_product = np.array(
+            [
+                [a, -b, -c, -d],
+                [b, a, -d, c],
+                [c, d, a, -b],
+                [d, -c, b, a],
+            ]
         )
-        w, *v = product / math.hypot(*product)
-        skew, pose = np.cross(np.eye(3), v), np.eye(4)
+        product = left_product @ self.quaternion
+        w, *v = product / math.hypot(*product)  # quaternions are given with a few digits
+        # rotation matrix of a unit quaternion: R = I + 2 (w v~ + v~ v~)
+        skew = np.cross(np.eye(3), v)
+        pose = np.eye(4)
         pose[:3, :3] += 2.0 * (w * skew + skew @ skew)
         pose[:3, 3] = self.position
         return pose
@@ -116,16 +124,13 @@ class Segment(Configuration):
     length: Length  # [m]
     section: AnySection | None = None  # in place of radius
     young_modulus: Positive | None = Field(default=None, validate_default=True)  # [Pa]
-    poisson_ratio: float | None = Field(
-        default=None, gt=-1, le=0.5, validate_default=True
-    )  # above -1, up to 0.5 (incompressible)
+    # above -1, up to 0.5 (incompressible)
+    poisson_ratio: float | None = Field(default=None, gt=-1, le=0.5, validate_default=True)
     density: Positive | None = Field(default=None, validate_default=True)  # [kg/m^3]
-    damping: NotNegative | None = Field(
-        default=None, validate_default=True
-    )  # Kelvin-Voigt viscosity eta [Pa s]
-    radius: Size | None = Field(
-        default=None, validate_default=True
-    )  # of a solid circle [m], a number or a LinearTaper or TaperTable
+    # Kelvin-Voigt viscosity eta [Pa s]
+    damping: NotNegative | None = Field(default=None, validate_default=True)
+    # of a solid circle [m], a number or a LinearTaper or TaperTable
+    radius: Size | None = Field(default=None, validate_default=True)
     curvature: Triple = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
     discs: Discs | None = None  # spacer discs
 
@@ -133,13 +138,18 @@ class Segment(Configuration):
     @classmethod
     def _said_once(cls, value: Any, info: ValidationInfo) -> Any:
         section: Any = info.data.get("section")
-        instead = isinstance(section, Section if info.field_name == "radius" else Stiffness)
-        if instead and value is not None:
+        is_radius = info.field_name == "radius"
+        # every section has its own size, Stiffness its own material
+        kind = Section if is_radius else Stiffness
+        takes_its_place = isinstance(section, kind)
+        if takes_its_place and value is not None:
             raise ValueError(
                 f"should be left out: the section, of type {section.type!r}, takes its place"
             )
-        if not instead and value is None and "section" in info.data:
-            or_section = ", or a section" if info.field_name == "radius" else ""
+        # a section that is wrong is missing here: its own error is enough
+        is_section_known = "section" in info.data
+        if not takes_its_place and value is None and is_section_known:
+            or_section = ", or a section" if is_radius else ""
             raise ConfigurationError([Problem((), f"is missing: it is required{or_section}")])
         return value
 
@@ -148,38 +158,44 @@ class Segment(Configuration):
         place: tuple[str, ...] = () if self.section is None else ("section",)
         problems = [Problem((*place, *key), text) for key, text in self.shape.misfits(self.length)]
         if self.discs is not None and not problems:
-            places = self.discs.rows(self.length)[:, 0]
-            widest = self.shape.outer_radius(places, self.length)[0].max()
-            if places.max() > self.length * (1 + SAME_PLACE):
-                problems.append(
-                    Problem(
-                        ("discs", "places"),
-                        f"go to {places.max():g}: they should be at most the length,"
-                        f" {self.length:g}",
-                    )
-                )
-            elif self.discs.radius <= widest:
-                text = (
-                    f"is {self.discs.radius:g}: it should be greater than that of the rod there,"
-                    f" {widest:g}"
-                )
-                problems.append(Problem(("discs", "radius"), text))
+            problems = self._disc_problems(self.discs)
         if problems:
             raise ConfigurationError(problems)
         return self
 
+    def _disc_problems(self, discs: Discs) -> list[Problem]:
+        """Problem of discs that are beyond the segment, or inside of the rod."""
+        places = discs.rows(self.length)[:, 0]
+        last = places.max()
+        if last > self.length * (1 + SAME_PLACE):
+            text = f"go to {last:g}: they should be at most the length, {self.length:g}"
+            return [Problem(("discs", "places"), text)]
+        radius, _ = self.shape.outer_radius(places, self.length)
+        widest = radius.max()
+        if discs.radius <= widest:
+            text = (
+                f"is {discs.radius:g}: it should be greater than that of the rod there, {widest:g}"
+            )
+            return [Problem(("discs", "radius"), text)]
+        return []
+
     @property
     def shape(self) -> Section:
         """Its section: a circle is a tube without a hole."""
-        return (
-            Tube.model_construct(radius=self.radius, inner_radius=0.0)
-            if self.section is None
-            else self.section
-        )  # type: ignore[arg-type]
+        if self.section is not None:
+            return self.section
+        # the validators saw to it that there is a radius
+        return Tube.model_construct(radius=self.radius, inner_radius=0.0)  # type: ignore[arg-type]
 
     def screw_matrices(self, arc_length: Array) -> Array:
-        """Diagonals (3, 6, m) of Sigma, Upsilon and the screw inertia per length at arc lengths
-        (m,) [m] from its start."""
+        """Diagonals of stiffness, viscosity and inertia per length along the segment.
+
+        Args:
+            arc_length: (m,) [m] from its start.
+
+        Returns:
+            Sigma, Upsilon and the screw inertia per length, (3, 6, m).
+        """
         return self.shape.screw_matrices(
             arc_length,
             self.length,
@@ -199,10 +215,8 @@ class Tendon(Configuration):
     routing: Routing
     start: NotNegative = 0.0  # arc length [m]
     end: Positive | None = None  # arc length [m]; None: the rod's tip
-    tension_limits: TensionLimits = (
-        0.0,
-        50.0,
-    )  # (least, greatest) [N] of the actuator; a negative least allows it to push
+    # (least, greatest) [N] of the actuator; a negative least allows it to push
+    tension_limits: TensionLimits = (0.0, 50.0)
 
     @field_validator("end")
     @classmethod
@@ -216,15 +230,13 @@ class Quadrature(Configuration):
     """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece
     between neighbouring `breakpoints`."""
 
-    intervals: int | None = Field(
-        default=None, ge=1, le=MOST_INTERVALS
-    )  # None: `least`, or as many as the scene needs for `tolerance`
+    # None: `least`, or as many as the scene needs for `tolerance`
+    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
     # by which the tip may be off at rest under tensions within limits, as a share of the rod's
     # length
     tolerance: Positive = TIP_TOLERANCE
-    least: int = Field(
-        default=6, ge=1, le=MOST_INTERVALS
-    )  # fewest intervals where the scene needs fewer
+    # fewest intervals where the scene needs fewer
+    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)
 
 
 class Integrator(Configuration):
@@ -243,9 +255,8 @@ class Integrator(Configuration):
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Annotated[float, Field(gt=0)] | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
-    quasi_static: bool = (
-        False  # leaves inertia out: damping and elasticity alone balance tensions and loads
-    )
+    # leaves inertia out: damping and elasticity alone balance tensions and loads
+    quasi_static: bool = False
 
     @field_validator("tolerance")
     @classmethod
@@ -269,38 +280,61 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with dotted keys set, `{"segments.*.density": 5.0}`; same checks.
-        Raises `ConfigurationError`."""
+        """Copy of the scene with other values, with the same checks.
+
+        Args:
+            changes: values by dotted keys, `{"segments.*.density": 5.0}`.
+
+        Returns:
+            The scene.
+
+        Raises:
+            ConfigurationError: for keys and values that are not allowed.
+        """
         values = {name: getattr(self, name) for name in type(self).model_fields}
-        heads = (
-            {re.split(r"[.\[]", key)[0] for key in changes if isinstance(key, str)}
-            if isinstance(changes, Mapping)
-            else set()
-        )
-        values |= scene_to_dict(
-            self, heads & {*values}
-        )  # what is not changed need not be checked again
+        changed_tables = set[str]()
+        if isinstance(changes, Mapping):  # if not, `override` says so
+            for key in changes:
+                if isinstance(key, str):
+                    changed_tables.add(re.split(r"[.\[]", key)[0])
+        # what is not changed need not be checked again, and stays as it is
+        values |= scene_to_dict(self, changed_tables & {*values})
         override(values, changes)
         return Scene.parse(values, "scene")
 
     def __repr__(self) -> str:
-        counts = [
-            f"{len(parts)} {name}{'s' * (len(parts) > 1)}"
-            for name, parts in (("segment", self.segments), ("tendon", self.tendons))
+        parts = [
+            repr(self.name),
+            f"{rod_length(self):g} m",
+            _count("segment", self.segments),
+            _count("tendon", self.tendons),
+            *self.effects.chosen(),
         ]
-        parts = [repr(self.name), f"{rod_length(self):g} m", *counts, *self.effects.chosen()]
         return f"Scene({', '.join(parts)})"
 
     @model_validator(mode="after")
     def _parts_fit_the_rod(self) -> Self:
-        if problems := list(_misfits(self)):
+        problems = list(_misfits(self))
+        if problems:
             raise ConfigurationError(problems)
         return self
 
 
+def _count(name: str, parts: Sequence[Any]) -> str:
+    """Number of parts, with their name in singular or plural."""
+    return f"{len(parts)} {name}" if len(parts) == 1 else f"{len(parts)} {name}s"
+
+
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
-    """Scene, or these tables of it, as plain tables fit for JSON and TOML; absent (None) entries
-    are left out."""
+    """Scene as plain tables fit for JSON and TOML.
+
+    Args:
+        scene: to convert.
+        tables: names of those to convert, None: all.
+
+    Returns:
+        The tables without absent (None) entries.
+    """
     return scene.model_dump(mode="json", exclude_none=True, include=tables)
 
 
@@ -317,7 +351,8 @@ def segment_borders(scene: Scene) -> Array:
 def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
     """Index of the segment that each arc length [m] lies in. A border belongs to the segment that
     begins there, the tip to the last."""
-    return np.searchsorted(segment_borders(scene)[1:-1], arc_length, side="right")
+    inner_borders = segment_borders(scene)[1:-1]
+    return np.searchsorted(inner_borders, arc_length, side="right")
 
 
 def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
@@ -329,12 +364,12 @@ def breakpoints(scene: Scene) -> Array:
     """Sorted unique arc lengths [m] between which everything is smooth: base, tip, ends of tendons,
     borders of segments and strain."""
     length = rod_length(scene)
+    apart = SAME_PLACE * length
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
     places = [0.0]
     for place in sorted([*ends, *segment_borders(scene), *scene.strain.borders]):
-        if (
-            place - places[-1] > SAME_PLACE * length and length - place > SAME_PLACE * length
-        ):  # from the last one that counts
+        last = places[-1]
+        if place - last > apart and length - place > apart:
             places.append(float(place))
     return np.array([*places, length])
 
@@ -342,18 +377,29 @@ def breakpoints(scene: Scene) -> Array:
 def along_rod(
     scene: Scene, arc_length: ArrayLike, values: Callable[[Segment, Array], ArrayLike]
 ) -> Array:
-    """Values (k, m) of the segments at arc lengths [m] from the start of each, put together at
-    those (..) from the rod's base: (k, ..)."""
+    """Values of the segments put together along the rod.
+
+    Args:
+        scene: of the rod.
+        arc_length: (...) [m] from the rod's base.
+        values: of a segment, (k, m) at arc lengths (m,) [m] from its start.
+
+    Returns:
+        The values (k, ...).
+    """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    index, starts = segment_index(scene, arc_length), segment_borders(scene)
-    parts = [
-        (index == i, values(segment, arc_length[index == i] - starts[i]))
-        for i, segment in enumerate(scene.segments)
-    ]
-    found = np.empty((len(np.asarray(parts[0][1])), *arc_length.shape))
-    for here, part in parts:
-        found[:, here] = part
-    return found
+    index = segment_index(scene, arc_length)
+    starts = segment_borders(scene)
+    parts = list[tuple[Array, Array]]()  # where a segment is, and its values there
+    for i, segment in enumerate(scene.segments):
+        is_inside = index == i
+        from_start = arc_length[is_inside] - starts[i]
+        parts.append((is_inside, np.asarray(values(segment, from_start))))
+    _, first_values = parts[0]
+    together = np.empty((len(first_values), *arc_length.shape))
+    for is_inside, part in parts:
+        together[:, is_inside] = part
+    return together
 
 
 def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
@@ -370,12 +416,12 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
 def disc_rows(scene: Scene) -> Array:
     """Arc length [m], mass [kg], radius and thickness [m], 0 for thin ones, of every spacer disc:
     (d, 4)."""
-    parts = zip(scene.segments, segment_borders(scene), strict=False)
-    rows = [
-        segment.discs.rows(segment.length) + [start, 0.0, 0.0, 0.0]
-        for segment, start in parts
-        if segment.discs is not None
-    ]
+    starts = segment_borders(scene)[:-1]
+    rows = list[Array]()
+    for segment, start in zip(scene.segments, starts, strict=True):
+        if segment.discs is not None:
+            from_base = np.array([start, 0.0, 0.0, 0.0])
+            rows.append(segment.discs.rows(segment.length) + from_base)
     return np.concatenate([np.zeros((0, 4)), *rows])
 
 
@@ -383,9 +429,9 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
     """Offset (y, z) of a tendon from the axis [m] and its slope d/dX [-] at arc lengths [m], each
     (m, 2)."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    return tendon.routing.offset_and_slope(
-        arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon)
-    )
+    radius, radius_slope = rod_radius(scene, arc_length)
+    ends = tendon_ends(scene, tendon)
+    return tendon.routing.offset_and_slope(arc_length, radius, radius_slope, ends)
 
 
 def extrapolation_columns(scene: Scene) -> int:
@@ -398,75 +444,94 @@ def extrapolation_columns(scene: Scene) -> int:
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns
-    omega = 0.64 / scene.integrator.step
-    parts = [segment.screw_matrices(np.zeros(1))[:2, 1, 0] for segment in scene.segments]
-    ratios = [0.5 * omega * damping / stiffness for stiffness, damping in parts]  # in bending
-    if min(ratios) < 0.01:
-        return 2
-    return 3 if scene.integrator.tolerance is None else MOST_COLUMNS
+    omega = GROWTH_ANGLE / scene.integrator.step
+    ratios = list[float]()
+    for segment in scene.segments:
+        # in bending about y, at the segment's start
+        stiffness, viscosity = segment.screw_matrices(np.zeros(1))[:2, 1, 0]
+        ratios.append(0.5 * omega * viscosity / stiffness)
+    if min(ratios) < ENOUGH_DAMPING:
+        return SAFE_COLUMNS
+    return DAMPED_COLUMNS if scene.integrator.tolerance is None else MOST_COLUMNS
 
 
 def _misfits(scene: Scene) -> Iterator[Problem]:
-    length, least = rod_length(scene), LEAST_TOLERANCE * rod_length(scene)
+    """Problems of parts that do not fit each other."""
     for i, tendon in enumerate(scene.tendons):
-        start, end = tendon_ends(scene, tendon)
-        if start >= length:
-            yield Problem(
-                ("tendons", i, "start"),
-                f"is {start}: it should be less than the rod's length, {length:g}",
-            )
-        elif end > length * (1 + SAME_PLACE):
-            yield Problem(
-                ("tendons", i, "end"),
-                f"is {end}: it should be at most the rod's length, {length:g}",
-            )
-        elif (
-            min(end, length) - start <= SHORTEST * length
-        ):  # no point of the rod might lie between its ends, see breakpoints()
-            text = (
-                f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's"
-                f" length, {length:g}"
-            )
-            yield Problem(("tendons", i), text)
-        elif misfit := tendon.routing.misfit((start, end)):
-            yield Problem(("tendons", i, "routing"), misfit)
-    if (away := max(map(abs, scene.base.position))) > (most := FARTHEST_BASE * length):
+        yield from _tendon_misfits(scene, tendon, i)
+    yield from _base_misfits(scene)
+    length = rod_length(scene)
+    tolerance = scene.integrator.tolerance
+    least = LEAST_TOLERANCE * length
+    if tolerance is not None and tolerance < least:
         text = (
-            f"is {shown(scene.base.position)}: coordinates should be within ±{most:g} m,"
-            f" {FARTHEST_BASE:g} lengths of the rod"
-        )
-        yield Problem(
-            ("base", "position"), f"{text}{'; is it in mm?' if away < 1e3 * most else ''}"
-        )
-    if (scene.integrator.tolerance or least) < least:
-        text = (
-            f"is {scene.integrator.tolerance:g}: it should be at least {least:g} m,"
-            f" {LEAST_TOLERANCE:g} of the rod's length"
+            f"is {tolerance:g}: it should be at least {least:g} m, {LEAST_TOLERANCE:g} of the rod's"
+            " length"
         )
         yield Problem(("integrator", "tolerance"), text)
     for i, border in enumerate(scene.strain.borders):
         if border >= length:
-            yield Problem(
-                ("strain", "borders", i),
-                f"is {border}: it should be less than the rod's length, {length:g}",
-            )
-    law = scene.effects.nonlinear_elasticity
+            text = f"is {border}: it should be less than the rod's length, {length:g}"
+            yield Problem(("strain", "borders", i), text)
     for i, segment in enumerate(scene.segments):
-        if law is not None and law.bending is not None:
-            about_y, about_z = segment.screw_matrices(segment.length * PLACES)[0, 1:3]
-            if np.abs(about_y - about_z).max() > 1e-9 * about_y.max():
-                text = (
-                    "has one e0 for both curvatures: it needs sections that bend alike about y and"
-                    " z, and that of segments"
-                )
-                yield Problem(
-                    ("effects", "nonlinear_elasticity", "bending"), f"{text}[{i}] does not"
-                )
-        if (
-            scene.effects.fluid is not None
-            and segment.discs is not None
-            and segment.discs.thickness is None
-        ):
-            yield Problem(
-                ("segments", i, "discs", "thickness"), "is missing: in a fluid it is required"
+        yield from _effect_misfits(scene, segment, i)
+
+
+def _tendon_misfits(scene: Scene, tendon: Tendon, i: int) -> Iterator[Problem]:
+    """Problem of tendon i beside the rod."""
+    length = rod_length(scene)
+    start, end = tendon_ends(scene, tendon)
+    key = ("tendons", i)
+    if start >= length:
+        text = f"is {start}: it should be less than the rod's length, {length:g}"
+        yield Problem((*key, "start"), text)
+        return
+    if end > length * (1 + SAME_PLACE):
+        text = f"is {end}: it should be at most the rod's length, {length:g}"
+        yield Problem((*key, "end"), text)
+        return
+    # no point of the rod might lie between ends that are closer, see breakpoints()
+    if min(end, length) - start <= SHORTEST * length:
+        text = (
+            f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's"
+            f" length, {length:g}"
+        )
+        yield Problem(key, text)
+        return
+    misfit = tendon.routing.misfit((start, end))
+    if misfit:
+        yield Problem((*key, "routing"), misfit)
+
+
+def _base_misfits(scene: Scene) -> Iterator[Problem]:
+    """Problem of a base that is too far from the world's origin."""
+    position = scene.base.position
+    distance = max(map(abs, position))
+    most = FARTHEST_BASE * rod_length(scene)
+    if distance > most:
+        # a position in mm is a thousand times too large
+        hint = "; is it in mm?" if distance < 1e3 * most else ""
+        text = (
+            f"is {shown(position)}: coordinates should be within ±{most:g} m, {FARTHEST_BASE:g}"
+            f" lengths of the rod{hint}"
+        )
+        yield Problem(("base", "position"), text)
+
+
+def _effect_misfits(scene: Scene, segment: Segment, i: int) -> Iterator[Problem]:
+    """Problems of segment i with the effects."""
+    law = scene.effects.nonlinear_elasticity
+    if law is not None and law.bending is not None:
+        elasticity = segment.screw_matrices(segment.length * PLACES)[0]
+        about_y, about_z = elasticity[1:3]
+        if np.abs(about_y - about_z).max() > ALIKE * about_y.max():
+            text = (
+                "has one e0 for both curvatures: it needs sections that bend alike about y and z,"
+                f" and that of segments[{i}] does not"
             )
+            yield Problem(("effects", "nonlinear_elasticity", "bending"), text)
+    discs = segment.discs
+    if scene.effects.fluid is not None and discs is not None and discs.thickness is None:
+        yield Problem(
+            ("segments", i, "discs", "thickness"), "is missing: in a fluid it is required"
+        )

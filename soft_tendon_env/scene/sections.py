@@ -25,15 +25,12 @@ from soft_tendon_env.scene.routing import Size, Taper
 from soft_tendon_env.tools.configuration import Configuration, Problem
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
-VISCOUS = np.array([1.0, 3.0, 3.0, 3.0, 1.0, 1.0])[
-    :, None
-]  # viscosity of the six strains in eta: 3 along the rod (Trouton's ratio)
-ODD = np.array(
-    [[1.0], [3.0], [5.0], [7.0]]
-)  # of the series below: what the others add is less than round-off
-SUM_OF_ODD = (
-    31.0 / 32.0 * 1.0369277551433699
-)  # of 1 / n^5 over all odd n, 31/32 of Riemann's zeta(5)
+# viscosity of the six strains in eta, (6, 1): 3 along the rod (Trouton's ratio)
+VISCOUS = np.array([[1.0], [3.0], [3.0], [3.0], [1.0], [1.0]])
+# n of the series of a rectangle's torsion, (4, 1): what the others add is less than round-off
+ODD = np.array([[1.0], [3.0], [5.0], [7.0]])
+ZETA_OF_5 = 1.0369277551433699  # Riemann's zeta function, the sum of 1 / n^5 over all n
+SUM_OF_ODD = 31.0 / 32.0 * ZETA_OF_5  # of 1 / n^5 over all odd n
 THINNEST = 1e-6  # wall of a tube in radii, with six digits of the difference of fourth powers left
 PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what varies is compared
 
@@ -49,25 +46,33 @@ class Section(Configuration):
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
-        """Diagonals (3, 6, m) of Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m,
-        kg/m].
+        """Diagonals of stiffness, viscosity and inertia per length.
 
-        material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3] and viscosity [Pa s],
-        where it is of one.
+        Args:
+            arc_length: (m,) [m].
+            length: of the segment [m].
+            material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3] and viscosity [Pa s],
+                where it is of one.
+
+        Returns:
+            Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m, kg/m], (3, 6, m).
         """
 
     def tapers(self) -> dict[str, Taper]:
         """Those of the sizes that vary, by name."""
-        return {name: size for name in self.sizes if isinstance(size := getattr(self, name), Taper)}
+        sizes = {name: getattr(self, name) for name in self.sizes}
+        return {name: size for name, size in sizes.items() if isinstance(size, Taper)}
 
     def at(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Sizes [m] and their derivatives along the rod [-], each (sizes, m)."""
-        values, slopes = np.zeros((2, len(self.sizes), arc_length.size))
+        values = np.zeros((len(self.sizes), arc_length.size))
+        slopes = np.zeros_like(values)
         for i, name in enumerate(self.sizes):
             size = getattr(self, name)
-            values[i], slopes[i] = (
-                size.size_and_slope(arc_length, length) if isinstance(size, Taper) else (size, 0.0)
-            )
+            if isinstance(size, Taper):
+                values[i], slopes[i] = size.size_and_slope(arc_length, length)
+            else:
+                values[i] = size
         return values, slopes
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
@@ -78,8 +83,9 @@ class Section(Configuration):
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Widths along y and z [m], perimeter [m] and area [m^2] of the outline: (4, m)."""
-        radius = self.at(arc_length, length)[0][0]
-        return np.stack([2.0 * radius, 2.0 * radius, 2.0 * np.pi * radius, np.pi * radius**2])
+        radius, _ = self.outer_radius(arc_length, length)
+        width = 2.0 * radius
+        return np.stack([width, width, 2.0 * np.pi * radius, np.pi * radius**2])
 
     def outline(self, circle: Array) -> Array:
         """Points (2, k) of the outline in parts of half its widths, around points of the unit
@@ -89,16 +95,16 @@ class Section(Configuration):
     def misfits(self, length: float) -> Iterator[Problem]:
         """Problems of sizes that do not fit the segment, or each other, by keys of the section."""
         for name, taper in self.tapers().items():
-            if text := taper.misfit(length):
+            text = taper.misfit(length)
+            if text:
                 yield Problem((name,), text)
 
 
 class Solid(Section):
     """Base of the sections of one material."""
 
-    shear_correction: Annotated[float, Field(gt=0, le=1)] = (
-        1.0  # k, shear stiffness over G A (G. R. Cowper 1966: thin tube 0.53)
-    )
+    # k, shear stiffness over G A (G. R. Cowper 1966: thin tube 0.53)
+    shear_correction: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     @abstractmethod
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
@@ -106,17 +112,17 @@ class Solid(Section):
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
         E, nu, rho, eta = material
-        area, bending_y, bending_z, torsion = self.integrals(self.at(arc_length, length)[0])
-        sheared, G = self.shear_correction * area, E / (2 * (1 + nu))
-        strained = np.stack([torsion, bending_y, bending_z, area, sheared, sheared])
-        moved = np.stack([bending_y + bending_z, bending_y, bending_z, area, area, area])
-        return np.stack(
-            [
-                np.array([G, E, E, E, G, G])[:, None] * strained,
-                eta * (VISCOUS * strained),
-                rho * moved,
-            ]
-        )
+        G = E / (2 * (1 + nu))
+        sizes, _ = self.at(arc_length, length)
+        A, Iy, Iz, J = self.integrals(sizes)
+        kA = self.shear_correction * A
+        moduli = np.array([G, E, E, E, G, G])
+        resisting = np.stack([J, Iy, Iz, A, kA, kA])
+        moving = np.stack([Iy + Iz, Iy, Iz, A, A, A])
+        elasticity = moduli[:, None] * resisting
+        viscosity = eta * (VISCOUS * resisting)
+        inertia = rho * moving
+        return np.stack([elasticity, viscosity, inertia])
 
 
 class Tube(Solid):
@@ -130,27 +136,28 @@ class Tube(Solid):
     inner_radius: Size  # [m]
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
-        (area, inner), (bending, within) = np.pi * sizes**2, np.pi * sizes**4 / 4
-        return area - inner, bending - within, bending - within, 2 * (bending - within)
+        area_outer, area_inner = np.pi * sizes**2
+        second_outer, second_inner = np.pi * sizes**4 / 4
+        area = area_outer - area_inner
+        second = second_outer - second_inner
+        polar = 2 * second
+        return area, second, second, polar
 
     def misfits(self, length: float) -> Iterator[Problem]:
         yield from super().misfits(length)
         if not self.inner_radius:
             return
-        places = np.concatenate(
-            [
-                length * PLACES,
-                *(getattr(taper, "arc_length", ()) for taper in self.tapers().values()),
-            ]
-        )
-        outer, inner = self.at(places, length)[0]
+        # also the points of tables, between which a size has no other extremes
+        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
+        places = np.concatenate([length * PLACES, *tables])
+        (outer, inner), _ = self.at(places, length)
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
-            yield Problem(
-                ("inner_radius",),
+            text = (
                 f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by"
-                f" {THINNEST:g} of it",
+                f" {THINNEST:g} of it"
             )
+            yield Problem(("inner_radius",), text)
 
 
 class Flat(Solid):
@@ -169,19 +176,26 @@ class Rectangle(Flat):
     type: Literal["rectangle"] = "rectangle"
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
-        (width, height), (short, long) = sizes, np.sort(sizes, axis=0)
-        area, ratio = width * height, short / long
-        series = SUM_OF_ODD - ((1.0 - np.tanh(0.5 * np.pi * ODD / ratio)) / ODD**5).sum(axis=0)
-        torsion = long * short**3 * (1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series)
-        return area, area * height**2 / 12, area * width**2 / 12, torsion
+        width, height = sizes
+        short, long = np.sort(sizes, axis=0)
+        A = width * height
+        Iy = A * height**2 / 12
+        Iz = A * width**2 / 12
+        # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
+        ratio = short / long
+        lacking = (1.0 - np.tanh(0.5 * np.pi * ODD / ratio)) / ODD**5
+        series = SUM_OF_ODD - lacking.sum(axis=0)
+        J = long * short**3 * (1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series)
+        return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         values, slopes = self.at(arc_length, length)
         diagonal = np.hypot(*values)
-        return 0.5 * diagonal, 0.5 * (values * slopes).sum(axis=0) / diagonal
+        slope = 0.5 * (values * slopes).sum(axis=0) / diagonal
+        return 0.5 * diagonal, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
-        width, height = self.at(arc_length, length)[0]
+        (width, height), _ = self.at(arc_length, length)
         return np.stack([width, height, 2.0 * (width + height), width * height])
 
     def outline(self, circle: Array) -> Array:
@@ -194,23 +208,28 @@ class Ellipse(Flat):
     type: Literal["ellipse"] = "ellipse"
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
-        a, b = 0.5 * sizes
-        area = np.pi * a * b
-        return area, area * b**2 / 4, area * a**2 / 4, area * a**2 * b**2 / (a**2 + b**2)
+        a, b = 0.5 * sizes  # half axes
+        A = np.pi * a * b
+        Iy = A * b**2 / 4
+        Iz = A * a**2 / 4
+        J = A * a**2 * b**2 / (a**2 + b**2)
+        return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
-        values, slopes = self.at(arc_length, length)
-        return 0.5 * values.max(axis=0), 0.5 * np.where(
-            values[0] >= values[1], slopes[0], slopes[1]
-        )
+        (width, height), (width_slope, height_slope) = self.at(arc_length, length)
+        radius = 0.5 * np.maximum(width, height)
+        slope = 0.5 * np.where(width >= height, width_slope, height_slope)
+        return radius, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
-        a, b = 0.5 * self.at(arc_length, length)[0]
+        sizes, _ = self.at(arc_length, length)
+        a, b = 0.5 * sizes
         perimeter = np.pi * (3 * (a + b) - np.sqrt((3 * a + b) * (a + 3 * b)))  # S. Ramanujan 1914
         return np.stack([2.0 * a, 2.0 * b, perimeter, np.pi * a * b])
 
 
 def _both(value: Any) -> Any:
+    """A pair, also of one number for both."""
     return value if isinstance(value, list | tuple) else (value, value)
 
 
@@ -226,30 +245,28 @@ class Stiffness(Section):
     bending: tuple[Positive, Positive]  # (E Iy, E Iz) [N m^2]
     torsion: Positive  # G J [N m^2]
     stretch: Positive  # E A [N]
-    shear: Annotated[
-        tuple[Positive, Positive], BeforeValidator(_both)
-    ]  # along y and z [N], or one number for both
+    # along y and z [N], or one number for both
+    shear: Annotated[tuple[Positive, Positive], BeforeValidator(_both)]
     mass_per_length: Positive  # [kg/m]
     # [s], in bending 2 zeta / omega of a mode of damping ratio zeta and frequency omega [rad/s]
     retardation_time: NotNegative
     radius: Size  # of the outer circle [m], for contact, fluids, drawing and tendons on the surface
-    rotary_inertia: tuple[Positive, Positive, Positive] | None = (
-        None  # about x, y, z per length [kg m]; None: a solid circle's
-    )
+    # about x, y, z per length [kg m]; None: a solid circle's
+    rotary_inertia: tuple[Positive, Positive, Positive] | None = None
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
-        mass, ones = self.mass_per_length, np.ones_like(arc_length)
+        ones = np.ones_like(arc_length)
         sigma = np.outer([self.torsion, *self.bending, self.stretch, *self.shear], ones)
-        about: Array = np.outer(self.rotary_inertia or (0.5 * mass, 0.25 * mass, 0.25 * mass), ones)
-        if self.rotary_inertia is None:
-            about *= self.outer_radius(arc_length, length)[0] ** 2
-        return np.stack(
-            [
-                sigma,
-                self.retardation_time * sigma,
-                np.concatenate([about, np.outer([mass] * 3, ones)]),
-            ]
-        )
+        mass = self.mass_per_length
+        if self.rotary_inertia is not None:
+            rotary = np.outer(self.rotary_inertia, ones)
+        else:
+            # of a solid circle: r^2 / 2 about the axis, r^2 / 4 about the others
+            radius, _ = self.outer_radius(arc_length, length)
+            shares = [0.5 * mass, 0.25 * mass, 0.25 * mass]
+            rotary = np.outer(shares, ones) * radius**2
+        inertia = np.concatenate([rotary, np.outer([mass, mass, mass], ones)])
+        return np.stack([sigma, self.retardation_time * sigma, inertia])
 
 
 AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
@@ -284,11 +301,10 @@ class Discs(Configuration):
     def rows(self, length: float) -> Array:
         """Arc length from the start of a segment of this length [m], mass [kg], radius and
         thickness [m] of each: (d, 4)."""
-        places = (
-            length * np.arange(1, self.number + 1) / self.number
-            if self.number is not None
-            else np.array(self.places)
-        )
-        return np.column_stack(
-            [places, np.tile([self.mass, self.radius, self.thickness or 0.0], (places.size, 1))]
-        )
+        if self.number is not None:
+            places = length * np.arange(1, self.number + 1) / self.number
+        else:
+            places = np.array(self.places)
+        disc = [self.mass, self.radius, self.thickness or 0.0]
+        discs = np.tile(disc, (places.size, 1))
+        return np.column_stack([places, discs])

@@ -15,6 +15,7 @@ MOST_SNAPSHOT_FIELDS = 24  # beyond, fields hardly add anything
 # Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept
 # as
 SNAPSHOT_ORDER = 10
+# in the order of xi = (k, p)
 STRAINS: tuple[Strain, ...] = (
     "torsion",
     "bend_y",
@@ -22,11 +23,12 @@ STRAINS: tuple[Strain, ...] = (
     "stretch",
     "shear_y",
     "shear_z",
-)  # in the order of xi = (k, p)
+)
 
 
 def _check_each_once(strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
-    if repeated := sorted({strain for strain in strains if strains.count(strain) > 1}):
+    repeated = sorted({strain for strain in strains if strains.count(strain) > 1})
+    if repeated:
         raise ValueError(f"should name each strain once, but repeats {', '.join(repeated)}")
     return strains
 
@@ -53,14 +55,10 @@ class Snapshots(Configuration):
 
     type: Literal["snapshots"] = "snapshots"
     fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
-    file: str | None = (
-        # a path; None: among those that ship and those in the user's cache, by what they were made
-        # for
-        None
-    )
-    digest: str | None = Field(
-        default=None, pattern="^[0-9a-f]{16}$"
-    )  # to have these fields and no others; None: any that fit
+    # a path; None: among those that ship and those in the user's cache, by what they were made for
+    file: str | None = None
+    # to have these fields and no others; None: any that fit
+    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
 
 
 PassiveStrain = Annotated[
@@ -84,12 +82,10 @@ class StaticsBased(Configuration):
     # fields of moments [N m] and forces [N] beside the tendons': Legendre `Modes`, or type
     # "snapshots"
     passive: PassiveStrain = ()
-    passive_coordinates: Literal["orthogonal", "raw"] = (
-        "orthogonal"  # to what the tendons span already; "raw" leaves fields as they are
-    )
-    rank_tolerance: Annotated[Positive, Field(lt=1)] = (
-        1e-4  # combinations of fields below this relative size get no coordinate
-    )
+    # orthogonal to what the tendons span already; "raw" leaves fields as they are
+    passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
+    # combinations of fields below this relative size get no coordinate
+    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
     borders: tuple[Positive, ...] = ()  # arc lengths [m] that cut the rod into further pieces
     include_loads: bool = False
 
@@ -102,24 +98,20 @@ class StaticsBased(Configuration):
     def highest_order(self) -> int:
         """Highest Legendre order of the fields that have coordinates of their own, 0 without
         any."""
-        return (
-            SNAPSHOT_ORDER
-            if isinstance(self.passive, Snapshots)
-            else max((modes.order for modes in self.passive), default=0)
-        )
+        if isinstance(self.passive, Snapshots):
+            return SNAPSHOT_ORDER
+        return max((modes.order for modes in self.passive), default=0)
 
     @field_validator("passive")
     @classmethod
     def _of_the_rod(
         cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo
     ) -> tuple[Modes, ...] | Snapshots:
-        existing, groups = (
-            info.data.get("strains", STRAINS),
-            () if isinstance(passive, Snapshots) else passive,
-        )
-        if rigid := [
-            strain for modes in groups for strain in modes.strains if strain not in existing
-        ]:
+        existing = info.data.get("strains", STRAINS)
+        groups = () if isinstance(passive, Snapshots) else passive
+        strains = [strain for modes in groups for strain in modes.strains]
+        rigid = [strain for strain in strains if strain not in existing]
+        if rigid:
             raise ValueError(
                 f"should name strains that the rod has, {', '.join(existing)}; not"
                 f" {', '.join(rigid)}"

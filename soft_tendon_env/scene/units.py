@@ -4,6 +4,7 @@ in another unit than SI's."""
 import math
 import warnings
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,31 +21,35 @@ from soft_tendon_env.scene.scene import (
 )
 from soft_tendon_env.tools.types import UNITS, Array
 
-DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
-LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
-"""Ranges of rods [m], endoscopes to hoses; of Young's moduli [Pa], gels to diamond; of densities
-[kg/m^3], foams to osmium."""
-SLENDER, FAR_OFF = (
-    0.03,
-    0.2,
-    # shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no
-    # arm has
-)
+# units that numbers may be in by mistake, as factors of the SI unit
+DENSITIES = {"g/cm^3": 1e3, "t/mm^3": 1e12}
+MODULI = {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
+# usual ranges
+SHORTEST_ROD = 1e-3  # [m], of micro-robots
+LONGEST_ROD = 20.0  # [m], of hoses
+SOFTEST = 1e3  # Young's modulus [Pa] of gels
+STIFFEST = 1e12  # of diamond
+LIGHTEST = 10.0  # density [kg/m^3] of foams
+HEAVIEST = 25e3  # of osmium
+# usual sizes, by which a unit is guessed
+USUAL_LENGTH = 0.3  # of a rod [m]
+USUAL_DENSITY = 1e3  # [kg/m^3]
+USUAL_MODULUS = 5e5  # of a soft arm [Pa]
+USUAL_METAL_MODULUS = 5e10  # [Pa]
+SLENDER = 0.03  # share of the rod's length that a usual radius or offset is
+FAR_OFF = 0.2  # that an offset outside of the rod is on no arm
 FAR_BASE = 100.0  # lengths of the rod from the world's origin at which no base is usually
-METAL, IN_MPA = (
-    5e3,
-    5e5,
-    # density [kg/m^3] of metals and rubbers full of them; modulus that metals have not in MPa, and
-    # such rubbers in Pa
-)
-SOFT, STRAINED, STIFF_STRAINED = (
-    1e7,
-    10.0,
-    2.0,
-)  # modulus [Pa] of rubbers; strains at the limits that these and stiffer ones cannot take
-CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
-"""Strain by its own weight that not even gel in water has; angle [rad] that tensions bend arms of
-metres; places along tendons."""
+METAL = 5e3  # density [kg/m^3] of metals and rubbers full of them
+IN_MPA = 5e5  # modulus that metals have not in MPa, and such rubbers in Pa
+SOFT = 1e7  # modulus [Pa] of rubbers
+# strains at the tension limits that no material takes
+STRAINED = 10.0  # of rubbers
+STIFF_STRAINED = 2.0  # of stiffer ones
+CRUSHED = 30.0  # strain by its own weight that not even gel in water has
+GRAVITY = 9.81  # [m/s^2]
+LEAST_BENT = 1.5e-3  # angle [rad] by which tensions bend arms of metres at least
+LONG_ROD = 1.0  # length [m] above which a rod that hardly bends may be in mm
+PLACES = 9  # along tendons, at which they are looked at
 
 
 class UnitsWarning(UserWarning):
@@ -52,11 +57,16 @@ class UnitsWarning(UserWarning):
 
 
 def warn_of_units(scene: Scene) -> None:
-    """Warns, once, of the numbers of a scene that are likely to be in other units."""
-    if found := [*_unlikely(scene)]:
+    """Warns, once, of the numbers of a scene that are likely to be in other units.
+
+    Args:
+        scene: that a model is built of.
+    """
+    numbers = [*_unlikely(scene)]
+    if numbers:
         text = (
             f"{scene.name!r} has numbers that look as if they were not in SI units (m, kg, s, N,"
-            f" Pa): {'; '.join(found)}"
+            f" Pa): {'; '.join(numbers)}"
         )
         warnings.warn(text, UnitsWarning, stacklevel=4)  # where the user builds it
 
@@ -64,9 +74,8 @@ def warn_of_units(scene: Scene) -> None:
 def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     """The question after the unit that brings a value nearest to a usual one; none where it has a
     usual size already."""
-    nearest = min(
-        ["", *units], key=lambda unit: abs(math.log10(value * units.get(unit, 1.0) / usual))
-    )
+    factors = {"": 1.0, **units}  # "": as it is
+    nearest = min(factors, key=lambda unit: abs(math.log10(value * factors[unit] / usual)))
     return f": is it {nearest}?" if nearest else ""
 
 
@@ -74,77 +83,135 @@ def _stiffness(segment: Segment, places: Array) -> Array:
     """Bending [N m^2], about the softer axis, and stretch [N] at arc lengths (m,) [m] of a segment:
     (2, m)."""
     elasticity = segment.screw_matrices(places)[0]
-    return np.stack([elasticity[1:3].min(axis=0), elasticity[3]])
+    bending = elasticity[1:3].min(axis=0)
+    stretch = elasticity[3]
+    return np.stack([bending, stretch])
 
 
 def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
-    length, usual = rod_length(scene), Tendon.model_fields["tension_limits"].default
-    if not LENGTH[0] <= length <= LENGTH[1]:
-        yield f"the rod is {length:g} m long{_ask(length, 0.3, UNITS)}"
-    if (away := max(map(abs, scene.base.position))) > FAR_BASE * length:
+    length = rod_length(scene)
+    if not SHORTEST_ROD <= length <= LONGEST_ROD:
+        yield f"the rod is {length:g} m long{_ask(length, USUAL_LENGTH, UNITS)}"
+    distance = max(map(abs, scene.base.position))
+    if distance > FAR_BASE * length:
         yield (
-            f"base.position is up to {away:g} m from the origin of an arm of {length:g}"
-            f" m{_ask(away, length, UNITS)}"
+            f"base.position is up to {distance:g} m from the origin of an arm of {length:g}"
+            f" m{_ask(distance, length, UNITS)}"
         )
     for i, segment in enumerate(scene.segments):
-        E, density = segment.young_modulus, segment.density
-        if E is None or density is None:  # a section that has the stiffnesses themselves
-            continue
-        if not MODULUS[0] <= E <= MODULUS[1] or (density > METAL and E < IN_MPA):
-            of = (
-                f", and its density, {density:g} kg/m^3, that of a metal" if density > METAL else ""
-            )
-            yield (
-                f"segments[{i}].young_modulus is {E:g}"
-                f" Pa{of}{_ask(E, 5e10 if density > METAL else 5e5, MODULI)}"
-            )
-        if not DENSITY[0] <= density <= DENSITY[1]:
-            yield f"segments[{i}].density is {density:g} kg/m^3{_ask(density, 1e3, DENSITIES)}"
-        elif MODULUS[0] <= E and 9.81 * density * length / E > CRUSHED:
-            yield (
-                f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by"
-                " its own weight: is it mm, or MPa?"
-            )
-    bent = 0.0
+        yield from _unlikely_material(segment, i, length)
+    bent = 0.0  # angle [rad] by which the limit of the strongest tension bends the rod
     for i, tendon in enumerate(scene.tendons):
-        start, end = tendon_ends(scene, tendon)
-        places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
-        offset, radius = (
-            np.linalg.norm(tendon_offset(scene, tendon, places)[0], axis=1),
-            rod_radius(scene, places)[0],
-        )
-        if (widest := radius.max()) >= length:
-            yield (
-                f"the rod has a radius of {widest:g} m on a length of {length:g}"
-                f" m{_ask(widest, SLENDER * length, UNITS)}"
-            )
+        path = _Path.of_tendon(scene, tendon)
+        text = _unlikely_radius(scene, path) or _unlikely_tendon(path, i)
+        if text:  # one is enough: they are likely in the same wrong unit
+            yield text
             return
-        if (wide := disc_rows(scene)[:, 2].max(initial=0.0)) >= length:
-            yield (
-                f"spacer discs have a radius of {wide:g} m on a length of {length:g}"
-                f" m{_ask(wide, SLENDER * length, UNITS)}"
-            )
-            return
-        if (farthest := offset.max()) > max(FAR_OFF * length, widest):
-            yield (
-                f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g}"
-                f" m{_ask(farthest, SLENDER * length, UNITS)}"
-            )
-            return
-        bending, stretch = along_rod(scene, places, _stiffness)
-        pull = max(map(abs, tendon.tension_limits))
-        strain = float(np.median(pull * (offset * radius / bending + 1.0 / stretch)))
-        soft = (stretch / (np.pi * radius**2)).min() < SOFT
-        if tendon.tension_limits != usual and strain > (STRAINED if soft else STIFF_STRAINED):
-            yield (
-                f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by"
-                f" {strain:.0%}: is it mN, or a modulus in kPa?"
-            )
-            return
-        bent = max(bent, float((pull * offset / bending).mean() * (end - start)))
-    if 0.0 < bent < LEAST_BENT and 1.0 < length <= LENGTH[1]:
+        bent = max(bent, path.bent())
+    if 0.0 < bent < LEAST_BENT and LONG_ROD < length <= LONGEST_ROD:
         yield (
             f"tensions within their limits bend the rod by at most {bent:.2g} rad: are lengths"
             " in mm?"
         )
+
+
+def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]:
+    """Numbers of the material of segment i, in a rod of a length [m]."""
+    E = segment.young_modulus
+    density = segment.density
+    if E is None or density is None:  # a section that has the stiffnesses themselves
+        return
+    is_metal = density > METAL
+    if not SOFTEST <= E <= STIFFEST or (is_metal and E < IN_MPA):
+        reason = f", and its density, {density:g} kg/m^3, that of a metal" if is_metal else ""
+        usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
+        yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{_ask(E, usual, MODULI)}"
+    if not LIGHTEST <= density <= HEAVIEST:
+        question = _ask(density, USUAL_DENSITY, DENSITIES)
+        yield f"segments[{i}].density is {density:g} kg/m^3{question}"
+    elif E >= SOFTEST and GRAVITY * density * length / E > CRUSHED:
+        yield (
+            f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by"
+            " its own weight: is it mm, or MPa?"
+        )
+
+
+class _Path(NamedTuple):
+    """A tendon and the rod around it, at places along it."""
+
+    tendon: Tendon
+    rod_length: float  # [m]
+    length: float  # of the tendon along the rod [m]
+    offset: Array  # (m,) from the axis [m]
+    radius: Array  # (m,) of the rod [m]
+    bending: Array  # (m,) stiffness of the rod about the softer axis [N m^2]
+    stretch: Array  # (m,) stiffness [N]
+
+    @classmethod
+    def of_tendon(cls, scene: Scene, tendon: Tendon) -> "_Path":
+        """Path of a scene's tendon."""
+        start, end = tendon_ends(scene, tendon)
+        places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
+        offset, _ = tendon_offset(scene, tendon, places)
+        radius, _ = rod_radius(scene, places)
+        bending, stretch = along_rod(scene, places, _stiffness)
+        return cls(
+            tendon,
+            rod_length=rod_length(scene),
+            length=end - start,
+            offset=np.linalg.norm(offset, axis=1),
+            radius=radius,
+            bending=bending,
+            stretch=stretch,
+        )
+
+    @property
+    def pull(self) -> float:
+        """Greatest tension within the limits, also of a push [N]."""
+        return max(map(abs, self.tendon.tension_limits))
+
+    def strain(self) -> float:
+        """Strain that this tension makes: bending at the surface, and compression."""
+        per_tension = self.offset * self.radius / self.bending + 1.0 / self.stretch
+        return float(np.median(self.pull * per_tension))
+
+    def bent(self) -> float:
+        """Angle [rad] by which this tension bends the rod."""
+        curvature = self.pull * self.offset / self.bending
+        return float(curvature.mean() * self.length)
+
+
+def _unlikely_radius(scene: Scene, path: _Path) -> str:
+    """The radius of a rod, or of discs, that is as large as the rod is long, in words; empty where
+    there is none."""
+    length = path.rod_length
+    widest = path.radius.max()
+    disc = disc_rows(scene)[:, 2].max(initial=0.0)
+    for name, radius in (("the rod has", widest), ("spacer discs have", disc)):
+        if radius >= length:
+            question = _ask(radius, SLENDER * length, UNITS)
+            return f"{name} a radius of {radius:g} m on a length of {length:g} m{question}"
+    return ""
+
+
+def _unlikely_tendon(path: _Path, i: int) -> str:
+    """Place or limits of tendon i that no arm has, in words; empty where there are none."""
+    length = path.rod_length
+    farthest = path.offset.max()
+    if farthest > max(FAR_OFF * length, path.radius.max()):
+        return (
+            f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g}"
+            f" m{_ask(farthest, SLENDER * length, UNITS)}"
+        )
+    modulus = path.stretch / (np.pi * path.radius**2)  # of a solid circle
+    strain = path.strain()
+    most = STRAINED if modulus.min() < SOFT else STIFF_STRAINED
+    # the usual limits are no numbers that a user wrote
+    is_usual = path.tendon.tension_limits == Tendon.model_fields["tension_limits"].default
+    if strain > most and not is_usual:
+        return (
+            f"tendons[{i}].tension_limits are up to {path.pull:g} N, which strain the rod by"
+            f" {strain:.0%}: is it mN, or a modulus in kPa?"
+        )
+    return ""

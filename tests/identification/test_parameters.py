@@ -1,5 +1,6 @@
 """Parameters: keys with wildcards, bounds, priors, and where they lead."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -164,3 +165,21 @@ def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environmen
         "tension_gain": [0.9, 1.2],
         "tension_offset": [pytest.approx(-0.25), pytest.approx(0.5)],
     }  # 5 N for 40 mm
+
+
+def test_a_parameter_itself_says_what_it_moves_whatever_its_name(arm, placed):
+    rotation, offset, gain = read_parameters(
+        ["base.rotation.2", "markers.tip.offset.1", "commands.1.gain"], arm, placed
+    )
+    renamed = (
+        replace(rotation, name="markers.tip.arc_length"),
+        replace(offset, name="segments.0.density"),
+        replace(gain, name="base.position.0"),
+    )
+    plants = Plants(arm, build_model(arm), placed, renamed)
+    assert plants.moves_arm == [True, False, True]
+    measurement = plants.measurement(np.array([0.0, 1.0, np.log(1.2)]))
+    moved = measurement.offsets - placed.offsets
+    assert moved[2, 1] == pytest.approx(offset.prior) and np.count_nonzero(moved) == 1
+    assert np.allclose(measurement.gain, [1.0, 1.2, 1.0])
+    assert np.array_equal(measurement.position, arm.base.position)

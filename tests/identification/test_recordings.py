@@ -6,13 +6,8 @@ import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene
 from soft_tendon_env.identification import Marker, MarkerSet, load_markers
-from soft_tendon_env.identification.recordings import (
-    Recording,
-    clusters,
-    read_recordings,
-    same_commands,
-    split,
-)
+from soft_tendon_env.identification.clusters import clusters, same_commands, split
+from soft_tendon_env.identification.recordings import Recording, read_recordings
 
 HEADER = ["hold", "tension_0", "tension_1", "tension_2", "m_x", "m_y", "m_z"]
 NUMBERS = np.array(

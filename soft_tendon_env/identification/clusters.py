@@ -1,0 +1,127 @@
+"""Clusters of recordings whose errors are common, and recordings held out of a fit to judge it."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from soft_tendon_env.identification.recordings import Recording
+from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.tables import read_number
+from soft_tendon_env.tools.types import Array
+
+SHARE = "0.25"  # of recordings that are held out by default
+# how far apart commands may be that are the same
+SAME = 0.02  # of a tendon's range in the data
+EXACT = 0.005  # of the strongest command
+
+
+def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
+    """Splits recordings into those to fit to and held-out ones, cluster by cluster.
+
+    Args:
+        recordings: in the order of the data.
+        held_out: a share below 1 of the clusters, evenly over the data, or a column that is not
+            zero in held-out recordings.
+
+    Returns:
+        Recordings to fit to, and held-out ones, each in the order of the data.
+
+    Raises:
+        ValueError: for a share outside of 0 to 1, a column that is missing or has no numbers, and
+            where nothing is left to fit to.
+    """
+    try:
+        share = float(held_out)
+    except ValueError:
+        is_out = _held_out_by_column(recordings, held_out)
+    else:
+        is_out = _held_out_by_share(recordings, share)
+    if is_out.all():
+        text = (
+            f"held_out is {held_out!r}, which leaves nothing to fit to of {len(recordings)}"
+            " recordings"
+        )
+        raise ValueError(f"{text}: those with the same commands, or of one group, stay together")
+    return [[*itertools.compress(recordings, is_out == kind)] for kind in (False, True)]
+
+
+def _held_out_by_column(recordings: Sequence[Recording], column: str) -> Array:
+    """Which recordings (recordings,) have another number than zero in a column. Raises
+    ValueError."""
+    cells = [recording.columns.get(column, "") for recording in recordings]
+    numbers = np.array(
+        [
+            read_number(recording.where, column, cell)
+            for recording, cell in zip(recordings, cells, strict=True)
+        ]
+    )
+    if np.isnan(numbers).any():
+        columns = {name for recording in recordings for name in recording.columns}
+        raise ValueError(
+            f"held_out is {column!r}: there is no column of that name with numbers:"
+            f" {not_among(column, columns)}"
+        ) from None
+    return np.asarray(numbers != 0.0)
+
+
+def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
+    """Which recordings (recordings,) are of a share of the clusters, spread evenly. Raises
+    ValueError."""
+    if not 0.0 <= share < 1.0:
+        raise ValueError(
+            f"held_out is {share:g}: it should be a share from 0 to below 1, or a column"
+        )
+    cluster = clusters(recordings)
+    count = cluster.max(initial=-1) + 1
+    out_count = round(share * count)
+    # the middle cluster of each of as many equal stretches of the data as are held out
+    chosen = (np.arange(out_count) + 0.5) * count / max(out_count, 1)
+    return np.asarray(np.isin(cluster, chosen.astype(int)))
+
+
+def clusters(recordings: Sequence[Recording]) -> Array:
+    """Clusters of recordings with common errors: those of a group, or where there are no groups
+    those with the same commands.
+
+    Args:
+        recordings: in the order of the data.
+
+    Returns:
+        Index (recordings,) that those of a cluster share, from 0 in the order of the data.
+    """
+    groups = [*dict.fromkeys(recording.group for recording in recordings)]
+    if not any(groups):
+        return same_commands(recordings)
+    return np.array([groups.index(recording.group) for recording in recordings])
+
+
+def same_commands(recordings: Sequence[Recording]) -> Array:
+    """Clusters of recordings with the same commands. Of motions the difference is the mean over
+    their samples, since a start may be a sample late; the last command is held on.
+
+    Args:
+        recordings: in the order of the data.
+
+    Returns:
+        Index (recordings,) that those of a cluster share, from 0 in the order of the data.
+    """
+    if not recordings:
+        return np.zeros(0, dtype=int)
+    samples = np.arange(max(len(recording.command) for recording in recordings))
+    rows = list[Array]()
+    for recording in recordings:
+        last = len(recording.command) - 1
+        rows.append(recording.command[np.minimum(samples, last)])
+    commands = np.array(rows)  # (recordings, samples, n_a)
+    spread = SAME * np.ptp(commands, axis=(0, 1))
+    exact = EXACT * np.abs(commands).max()
+    tolerance = np.maximum(spread, exact) + np.finfo(float).tiny
+    cluster = np.full(len(recordings), -1)
+    while (cluster < 0).any():
+        # the first that has no cluster makes one, of all that are near
+        first = np.argmax(cluster < 0)
+        distance = np.abs(commands - commands[first]) / tolerance
+        is_near = distance.max(axis=2).mean(axis=1) <= 1.0
+        cluster[is_near & (cluster < 0)] = cluster.max() + 1
+    return cluster

@@ -1,0 +1,143 @@
+"""Data that were misread: another reading of axes, signs or units that explains them far better."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from soft_tendon_env.identification.fit import fit
+from soft_tendon_env.identification.markers import UNITS
+from soft_tendon_env.identification.readings import Plants, Readings
+from soft_tendon_env.identification.recordings import Recording, check_commands
+from soft_tendon_env.tools.types import COMMANDS, Array
+
+# error of data without noise, as a share of the rod's length: cameras see 1e-5 at best
+EXACT = 1e-6
+# another reading is tried on a few holds and the beginning of a motion
+BETTER = 3.0  # factor by which it explains them far better
+FEW = 12  # holds, evenly over the data
+SAMPLES = 60  # of the motion
+
+
+def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
+    """Finding where another reading of axes, signs or units explains the data far better.
+
+    Args:
+        readings: of the data as they are read.
+        x: the estimate (k,), or None where the arm does not hold the data.
+        noise: standard deviation of a marker's coordinate [m], None: unknown.
+
+    Returns:
+        A sentence, or None where no other reading is far better.
+    """
+    plants = readings.plants
+    few = _few(readings.recordings)
+    # readings are ranked at the scene's own numbers, and only the best of them is fitted
+    text, read = _best_reading(plants, few)
+    estimate_x = np.zeros(len(plants.parameters)) if x is None else x
+    distance = _distance(_simulate(plants, few, estimate_x), few)
+    try:
+        estimate = fit(Readings(plants, read), noise)
+    except ValueError:  # the arm does not hold that reading either
+        return None
+    fitted_distance = _distance(_simulate(plants, read, estimate.x), read)
+    least = max(fitted_distance, EXACT * plants.model.length)
+    if not BETTER * least < distance:
+        return None
+    better = f"{distance / least:.2g} times better" if np.isfinite(distance) else "only"
+    return (
+        f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. Set it"
+        " right in [columns] or [frame] of the markers' file, or in the scene; the estimate means"
+        " nothing until then."
+    )
+
+
+def _few(recordings: Sequence[Recording]) -> list[Recording]:
+    """Some holds, evenly over the data, and the beginning of a motion."""
+    holds = [recording for recording in recordings if not recording.period]
+    motions = [recording for recording in recordings if recording.period]
+    stride = math.ceil(len(holds) / FEW) or 1
+    chosen = holds[::stride] + motions[:1]
+    return [
+        replace(
+            recording,
+            command=recording.command[:SAMPLES],
+            positions=recording.positions[:SAMPLES],
+        )
+        for recording in chosen
+    ]
+
+
+def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str, list[Recording]]:
+    """Other reading that agrees best with the arm at the scene's numbers, in words, and the
+    recordings in it."""
+    nominal = np.zeros(len(plants.parameters))
+    candidates = list[tuple[float, str, list[Recording]]]()
+    frame = plants.markers.frame
+    simulated = _simulate(plants, recordings, nominal)
+    for text, S in _axes().items():
+        # the axes of the data are exchanged, in whose frame the positions were measured
+        R = frame.rotation @ S @ frame.rotation.T
+        read = list[Recording]()
+        for recording in recordings:
+            positions = (recording.positions - frame.translation) @ R.T + frame.translation
+            read.append(replace(recording, positions=positions))
+        candidates.append((_distance(simulated, read), text, read))
+    for text, factor in _command_factors(plants).items():
+        read = [replace(recording, command=factor * recording.command) for recording in recordings]
+        candidates.append((_distance(_simulate(plants, read, nominal), read), text, read))
+    _, text, read = min(candidates, key=lambda candidate: candidate[0])
+    return text, read
+
+
+def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
+    """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the
+    recordings."""
+    try:
+        for recording in recordings:
+            check_commands(recording, plants.scene)
+        return Readings(plants, recordings).positions(x)
+    except ValueError:
+        return np.array(np.inf)
+
+
+def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
+    """Mean distance [m] of simulated markers from those of recordings."""
+    measured = np.concatenate([recording.positions for recording in recordings])
+    return float(np.nanmean(np.linalg.norm(simulated - measured, axis=-1)))
+
+
+def _axes() -> dict[str, Array]:
+    """Other axes and signs of positions, as matrices (3, 3)."""
+    matrices = dict[str, Array]()
+    orders = itertools.permutations(range(3))
+    for order, signs in itertools.product(orders, itertools.product((1, -1), repeat=3)):
+        S = np.array(signs)[:, None] * np.eye(3)[list(order)]
+        axes = list[str]()
+        for axis, sign in zip(order, signs, strict=True):
+            name = "xyz"[axis]
+            axes.append(name if sign > 0 else f"-{name}")
+        text = f"x, y, z of the data read as {', '.join(axes)}"
+        if np.linalg.det(S) < 0.0:
+            text += " (a mirror image: the frame of the data is left-handed)"
+        matrices[text] = S
+    return matrices
+
+
+def _command_factors(plants: Plants) -> dict[str, float]:
+    """The other sign of commands and other units, as factors."""
+    unit = plants.scene.effects.command_unit
+    # the unit that [columns] says, of which the first stands for all
+    current = 1.0
+    for key, column in plants.markers.columns.items():
+        if key.startswith(COMMANDS[unit]) and column.unit:
+            current = UNITS[unit][column.unit]
+            break
+    factors = {
+        f"commands in {name}": factor / current
+        for name, factor in UNITS[unit].items()
+        if factor != current
+    }
+    return factors | {"commands of the other sign": -1.0}
