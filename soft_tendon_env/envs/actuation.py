@@ -13,8 +13,9 @@ from soft_tendon_env.envs.options import Options
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-# control periods by which commands can be late: every row keeps its commands for that long
 MOST_LATENCY = 1_000
+"""Control periods by which commands can be late at most: every row keeps its commands for that
+long."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,17 @@ class ActionScale:
     def command(self, action: Array, before: Array) -> Array:
         """Commands (..., n_a) asked for by actions (..., n_a) after the command `before` (...,
         n_a), within the limits."""
-        return np.asarray(
-            np.minimum(np.maximum(self.wanted(action, before), self.least), self.greatest)
-        )
+        unlimited = self.wanted(action, before)
+        return np.asarray(np.minimum(np.maximum(unlimited, self.least), self.greatest))
 
     def action(self, command: Array, before: Array) -> Array:
         """Actions (..., n_a) that ask for a command (..., n_a) after the one `before`, or come as
         near to it as actions can."""
         if self.increment is None:
-            wanted = 2.0 * (command - self.least) / (self.greatest - self.least) - 1.0
+            unlimited = 2.0 * (command - self.least) / (self.greatest - self.least) - 1.0
         else:
-            wanted = (command - before) / self.increment
-        return np.asarray(np.minimum(np.maximum(wanted, -1.0), 1.0))
+            unlimited = (command - before) / self.increment
+        return np.asarray(np.minimum(np.maximum(unlimited, -1.0), 1.0))
 
 
 class Actuation:
@@ -76,50 +76,57 @@ class Actuation:
 
         Raises ConfigurationError.
         """
-        increment = (
-            share * (options.tension_rate * options.control_period)
-            if options.action == "increment"
-            else None
-        )
-        self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
-        self.substeps, self._share, self._period, self.slack = (
-            substeps,
-            share,
-            options.control_period,
-            np.minimum(limits[:, 0], 0.0),
-        )
+        period = options.control_period
+        least, greatest = limits[:, 0].copy(), limits[:, 1].copy()
+        increment = None
+        if options.action == "increment":
+            increment = share * (options.tension_rate * period)
+        self.actions = ActionScale(least, greatest, increment)
+        self.substeps = substeps
+        self.slack = np.minimum(least, 0.0)
+        self._share = share
+        self._period = period
+
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
-        self._randomize, self.imperfect = options.randomize, options.randomize.of_actuators
-        self.gain, self.offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
-        latency, most = options.randomize.latency[1], MOST_LATENCY * options.control_period
+        self._randomize = options.randomize
+        self.imperfect = options.randomize.of_actuators
+        self.gain = np.ones((rows, start.size))
+        self.offset = np.zeros((rows, start.size))
+
+        latency = options.randomize.latency[1]
+        most = MOST_LATENCY * period
         if latency > most:
             allowed = f"it should be at most {MOST_LATENCY} control periods, {most:g} s"
-            raise ConfigurationError(
-                [Problem(("randomize", "latency"), f"is {latency:g}: {allowed}")], "environment"
-            )
-        self._kept = whole_periods(latency, self._period)[0] + 2
+            problem = Problem(("randomize", "latency"), f"is {latency:g}: {allowed}")
+            raise ConfigurationError([problem], "environment")
+        # a command that comes within a period shares it with the one before
+        whole, _ = whole_periods(latency, period)
+        self._kept = whole + 2
         self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
-        self._periods_late, self._durations = (
-            np.zeros(rows, dtype=np.int64),
-            np.tile([0.0, self._period], (rows, 1)),
-        )
+        self._periods_late = np.zeros(rows, dtype=np.int64)
+        self._durations = np.tile([0.0, period], (rows, 1))
 
     def begin(self, row: int, generator: np.random.Generator, command: Array) -> None:
         """A new episode of a row under a command (n_a,), held since long before; its actuators are
         drawn, always in the same order."""
-        drawn, self.command[row] = self._randomize, command
-        self.gain[row] = generator.uniform(*drawn.tension_gain, command.size)
-        self.offset[row] = self._share * generator.uniform(*drawn.tension_offset, command.size)
-        latency = generator.uniform(*drawn.latency)
-        if drawn.omit:
-            gain, offset, late = generator.random(3) >= drawn.omit
-            self.gain[row], self.offset[row], latency = (
-                (self.gain[row] if gain else 1.0),
-                offset * self.offset[row],
-                late * latency,
-            )
-        self._periods_late[row], rest = whole_periods(latency, self._period)
+        ranges = self._randomize
+        gain = generator.uniform(*ranges.tension_gain, command.size)
+        offset = self._share * generator.uniform(*ranges.tension_offset, command.size)
+        latency = generator.uniform(*ranges.latency)
+        if ranges.omit:
+            has_gain, has_offset, has_latency = generator.random(3) >= ranges.omit
+            if not has_gain:
+                gain = np.ones(command.size)
+            if not has_offset:
+                offset = np.zeros(command.size)
+            if not has_latency:
+                latency = 0.0
+        self.command[row] = command
+        self.gain[row] = gain
+        self.offset[row] = offset
+        whole, rest = whole_periods(latency, self._period)
+        self._periods_late[row] = whole
         self._durations[row] = rest, self._period - rest
         if self.in_transit is not None:
             self.in_transit[row] = command
@@ -127,34 +134,30 @@ class Actuation:
     def drawn(self, row: int) -> dict[str, Any]:
         """Gain and offset [N] (n_a,), and latency [s], of a row's actuators as they were drawn, by
         their names in `randomize`."""
-        found = (
-            {
-                "tension_gain": self.gain[row].copy(),
-                "tension_offset": self.offset[row] / self._share,
-            }
-            if self.imperfect
-            else {}
-        )
-        return found | ({} if self.in_transit is None else {"latency": self.delay(row)})
+        values: dict[str, Any] = {}
+        if self.imperfect:
+            values["tension_gain"] = self.gain[row].copy()
+            values["tension_offset"] = self.offset[row] / self._share
+        if self.in_transit is not None:
+            values["latency"] = self.delay(row)
+        return values
 
     def shares(self) -> Array:
         """How far from the least to the greatest of every range (rows, ranges) gains, offsets and
         latencies of rows are, 0 to 1."""
-        drawn, late = (
-            self._randomize,
-            np.array([[self.delay(row)] for row in range(len(self.gain))]),
-        )
+        rows = len(self.gain)
+        latency = np.array([[self.delay(row)] for row in range(rows)])
+        ranges = self._randomize
         values = (
-            (self.gain, drawn.tension_gain),
-            (self.offset / self._share, drawn.tension_offset),
-            (late, drawn.latency),
+            (self.gain, ranges.tension_gain),
+            (self.offset / self._share, ranges.tension_offset),
+            (latency, ranges.latency),
         )
-        shares = [
-            (value - least) / (greatest - least)
-            for value, (least, greatest) in values
-            if least < greatest
-        ]
-        return np.concatenate([np.zeros((len(late), 0)), *shares], axis=1)
+        shares = [np.zeros((rows, 0))]
+        for value, (least, greatest) in values:
+            if least < greatest:
+                shares.append((value - least) / (greatest - least))
+        return np.concatenate(shares, axis=1)
 
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
@@ -173,9 +176,9 @@ class Actuation:
     def sent(self, row: int) -> Array:
         """Commands (m, n_a) that may not have arrived at a row yet, with its actuators' errors, the
         last asked for at the end."""
-        return self.acting(
-            self.command[row : row + 1] if self.in_transit is None else self.in_transit[row], row
-        )
+        if self.in_transit is None:
+            return self.acting(self.command[row : row + 1], row)
+        return self.acting(self.in_transit[row], row)
 
     @property
     def arriving(self) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -188,17 +191,20 @@ class Actuation:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1]
         of the rows `members`, and how long each is held (rows, parts) [s]; None: for an integrator
         step."""
-        wanted, durations = self.actions.command(action, self.command), None
-        if members.size < len(wanted):
-            self.command[members] = wanted[members]
-            wanted = self.command
-        self.command = wanted
+        command = self.actions.command(action, self.command)
+        if members.size < len(command):
+            self.command[members] = command[members]
+        else:
+            self.command = command
         if self.in_transit is None:
+            durations = None
             acting = self.command[:, None].repeat(self.substeps, axis=1)
-        else:  # the command before acts on until this one comes
+        else:
+            # the command before acts on until this one comes
             self.in_transit[members, :-1] = self.in_transit[members, 1:]
             self.in_transit[members, -1] = self.command[members]
-            acting, durations = self.in_transit[self.arriving], self._durations
+            durations = self._durations
+            acting = self.in_transit[self.arriving]
         if self.imperfect:
             acting = np.maximum(self.gain[:, None] * acting + self.offset[:, None], self.slack)
         return acting, durations

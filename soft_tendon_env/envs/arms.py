@@ -27,10 +27,12 @@ from soft_tendon_env.tools.types import Array
 
 Indices = NDArray[np.int64]
 
-LEAST_ROWS = 8  # rows that a thread should have before another one pays for its wake-up
-# rows that one thread steps in about the time that another one takes to wake up and to say that it
-# is done
+LEAST_ROWS = 8
+"""Rows that a thread should have before another one pays for its wake-up."""
+
 HEAD_START = 2
+"""Rows that one thread steps in about the time that another one takes to wake up and to say that
+it is done."""
 
 
 class Arms:
@@ -57,34 +59,38 @@ class Arms:
         threads: int | None = None,
     ) -> None:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
-        self.model, self.size, self.period = model, rows, period
+        self.model = model
+        self.size = rows
+        self.period = period
         self.places = model.grid.places(stations, sensors)
         self.threads = max(1, min(threads or processors(), rows // LEAST_ROWS))
-        control, n = step_control(model, period), model.coordinate_count
-        self.substeps = round(period / control.step)
+        control = step_control(model, period)
         method = step_method(model)
-        self._scheme, self._goes_on = Scheme(method, control), Scheme(method, control, begins=False)
+        self.substeps = round(period / control.step)
+        self._scheme = Scheme(method, control)
+        self._goes_on = Scheme(method, control, begins=False)
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
-        motion = Motion(
+
+        n = model.coordinate_count
+        start = Motion(
             np.zeros(n),
             np.zeros(n),
             model.arm.rod.reference_strain,
             model.arm.effects.state,
             np.zeros(1),
         )
-        self._batch = batch.make_batch(model.arm, self.places, motion, control.step, rows)
-        self.rows, self.outcome, self.reading = (
-            self._batch.rows,
-            self._batch.outcome,
-            self._batch.reading,
-        )
+        self._batch = batch.make_batch(model.arm, self.places, start, control.step, rows)
+        self.rows = self._batch.rows
+        self.outcome = self._batch.outcome
+        self.reading = self._batch.reading
+
         self._models = [model] * rows
         self.ratio = np.ones((rows, n))
-        self._changes = np.zeros(rows, dtype=np.int64)  # of each row's arm
-        self._durations = np.full(
-            (rows, self.substeps), control.step
-        )  # of the usual commands of a period
+        # how often each row has got another arm: a tape of before does not fit the one of now
+        self._changes = np.zeros(rows, dtype=np.int64)
+        # durations of the usual commands of a period, one for each integrator step
+        self._durations = np.full((rows, self.substeps), control.step)
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
 
@@ -110,22 +116,22 @@ class Arms:
         (rows, parts) [s], by default for an integrator step. A tape of `make_tape` keeps what
         `adjoint` needs; the motion is the same. begins: False where the first command is the last
         one of the step before."""
-        if durations is None:
-            is_usual = command.shape[1] == self.substeps
-            durations = (
-                self._durations
-                if is_usual
-                else np.full(command.shape[:2], self._scheme.control.step)
-            )
-        held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
-        if tape is not None:
+        if durations is None and command.shape[1] == self.substeps:
+            durations = self._durations
+        elif durations is None:
+            durations = np.full(command.shape[:2], self._scheme.control.step)
+        durations = np.ascontiguousarray(durations)
+        if tape is None:
+            tape = self._no_tape
+        else:
             tape.material[members] = self._changes[members]
-        rows, scheme = self._batch, self._scheme if begins else self._goes_on
-        self.map_rows(
-            lambda part, scratch: batch.step_rows(rows, scheme, part, command, held, scratch, kept),
-            members,
-            HEAD_START,
-        )
+        rows = self._batch
+        scheme = self._scheme if begins else self._goes_on
+
+        def step(part: Indices, scratch: Scratch) -> None:
+            batch.step_rows(rows, scheme, part, command, durations, scratch, tape)
+
+        self.map_rows(step, members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
         """A tape for `step`, of one period with so many parts: commands that follow on one another
@@ -139,18 +145,15 @@ class Arms:
     def check_adjoint(self) -> None:
         """Raises ValueError where stresses depend on the strain before, as those of memory."""
         table = self.model.arm.effects
-        if table.remembers:
-            sizes = np.diff(table.first_state)
-            name = next(
-                effect
-                for i, effect in enumerate(self.model.acting)
-                if sizes[i] and i != table.transmission.filter
-            )
-            text = (
-                "has internal states that follow the motion of the arm, through which there is no"
-                " adjoint"
-            )
-            raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
+        if not table.remembers:
+            return
+        state_sizes = np.diff(table.first_state)
+        for i, name in enumerate(self.model.acting):
+            if state_sizes[i] and i != table.transmission.filter:
+                raise ValueError(
+                    f"effects.{name} has internal states that follow the motion of the arm,"
+                    " through which there is no adjoint; Simulation.linearize has them"
+                )
 
     def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents) -> None:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`:
@@ -169,49 +172,47 @@ class Arms:
                 f"row {changed[0]} has got another arm since the period on the tape: go back before"
                 " that"
             )
-        if self._adjoint_memory is None:
-            rate = linear_rate(self.model)
-            self._adjoint_memory = [
-                make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)
-            ]
-        memories = {
-            id(scratch): memory
-            for scratch, memory in zip(self._scratch, self._adjoint_memory, strict=True)
-        }
-        motions = self._batch, self._scheme, tape
-        self.map_rows(
-            lambda part, scratch: adjoint_rows(
-                *motions, part, cotangents, scratch, memories[id(scratch)]
-            ),
-            members,
-            HEAD_START,
-        )
+        memory_of = self._adjoint_memories()
+        rows, scheme = self._batch, self._scheme
+
+        def go_back(part: Indices, scratch: Scratch) -> None:
+            adjoint_rows(rows, scheme, tape, part, cotangents, scratch, memory_of[id(scratch)])
+
+        self.map_rows(go_back, members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
             raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
 
+    def _adjoint_memories(self) -> dict[int, AdjointMemory]:
+        """The memory of every thread's adjoint, by the `id` of its scratch; made when first
+        asked for."""
+        if self._adjoint_memory is None:
+            rate = linear_rate(self.model)
+            self._adjoint_memory = [
+                make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)
+            ]
+        pairs = zip(self._scratch, self._adjoint_memory, strict=True)
+        return {id(scratch): memory for scratch, memory in pairs}
+
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions
         (members, n_a) [N], or none, hold them."""
-        commands = np.zeros((self.size, self.model.tendon_count))
+        tendons = self.model.tendon_count
+        commands = np.zeros((self.size, tendons))
         if self.model.arm.effects.transmission.acts:
-            held = np.broadcast_to(
-                0.0 if tension is None else tension, (members.size, self.model.tendon_count)
-            )
-            commands[members] = [
-                self._models[row].command(*start)
-                for row, *start in zip(members.tolist(), held, q, strict=True)
-            ]
-        self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = (
-            q,
-            0.0,
-            self._scheme.control.step,
-        )
-        self.map_rows(
-            lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work),
-            members,
-        )
+            held = np.broadcast_to(0.0 if tension is None else tension, (members.size, tendons))
+            for i, row in enumerate(members.tolist()):
+                commands[row] = self._models[row].command(held[i], q[i])
+        self.rows.q[members] = q
+        self.rows.q_dot[members] = 0.0
+        self.rows.step[members] = self._scheme.control.step
+        rows = self._batch
+
+        def place(part: Indices, scratch: Scratch) -> None:
+            batch.place_rows(rows, part, commands, scratch.work)
+
+        self.map_rows(place, members)
 
     def map_rows(
         self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0
@@ -223,10 +224,15 @@ class Arms:
             return
         pool = self._own_pool() or ThreadPoolExecutor(self.threads - 1)
         self._pool = os.getpid(), pool
+        # borders[i] is where the rows of thread i end; this one is thread 0
         shared = members.size - head_start
-        borders = [head_start + shared * i // self.threads for i in range(1, self.threads + 1)]
-        parts = zip(borders[:-1], borders[1:], self._scratch[1:], strict=True)
-        others = [pool.submit(work, members[start:end], scratch) for start, end, scratch in parts]
+        borders = [
+            head_start + shared * thread // self.threads for thread in range(1, self.threads + 1)
+        ]
+        others = []
+        for thread in range(1, self.threads):
+            part = members[borders[thread - 1] : borders[thread]]
+            others.append(pool.submit(work, part, self._scratch[thread]))
         work(members[: borders[0]], self._scratch[0])
         for other in others:
             other.result()
@@ -240,28 +246,33 @@ class Arms:
         The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of
         a sample depends on its q and q_dot alone.
         """
-        arm, where = self.model.arm, self.places if places is None else places
-        q, q_dot = (
-            np.ascontiguousarray(q),
-            np.ascontiguousarray(q_dot),
-        )  # kernels are compiled for such
-        reading, good = batch.make_reading(arm, where, len(q)), np.zeros(len(q), dtype=bool)
-        self.map_rows(
-            lambda part, scratch: batch.read_samples(
-                arm, where, q, q_dot, part, scratch.work, reading, good
-            ),
-            np.arange(len(q)),
-        )
-        return reading, good
+        arm = self.model.arm
+        if places is None:
+            places = self.places
+        samples = len(q)
+        q = np.ascontiguousarray(q)  # kernels are compiled for such
+        q_dot = np.ascontiguousarray(q_dot)
+        reading = batch.make_reading(arm, places, samples)
+        has_strain = np.zeros(samples, dtype=bool)
+
+        def read(part: Indices, scratch: Scratch) -> None:
+            batch.read_samples(arm, places, q, q_dot, part, scratch.work, reading, has_strain)
+
+        self.map_rows(read, np.arange(samples))
+        return reading, has_strain
 
     def have_margin(self, q: Array) -> NDArray[np.bool_]:
         """Whether the scene's arm has firm strains, see mechanics.strain, at coordinates q
         (samples, n): (samples,)."""
-        q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
-        self.map_rows(
-            lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm),
-            np.arange(len(q)),
-        )
+        arm = self.model.arm
+        samples = len(q)
+        q = np.ascontiguousarray(q)
+        firm = np.zeros(samples, dtype=bool)
+
+        def look(part: Indices, scratch: Scratch) -> None:
+            batch.are_firm(arm, q, part, scratch.work, firm)
+
+        self.map_rows(look, np.arange(samples))
         return firm
 
     def set_model(self, row: int, model: Model) -> None:
@@ -269,9 +280,11 @@ class Arms:
         `Model.with_scene`."""
         if model is self._models[row]:
             return
-        self._models[row], self.rows.arm[row] = model, model.arm.address
+        self._models[row] = model
+        self.rows.arm[row] = model.arm.address
         if isinstance(model.arm.strain, Implicit):
-            self.ratio[row] = np.diag(self.model.metric) / np.diag(model.metric)
+            stiffness, own_stiffness = np.diag(self.model.metric), np.diag(model.metric)
+            self.ratio[row] = stiffness / own_stiffness
         self._changes[row] += 1
 
     def model_of(self, row: int) -> Model:
@@ -281,7 +294,10 @@ class Arms:
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps
         locks that they held."""
-        return self._pool[1] if self._pool is not None and self._pool[0] == os.getpid() else None
+        if self._pool is None:
+            return None
+        process, pool = self._pool
+        return pool if process == os.getpid() else None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None, "_adjoint_memory": None}
@@ -292,6 +308,7 @@ class Arms:
 
     def close(self) -> None:
         """Stop this process's threads; a later step starts new ones."""
-        pool, self._pool = self._own_pool(), None
+        pool = self._own_pool()
+        self._pool = None
         if pool is not None:
             pool.shutdown()

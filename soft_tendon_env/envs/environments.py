@@ -31,7 +31,10 @@ from soft_tendon_env.tools.types import Array
 
 Class = TypeVar("Class", bound="EpisodesEnv")
 ONE = np.zeros(1, dtype=np.int64)
+"""The only row of an environment with one arm."""
+
 MODES = {mode.name.lower(): mode for mode in AutoresetMode}
+"""Gymnasium's autoreset modes by their names in lower case."""
 
 
 class EpisodesEnv:
@@ -46,13 +49,10 @@ class EpisodesEnv:
         self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None
     ) -> None:
         self.render_mode = render_mode
-        self.episodes = Episodes(
-            self.task, Options.parse(options, type(self).__name__), rows, threads
-        )
-        self.metadata = {
-            "render_modes": [*RENDER_MODES],
-            "render_fps": max(1, round(1.0 / self.episodes.period)),
-        }
+        parsed = Options.parse(options, type(self).__name__)
+        self.episodes = Episodes(self.task, parsed, rows, threads)
+        frames_per_second = max(1, round(1.0 / self.episodes.period))
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": frames_per_second}
         self._begun = False
         self._renderer = make_renderer(self.episodes, render_mode)
 
@@ -63,15 +63,14 @@ class EpisodesEnv:
 
     def _spaces(self) -> tuple[Box | Dict, Box]:
         """Observation and action space of one row."""
-        actions, seen = (
-            Box(-1.0, 1.0, (self.model.tendon_count,), np.float32),
-            self.episodes.layout.space,
-        )
+        action = Box(-1.0, 1.0, (self.model.tendon_count,), np.float32)
+        observation = self.episodes.layout.space
         if not self.task.goal:
-            return seen, actions
-        reach = np.float32(self.episodes.goal_bound)
-        goal = Box(-reach, reach, (3,), np.float32)
-        return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
+            return observation, action
+        bound = np.float32(self.episodes.goal_bound)
+        goal = Box(-bound, bound, (3,), np.float32)
+        parts = {"observation": observation, "achieved_goal": goal, "desired_goal": goal}
+        return Dict(parts), action
 
     def set_target(self, target: Any, rows: ArrayLike | None = None) -> None:
         """Another target from now on: in the episode that runs, where it begins at once and is
@@ -81,11 +80,11 @@ class EpisodesEnv:
         Raises ConfigurationError, IndexError.
         """
         self._refuse("set_target", begun=True)
-        every = np.arange(self.episodes.size)
-        members = np.unique(every if rows is None else every[np.asarray(rows)])
-        self.episodes.set_target(
-            Options.parse({"target": target}, type(self).__name__).target, members
-        )
+        members = np.arange(self.episodes.size)
+        if rows is not None:
+            members = np.unique(members[np.asarray(rows)])
+        options = Options.parse({"target": target}, type(self).__name__)
+        self.episodes.set_target(options.target, members)
 
     def _refuse(self, called: str, begun: bool) -> None:
         """Raises ClosedEnvironmentError after close, and ResetNeeded unless begun."""
@@ -97,7 +96,8 @@ class EpisodesEnv:
     def _frames(self) -> Frames | None:
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
-        frames: Frames | None = None if self._renderer is None else self._renderer.frames()
+            return None
+        frames: Frames = self._renderer.frames()
         return frames
 
 
@@ -122,15 +122,17 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds
         and options, before anything changes."""
         self._refuse("reset", begun=True)
-        seed, given = (
-            None if seed is None else checked_count("seed", seed, 0),
-            reset_options(options),
-        )
-        beginnings = self.episodes.beginnings(given, ONE)
+        if seed is not None:
+            seed = checked_count("seed", seed, 0)
+        options_of_row = reset_options(options)
+        beginnings = self.episodes.beginnings(options_of_row, ONE)
         super().reset(seed=seed)
         self._begun = False
         self.episodes.begin(ONE, [self.np_random], beginnings)
-        self._begun, self._most_steps = True, given[0].episode_steps or np.inf if given else np.inf
+        self._begun = True
+        self._most_steps = np.inf
+        if options_of_row:
+            self._most_steps = options_of_row[0].episode_steps or np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
         return of_row(self.episodes.observation(), 0), self._info() | self.episodes.drawn(0)
@@ -140,25 +142,18 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         or with NaN, before anything changes."""
         if self.closed or not self._begun:
             self._refuse("step", self._begun)
-        self.episodes.step(
-            checked_array("action", action, (self.episodes.model.tendon_count,))[None]
-        )
+        checked = checked_array("action", action, (self.episodes.model.tendon_count,))
+        self.episodes.step(checked[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated, truncated = (
-            info["diverged"],
-            bool(self.episodes.step_count[0] >= self._most_steps),
-        )
+        terminated = info["diverged"]
+        truncated = bool(self.episodes.step_count[0] >= self._most_steps)
         if terminated:
             info["cause"] = self.episodes.cause(0)
-        return (
-            of_row(self.episodes.observation(), 0),
-            float(self.episodes.reward[0]),
-            terminated,
-            truncated,
-            info,
-        )
+        observation = of_row(self.episodes.observation(), 0)
+        reward = float(self.episodes.reward[0])
+        return observation, reward, terminated, truncated, info
 
     @property
     def state(self) -> State:
@@ -224,32 +219,20 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         """Raises ConfigurationError, ValueError or TypeError."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
-        self.max_episode_steps = (
-            None
-            if max_episode_steps is None
-            else checked_count("max_episode_steps", max_episode_steps, 1)
-        )
-        if autoreset_mode not in (*MODES, *MODES.values()):
-            problem = Problem(
-                ("autoreset_mode",),
-                f"is {autoreset_mode!r}: {not_among(str(autoreset_mode), MODES)}",
-            )
-            raise ConfigurationError([problem], "environment")
-        self.autoreset_mode = (
-            autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else MODES[autoreset_mode]
-        )
-        self._make(
-            options,
-            num_envs,
-            None if threads is None else checked_count("threads", threads, 1),
-            render_mode,
-        )
+        if max_episode_steps is not None:
+            max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
+        if threads is not None:
+            threads = checked_count("threads", threads, 1)
+        self.max_episode_steps = max_episode_steps
+        self.autoreset_mode = _checked_mode(autoreset_mode)
+        self._make(options, num_envs, threads, render_mode)
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._all, self._ended = np.arange(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
-        self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
+        self._all = np.arange(num_envs, dtype=np.int64)
+        self._ended = np.zeros(num_envs, dtype=bool)
+        self._usual_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
 
     def reset(
@@ -263,37 +246,45 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         anything changes.
         """
         self._refuse("reset", begun=True)
-        members, seeds, given = (
-            self._all,
-            row_seeds(seed, self.num_envs),
-            reset_options(options, self.num_envs),
-        )
-        if options is not None and MASK in options:
-            mask = np.asarray(options[MASK])
-            if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
-                raise ValueError(
-                    f"reset_mask should be a bool array of shape ({self.num_envs},) with at least"
-                    f" one true, not {mask!r}"
-                )
-            members = np.flatnonzero(mask)
+        seeds = row_seeds(seed, self.num_envs)
+        options_of_rows = reset_options(options, self.num_envs)
+        members = self._members_of(options)
         if not self._begun and members.size < self.num_envs:
             raise ResetNeeded("the first reset should be of all rows")
-        beginnings, generators = self.episodes.beginnings(given, members), self.episodes.generators
+        # nothing has changed so far: what is refused leaves the environment as it was
+        beginnings = self.episodes.beginnings(options_of_rows, members)
+        generators = self.episodes.generators
         for row in members.tolist():
             if seeds[row] is not None or row not in generators:
-                generators[row] = seeding.np_random(seeds[row])[0]
+                generators[row], _ = seeding.np_random(seeds[row])
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True
-        for row in members.tolist() if given else ():
-            self._most_steps[row] = min(given[row].episode_steps or np.inf, self._usual_steps)
-        return self.episodes.observation(), self._info(
-            np.zeros(self.num_envs, dtype=bool)
-        ) | self._drawn(members)
+        if options_of_rows:
+            for row in members.tolist():
+                most_steps = options_of_rows[row].episode_steps or np.inf
+                self._most_steps[row] = min(most_steps, self._usual_steps)
+        stepped = np.zeros(self.num_envs, dtype=bool)
+        return self.episodes.observation(), self._info(stepped) | self._drawn(members)
+
+    def _members_of(self, options: Mapping[str, Any] | None) -> Indices:
+        """The rows that options of a reset name by their mask, all without one. Raises
+        ValueError."""
+        if options is None or MASK not in options:
+            return self._all
+        mask = np.asarray(options[MASK])
+        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"reset_mask should be a bool array of shape ({self.num_envs},) with at least"
+                f" one true, not {mask!r}"
+            )
+        return np.flatnonzero(mask)
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
-        self.episodes.begin(members, [self.episodes.generators[row] for row in members], beginnings)
-        self._ended[members], self._most_steps[members] = False, self._usual_steps
+        generators = [self.episodes.generators[row] for row in members]
+        self.episodes.begin(members, generators, beginnings)
+        self._ended[members] = False
+        self._most_steps[members] = self._usual_steps
         if self._renderer is not None:
             self._renderer.begin(members)
 
@@ -303,10 +294,12 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         """One control period of every row. Raises ValueError or TypeError for bad actions, before
         anything changes."""
         self._refuse("step", self._begun)
-        action = checked_array(
-            "actions", actions, (self.num_envs, self.episodes.model.tendon_count)
-        )
-        stepped, members, begun = ~self._ended, self._all, np.flatnonzero(self._ended)
+        shape = (self.num_envs, self.episodes.model.tendon_count)
+        action = checked_array("actions", actions, shape)
+        # rows that ended in the step before begin anew in this one, which ignores their actions
+        stepped = ~self._ended
+        members = self._all
+        begun = np.flatnonzero(self._ended)
         if begun.size:
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ResetNeeded(f"rows {begun.tolist()} have ended: reset them with a reset_mask")
@@ -316,28 +309,31 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
-        terminated, truncated = self.episodes.diverged & stepped, stepped & self.timed_out
+        terminated = self.episodes.diverged & stepped
+        truncated = stepped & self.timed_out
         self._ended = terminated | truncated
-        observation, info = self.episodes.observation(), self._info(stepped) | self._drawn(begun)
+        observation = self.episodes.observation()
+        info = self._info(stepped) | self._drawn(begun)
         if terminated.any():
-            causes = [
-                self.episodes.cause(row) if failed else None
-                for row, failed in enumerate(terminated.tolist())
-            ]
-            info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
+            causes = np.full(self.num_envs, None, dtype=object)
+            for row in np.flatnonzero(terminated).tolist():
+                causes[row] = self.episodes.cause(row)
+            info |= {"cause": causes, "_cause": terminated.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restart(observation, info)
         return observation, reward, terminated, truncated, info
 
     def _restart(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
-        ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
-        for row in np.flatnonzero(ended):
-            final_obs[row] = of_row(observation, int(row))
+        ended = self._ended.copy()
+        begun = np.flatnonzero(ended)
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for row in begun.tolist():
+            final_obs[row] = of_row(observation, row)
         final_info = {
             key: value & ended if key.startswith("_") else value for key, value in info.items()
         }
-        self._begin(begun := np.flatnonzero(ended))
+        self._begin(begun)
         final = {
             "final_obs": final_obs,
             "_final_obs": ended,
@@ -348,16 +344,18 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
         """The episodes' info with its masks; rewards belong to rows that have stepped."""
-        info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
-        return info | {
-            f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info
-        }
+        info = self.episodes.info()
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        masks = {}
+        for name in info:
+            is_reward = name.startswith("reward_")
+            masks[f"_{name}"] = stepped if is_reward else everywhere
+        return info | masks
 
     def _drawn(self, begun: Indices) -> dict[str, Any]:
         """Info of what was drawn for rows that have just begun."""
-        return drawn_in_rows(
-            [self.episodes.drawn(row) for row in begun.tolist()], begun, self.num_envs
-        )
+        drawn = [self.episodes.drawn(row) for row in begun.tolist()]
+        return drawn_in_rows(drawn, begun, self.num_envs)
 
     @property
     def state(self) -> tuple[State, ...]:
@@ -381,6 +379,16 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.close()
 
 
+def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """An autoreset mode by its name or itself. Raises ConfigurationError."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    if mode not in MODES:
+        problem = Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")
+        raise ConfigurationError([problem], "environment")
+    return MODES[mode]
+
+
 def compute_reward(
     self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any
 ) -> Any:
@@ -398,10 +406,10 @@ def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class
     `compute_reward`."""
     name = f"{task.name}{suffix}"
     if name not in _CLASSES or _CLASSES[name].task is not task:
-        of_goals = {"compute_reward": compute_reward} if task.goal else {}
-        _CLASSES[name] = type(
-            name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals}
-        )
+        attributes: dict[str, Any] = {"task": task, "__doc__": doc, "__module__": base.__module__}
+        if task.goal:
+            attributes["compute_reward"] = compute_reward
+        _CLASSES[name] = type(name, (base,), attributes)
     return _CLASSES[name]
 
 

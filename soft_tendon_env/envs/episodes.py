@@ -6,6 +6,7 @@ on nothing else: the same for one row and for many, bit for bit. Read `begin` an
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -33,7 +34,7 @@ from soft_tendon_env.envs.options import (
     groups_of,
     resolved_scene,
 )
-from soft_tendon_env.envs.randomization import DRAWN, Measured, Sensors
+from soft_tendon_env.envs.randomization import DRAWN, Measured, Randomization, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.targets import Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
@@ -56,8 +57,11 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-MANY = 16  # rows from which on all motions of a bank are computed when an environment is made
-THRESHOLD = 0.01  # distance, in lengths of the rod, within which a goal is reached by default
+MANY = 16
+"""Rows from which on all motions of a bank are computed when an environment is made."""
+
+THRESHOLD = 0.01
+"""Distance, in lengths of the rod, within which a goal is reached by default."""
 
 
 class Beginning(NamedTuple):
@@ -65,6 +69,42 @@ class Beginning(NamedTuple):
 
     target: Target | Course  # one that is drawn, or the course of one that is not
     state: State | None = None  # in which the arm begins; None: at rest
+
+
+@dataclass
+class LastPeriod:
+    """What rows were asked for in their last control period, and what acted: (rows, n_a) each.
+
+    Arrays are replaced and never written to: observations and recordings keep them.
+    """
+
+    tension: Array  # [N] at the end of the period
+    command: Array  # with the errors of actuators, at the end of the period
+    action: Array  # in [-1, 1]
+    action_change: Array  # from the period before
+
+    def replace_all(self, new: "LastPeriod") -> None:
+        """Take the values of another period in every row."""
+        self.tension = new.tension
+        self.command = new.command
+        self.action = new.action
+        self.action_change = new.action_change
+
+    def replace_rows(self, members: Indices, new: "LastPeriod") -> None:
+        """Take the values of another period, (members, n_a), in the rows `members`."""
+        self.tension = _replace(self.tension, members, new.tension)
+        self.command = _replace(self.command, members, new.command)
+        self.action = _replace(self.action, members, new.action)
+        self.action_change = _replace(self.action_change, members, new.action_change)
+
+    def of_rows(self, members: Indices) -> "LastPeriod":
+        """The values of the rows `members`."""
+        return LastPeriod(
+            self.tension[members],
+            self.command[members],
+            self.action[members],
+            self.action_change[members],
+        )
 
 
 class Episodes:
@@ -85,102 +125,116 @@ class Episodes:
         """Raises ConfigurationError where the options do not fit the task or the scene."""
         scene = resolved_scene(options)
         check_fit(options, task, scene)
-        self.task, self.options, self.size, self.period = (
-            task,
-            options,
-            rows,
-            options.control_period,
-        )
+        self.task = task
+        self.options = options
+        self.size = rows
+        self.period = options.control_period
         self.model = model = build_model(scene)
-        self.goal_bound, self.sensors = (
-            GOAL_BOUND * model.length + options.farthest_base(scene),
-            options.sensor_places(scene),
-        )
-        stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
+        self.goal_bound = GOAL_BOUND * model.length + options.farthest_base(scene)
+        self.sensors = options.sensor_places(scene)
+        stations = np.empty(0)
+        if task.shapes:
+            stations = np.linspace(0.0, model.length, STATIONS + 1)[1:]
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        starts = self._make_draws(options, task)
+        self._all = np.arange(rows, dtype=np.int64)
+        self._transmits = model.arm.effects.transmission.acts
+        self._simulated = True
+        self._make_draws(options, task)
         self._make_actuation(options, rows)
+        self._make_sensors(options.randomize)
         if task.goal is None:
-            given = options.reward if isinstance(options.reward, dict) else weights_of(task.reward)
-            self._reward_terms = Reward(given, task.terms, self._strongest, model.length)
-        noise, sizes = options.randomize.noise, (rows, model.tendon_count, self.sensors.size)
-        self._sensors = (
-            Sensors(noise, *sizes, options.randomize.omit) if noise != SensorNoise() else None
-        )
-        self._all, self._transmits, self._simulated = (
-            np.arange(rows, dtype=np.int64),
-            model.arm.effects.transmission.acts,
-            True,
-        )
-        self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
+            weights = options.reward
+            if not isinstance(weights, dict):
+                weights = weights_of(task.reward)
+            self._reward_terms = Reward(weights, task.terms, self._strongest, model.length)
+
+        self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
         reading = self.arms.reading
-        self._rest_values = RestValues(
-            reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors)
-        )
+        rest_strain = stress_free_strain(scene, self.sensors)
+        self._rest_values = RestValues(reading.tendon_length[0].copy(), rest_strain)
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
-        self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
+        self.terms = dict[str, Array]()
+        self.diverged = np.zeros(rows, dtype=bool)
         self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error)
-        self.history = History(rows, options.history, self.layout.kept) if options.history else None
+        self.history: History | None = None
+        if options.history:
+            self.history = History(rows, options.history, self.layout.kept)
 
-    def _make_draws(self, options: Options, task: Task) -> Starts:
+    def _make_draws(self, options: Options, task: Task) -> None:
         """Make what episodes begin with: starts and targets."""
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self.trajectories = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
-        self.starts = starts = Starts(options, self.arms)
-        self.limits, self.start_tension, self.start_command = (
-            starts.limits,
-            starts.tension,
-            starts.command,
-        )
-        self.threshold = (
-            THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        )
+        self.starts = Starts(options, self.arms)
+        self.limits = self.starts.limits
+        self.start_tension = self.starts.tension
+        self.start_command = self.starts.command
+        self.threshold = THRESHOLD * self.model.length
+        if options.threshold is not None:
+            self.threshold = options.threshold
         self._draws = TargetDraws(
-            starts.setting, self.trajectories, self.period, self.threshold if task.goal else 0.0
+            self.starts.setting,
+            self.trajectories,
+            self.period,
+            self.threshold if task.goal else 0.0,
         )
-        self._usual, self.generators = (
-            [usual := Beginning(self._settled(None))] * self.size,
-            dict[int, np.random.Generator](),
-        )
-        if (
-            self.size >= MANY and self.model.scene.effects.contact is None
-        ):  # among obstacles a motion can take seconds
+        usual = Beginning(self._settled(None))
+        self._usual = [usual] * self.size
+        self.generators = dict[int, np.random.Generator]()
+        has_obstacles = self.model.scene.effects.contact is not None
+        if self.size >= MANY and not has_obstacles:  # among them a motion can take seconds
             self._draws.fill_bank(usual.target)
-        return starts
 
     def _settled(self, target: Target | None) -> Target | Course:
-        found = checked_target(target, self.options, self.task, self.model.scene)
-        return (
-            found if found.is_random else found.draw(np.random.default_rng(0), self.starts.setting)
-        )
+        """A target that is drawn for every episode, or the course of one that is not."""
+        checked = checked_target(target, self.options, self.task, self.model.scene)
+        if checked.is_random:
+            return checked
+        return checked.draw(np.random.default_rng(0), self.starts.setting)
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
-        commands = self.model.scene.effects.command_limits(self.limits)
-        share, self._strongest = (
-            np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0],
-            np.abs(commands).max(axis=1),
-        )
+        limits = self.model.scene.effects.command_limits(self.limits)
+        self._strongest = np.abs(limits).max(axis=1)
+        command_range, tension_range = np.diff(limits)[:, 0], np.diff(self.limits)[:, 0]
         self.actuation = Actuation(
-            options, commands, self.start_command, share, rows, self.arms.substeps
+            options,
+            limits,
+            self.start_command,
+            command_range / tension_range,
+            rows,
+            self.arms.substeps,
         )
         self.actions = self.actuation.actions
-        self.tension, self._applied = (
+        self._last = LastPeriod(
             np.tile(self.start_tension, (rows, 1)),
             np.tile(self.start_command, (rows, 1)),
-        )
-        self._action, self._action_change = (
             np.tile(self.actuation.start_action, (rows, 1)),
-            np.zeros_like(self.tension),
+            np.zeros((rows, self.start_tension.size)),
         )
+
+    def _make_sensors(self, randomize: Randomization) -> None:
+        """Make the sensors, if they have noise."""
+        self._sensors: Sensors | None = None
+        if randomize.noise != SensorNoise():
+            tendons, strain_sensors = self.model.tendon_count, self.sensors.size
+            self._sensors = Sensors(
+                randomize.noise, self.size, tendons, strain_sensors, randomize.omit
+            )
+
+    @property
+    def tension(self) -> Array:
+        """Tensions (rows, n_a) [N] that acted at the end of the last control period."""
+        return self._last.tension
 
     def attach(self, arms: Arms) -> None:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their
         readings have noise of their own."""
-        self.arms, self._sensors, self._simulated = arms, None, False
+        self.arms = arms
+        self._sensors = None
+        self._simulated = False
 
     @cached_property
     def layout(self) -> Layout:
@@ -191,9 +245,8 @@ class Episodes:
             self._strongest,
             self.options.farthest_base(self.model.scene),
         )
-        return Layout(
-            groups_of(self.options, self.task), units, self.observed, self.options.history
-        )
+        groups = groups_of(self.options, self.task)
+        return Layout(groups, units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is found again, whose functions have no names. Raises TypeError."""
@@ -204,22 +257,23 @@ class Episodes:
         return {name: value for name, value in self.__dict__.items() if name != "layout"}
 
     def beginnings(
-        self, given: Mapping[int, ResetOptions], members: Indices
+        self, options_of_rows: Mapping[int, ResetOptions], members: Indices
     ) -> dict[int, Beginning]:
-        """How those of the rows `members` begin that are given options. Raises ConfigurationError,
+        """How those of the rows `members` begin that have options. Raises ConfigurationError,
         TypeError, ValueError."""
-        found = {}
-        for row in members.tolist() if given else ():
-            options = given[row]
-            if options.state is not None:
-                self._refuse_states_of_robots()
-                if not self.options.randomize.numbers:
-                    checked_motion(self.model, options.state)
-            wanted = options.goal or options.target
-            found[row] = Beginning(
-                self._settled(wanted) if wanted else self._usual[row].target, options.state
-            )
-        return found
+        if not options_of_rows:
+            return {}
+        return {row: self._beginning(row, options_of_rows[row]) for row in members.tolist()}
+
+    def _beginning(self, row: int, options: ResetOptions) -> Beginning:
+        """How a row begins by its options. Raises ConfigurationError, TypeError, ValueError."""
+        if options.state is not None:
+            self._refuse_states_of_robots()
+            if not self.options.randomize.numbers:
+                checked_motion(self.model, options.state)
+        target = options.goal or options.target
+        course = self._settled(target) if target else self._usual[row].target
+        return Beginning(course, options.state)
 
     def begin(
         self,
@@ -228,41 +282,38 @@ class Episodes:
         beginnings: Mapping[int, Beginning] | None = None,
     ) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows
-        that do not begin as usual."""
-        hows = [(beginnings or {}).get(row, self._usual[row]) for row in members.tolist()]
-        rows, drawn, command = (
-            list(zip(members.tolist(), hows, generators, strict=True)),
-            dict[int, Drawn](),
-            self.start_command,
-        )
-        for row, _, generator in rows:
+        that do not begin as usual.
+
+        A row draws its arm, its actuators, its target and the noise of its sensors, in this order.
+        """
+        rows = members.tolist()
+        beginning_of = {row: self._usual[row] for row in rows} | dict(beginnings or {})
+        drawn = dict[int, Drawn]()
+        motions = dict[int, tuple[Motion, float]]()
+        for row, generator in zip(rows, generators, strict=True):
             drawn[row] = self.starts.begin(row, generator)
-            self.actuation.begin(row, generator, command)
+            self.actuation.begin(row, generator, self.start_command)
             self.generators[row] = generator
-        motions = {
-            row: checked_motion(drawn[row].model, how.state)
-            for row, how, _ in rows
-            if how.state is not None
-        }
-        tensions, commands = (
-            np.tile(start, (members.size, 1)) for start in (self.start_tension, command)
-        )
-        self.arms.place(members, np.array([start.rest for start in drawn.values()]), tensions)
+        for row in rows:
+            state = beginning_of[row].state
+            if state is not None:
+                motions[row] = checked_motion(drawn[row].model, state)
+
+        tension = np.tile(self.start_tension, (members.size, 1))
+        command = np.tile(self.start_command, (members.size, 1))
+        self.arms.place(members, np.array([arm.rest for arm in drawn.values()]), tension)
         self.step_count[members] = 0
-        self._keep(
-            members,
-            tensions,
-            commands,
-            self.actions.action(commands, commands),
-            np.zeros_like(commands),
-        )
+        action = self.actions.action(command, command)
+        at_rest = LastPeriod(tension, command, action, np.zeros_like(command))
+        self._last.replace_rows(members, at_rest)
         if motions:
             self._put(motions)
-        for row, how, generator in rows:
-            self._draws.begin(row, how.target, generator, self.arms.reading.tip_pose[row, :3, 3])
-            if (
-                self._sensors is not None
-            ):  # after the target, which is the same with and without noise
+
+        tips = self.arms.reading.tip_pose[:, :3, 3]
+        for row, generator in zip(rows, generators, strict=True):
+            self._draws.begin(row, beginning_of[row].target, generator, tips[row])
+            # after the target, which is the same with and without noise
+            if self._sensors is not None:
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
 
@@ -279,63 +330,55 @@ class Episodes:
         """Another target for the rows `members`, in the episodes that run and in later ones. Raises
         ConfigurationError."""
         usual = Beginning(self._settled(target))
+        tips = self.arms.reading.tip_pose[:, :3, 3]
         for row in members.tolist():
             self._usual[row] = usual
-            if row in self.generators:
-                now = self.arms.reading.tip_pose[row, :3, 3], int(self.step_count[row])
-                self._draws.begin(row, usual.target, self.generators[row], *now)
+            has_begun = row in self.generators
+            if has_begun:
+                periods = int(self.step_count[row])
+                self._draws.begin(row, usual.target, self.generators[row], tips[row], periods)
         self.trajectories.prepare(self.step_count, members)
         self._observe(self._all[:0])
 
     def _refuse_states_of_robots(self) -> None:
         if not self._simulated:
-            raise ConfigurationError(
-                [Problem((), "should have no state: robots begin at rest")], "options"
-            )
+            problem = Problem((), "should have no state: robots begin at rest")
+            raise ConfigurationError([problem], "options")
 
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""
-        rows, members = self.arms.rows, np.array([*motions], dtype=np.int64)
+        rows = self.arms.rows
+        members = np.array([*motions], dtype=np.int64)
         for row, (motion, _) in motions.items():
             for name, values in motion._asdict().items():
                 getattr(rows, name)[row] = values
-        command = np.ascontiguousarray(self._applied[:, None])
-        self.arms.step(command, members, np.zeros((self.size, 1)))  # for no time: it reads them
+        # a step of no time reads the motions, and leaves all but the length of the next step
+        command = np.ascontiguousarray(self._last.command[:, None])
+        self.arms.step(command, members, np.zeros((self.size, 1)))
         for row, (_, step) in motions.items():
-            rows.step[row] = step  # as it was
+            rows.step[row] = step
         if self._transmits:
-            self.tension = _replace(self.tension, members, self.arms.reading.tension[members])
+            tension = self.arms.reading.tension[members]
+            self._last.tension = _replace(self._last.tension, members, tension)
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken
         as within [-1, 1]; tape: see Arms."""
-        members = self._all if members is None else members
+        if members is None:
+            members = self._all
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         commands, durations = self.actuation.apply(action, members)
         self.arms.step(commands, members, durations, tape, begins=durations is None)
-        change, applied = action - self._action, commands[:, -1]
+        applied = commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
+        now = LastPeriod(tension, applied, action, action - self._last.action)
         if members.size == self.size:
             self.step_count += 1
-            self.tension, self._applied, self._action, self._action_change = (
-                tension,
-                applied,
-                action,
-                change,
-            )
+            self._last.replace_all(now)
         else:  # rows that have just begun keep what they began with
             self.step_count[members] += 1
-            self._keep(
-                members, tension[members], applied[members], action[members], change[members]
-            )
+            self._last.replace_rows(members, now.of_rows(members))
         self._observe(members)
-
-    def _keep(self, members: Indices, *new: Array) -> None:
-        """Keep tension, command, action and its change (members, n_a) of the rows `members`, in new
-        arrays."""
-        before = self.tension, self._applied, self._action, self._action_change
-        parts = (_replace(old, members, value) for old, value in zip(before, new, strict=True))
-        self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices) -> None:
         """Compare the arms with their targets, after the rows `members` moved on."""
@@ -352,8 +395,17 @@ class Episodes:
         self.present = self.layout.present(self.observed)
         if self.history is not None:
             self.history.keep(self.present, self.step_count, members)
-        now = self.target, self._applied, self._action_change, self.step_count
-        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], *now)
+        tracking = Tracking(
+            self.arms,
+            reading,
+            error[:, 0],
+            off[0],
+            off[1],
+            self.target,
+            self._last.command,
+            self._last.action_change,
+            self.step_count,
+        )
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
@@ -361,20 +413,16 @@ class Episodes:
         if self.task.goal is None:
             self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
         else:
-            bound, positions = (
-                np.float32(self.goal_bound),
-                (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]),
-            )
-            achieved, desired = (
-                np.minimum(np.maximum(position.astype(np.float32), -bound), bound)
-                for position in positions
-            )
-            self._goals = (
-                achieved,
-                desired,
-            )  # tip positions (rows, 3) [m] as measured and as wanted, within their space
+            achieved = self._goal(measured.tip_pose[:, :3, 3])
+            desired = self._goal(self.target_pose[:, :3, 3])
+            self._goals = (achieved, desired)
             self.reward = self.goal_reward(achieved, desired)
         self.reward[self.diverged] = 0.0
+
+    def _goal(self, position: Array) -> NDArray[np.float32]:
+        """Positions (rows, 3) [m] of the tip as goals, within their space."""
+        bound = np.float32(self.goal_bound)
+        return np.minimum(np.maximum(position.astype(np.float32), -bound), bound)
 
     def _seen(self, measured: Reading | Measured, error: Array) -> Observed:
         return Observed(
@@ -382,7 +430,7 @@ class Episodes:
             measured,
             error,
             self.target,
-            self._action,
+            self._last.action,
             self.actuation.command,
             self._rest_values,
         )
@@ -408,11 +456,10 @@ class Episodes:
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
-        flat = (
-            self.present.copy()
-            if self.history is None
-            else np.concatenate([self.present, self.history.changes], axis=1)
-        )
+        if self.history is None:
+            flat = self.present.copy()
+        else:
+            flat = np.concatenate([self.present, self.history.changes], axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self._goals
@@ -425,10 +472,9 @@ class Episodes:
     def info(self) -> dict[str, NDArray[Any]]:
         """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals
         "is_success", new arrays (rows,)."""
-        info: dict[str, NDArray[Any]] = {
-            **self.errors,
-            **{f"reward_{name}": value for name, value in self.terms.items()},
-        }
+        info: dict[str, NDArray[Any]] = {**self.errors}
+        for name, value in self.terms.items():
+            info[f"reward_{name}"] = value
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
@@ -438,11 +484,8 @@ class Episodes:
     def drawn(self, row: int) -> dict[str, Any]:
         """Info of what `randomize` has drawn for a row's episode, if anything: numbers of its scene
         by dotted keys, of its actuators."""
-        return (
-            {DRAWN: found}
-            if (found := {**self.starts.numbers[row], **self.actuation.drawn(row)})
-            else {}
-        )
+        values = {**self.starts.numbers[row], **self.actuation.drawn(row)}
+        return {DRAWN: values} if values else {}
 
     def drawn_shares(self) -> Array:
         """How far from least to greatest every number (rows, numbers) that `randomize` draws is, 0
@@ -451,15 +494,14 @@ class Episodes:
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
-        if self.arms.outcome.status[row] == OK:
+        status = int(self.arms.outcome.status[row])
+        if status == OK:
             speed = float(norm(self.arms.reading.tip_twist[row, 3:]))
             return (
                 f"the tip moved at {speed:.3g} m/s, tip_speed_limit is"
                 f" {self.options.tip_speed_limit:g}"
             )
-        return cause_of(
-            int(self.arms.outcome.status[row]), self.model, step_control(self.model, self.period)
-        )
+        return cause_of(status, self.model, step_control(self.model, self.period))
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
@@ -477,11 +519,10 @@ def _replace(values: Array, members: Indices, new: Array) -> Array:
 def episodes_of(env: Any) -> Episodes:
     """The episodes that an environment of this package runs, single, vector or for
     Stable-Baselines3, wrapped or not. Raises TypeError."""
-    inner = (
-        env.unwrapped
-        if isinstance(env, gym.Env | gym.vector.VectorEnv)
-        else getattr(env, "env", None)
-    )
+    if isinstance(env, gym.Env | gym.vector.VectorEnv):
+        inner = env.unwrapped
+    else:  # as those of Stable-Baselines3
+        inner = getattr(env, "env", None)
     episodes = getattr(inner, "episodes", None)
     if not isinstance(episodes, Episodes):
         raise TypeError(

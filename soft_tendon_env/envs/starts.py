@@ -5,7 +5,6 @@ Making an arm takes longer than a reset. So an environment has BANK arms, which 
 scene and its ranges alone. An episode takes the one whose number its generator draws.
 """
 
-import contextlib
 import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -25,12 +24,21 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
-# arms of an environment that draws numbers of its scene, four times as many if it omits some
 BANK = 64
-REDRAWS = 20  # times that an arm of the bank is drawn again which begins inside of drawn obstacles
-# numbers that an episode takes from its generator before anything else, of which the first chooses
-# the arm
+"""Number of arms of an environment that draws numbers of its scene."""
+
+BANK_WITH_OMISSIONS = 4 * BANK
+"""Number of arms where arms may lack some of the drawn numbers: there are more combinations."""
+
+REDRAWS = 20
+"""How often an arm of the bank is drawn again that begins inside of drawn obstacles."""
+
 DRAWS = 4
+"""Numbers that an episode takes from its generator before anything else; the first chooses the
+arm."""
+
+SOFTNESS = re.compile(r"\.(young_modulus|bending)\b")
+"""Names of drawn numbers by which an arm is soft where they are small."""
 
 
 class Drawn(NamedTuple):
@@ -66,14 +74,14 @@ class Starts:
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
         if arms.model.scene.effects.contact is not None:
             free = ObstacleFreeSpace(arms)
-            if free.holds(self.q[None]).all():  # else the arm rests against an obstacle
+            rests_clear = free.holds(self.q[None]).all()
+            if rests_clear:  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
-        self._usual, self._ranges = (
-            Drawn(arms.model, self.q),
-            options.randomize.ranges(arms.model.scene),
-        )
+        self._usual = Drawn(arms.model, self.q)
+        self._ranges = options.randomize.ranges(arms.model.scene)
         self._omit = options.randomize.omit
-        self._bank, self.numbers = dict[int, Drawn](), dict[int, Mapping[str, float]]()
+        self._bank = dict[int, Drawn]()
+        self.numbers = dict[int, Mapping[str, float]]()
         self._make_bank()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -85,26 +93,28 @@ class Starts:
         for drawn in self._ranges:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
-        size = 4 * BANK if self._omit else BANK
-        self._size = (
-            size if self._omit or any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
-        )
-        self._redraws = REDRAWS * any(
-            key.startswith("effects.contact.obstacles.")
-            for drawn in self._ranges
-            for key in drawn.keys
-        )
-        soft = np.array(
-            [bool(re.search(r"\.(young_modulus|bending)\b", drawn.name)) for drawn in self._ranges]
-        )
-        for shares in (
-            (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft)
-            if self._ranges and not self._redraws
-            else ()
-        ):
-            self._make_arm(shares)
-        for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):
-            self._arm(number)
+        self._size = self._bank_size()
+        keys = [key for drawn in self._ranges for key in drawn.keys]
+        draws_obstacles = any(key.startswith("effects.contact.obstacles.") for key in keys)
+        self._redraws = REDRAWS if draws_obstacles else 0
+        if self._ranges and not draws_obstacles:
+            # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
+            is_soft = [SOFTNESS.search(drawn.name) is not None for drawn in self._ranges]
+            softest_and_heaviest = 1.0 - np.array(is_soft, dtype=np.float64)
+            count = len(self._ranges)
+            for shares in (np.zeros(count), np.ones(count), softest_and_heaviest):
+                self._make_arm(shares)
+        needs_search = self._model.arm.effects.load or self.q.any()
+        if not needs_search:
+            for number in range(self._size):
+                self._arm(number)
+
+    def _bank_size(self) -> int:
+        """Number of different arms that episodes may have."""
+        if self._omit:
+            return BANK_WITH_OMISSIONS
+        varies = any(drawn.least < drawn.greatest for drawn in self._ranges)
+        return BANK if varies else 1
 
     def begin(self, row: int, generator: np.random.Generator) -> Drawn:
         """Give a row its arm, drawn from a generator. Raises ConfigurationError."""
@@ -116,28 +126,34 @@ class Starts:
     def shares(self) -> Array:
         """How far from the least to the greatest of every range (rows, ranges) the arms of rows
         are, 0 to 1."""
-        drawn = [one for one in self._ranges if one.least < one.greatest]
-        return np.array(
-            [
-                [one.share(self.numbers.get(row, {})) for one in drawn]
-                for row in range(self._arms.size)
-            ]
-        )
+        varying = [drawn for drawn in self._ranges if drawn.least < drawn.greatest]
+        shares = []
+        for row in range(self._arms.size):
+            numbers = self.numbers.get(row, {})
+            shares.append([drawn.share(numbers) for drawn in varying])
+        return np.array(shares)
 
     def _arm(self, number: int) -> Drawn:
         """The arm of that number. Raises ConfigurationError."""
         if not self._ranges:
             return self._usual
         if number not in self._bank:
-            random = np.random.default_rng([BANK, number])
-            for left in range(self._redraws, -1, -1):
-                with contextlib.suppress(*[ConfigurationError] * (left > 0)):
-                    shares = random.random(len(self._ranges))
-                    self._bank[number] = self._make_arm(
-                        shares, random.random(shares.size) < self._omit if self._omit else None
-                    )
-                    break
+            self._bank[number] = self._draw_arm(np.random.default_rng([BANK, number]))
         return self._bank[number]
+
+    def _draw_arm(self, random: np.random.Generator) -> Drawn:
+        """An arm with random numbers, drawn again while it begins inside of a drawn obstacle.
+        Raises ConfigurationError where the last draw fails too."""
+        left = self._redraws
+        while True:
+            shares = random.random(len(self._ranges))
+            omitted = random.random(shares.size) < self._omit if self._omit else None
+            try:
+                return self._make_arm(shares, omitted)
+            except ConfigurationError:
+                if left == 0:
+                    raise
+                left -= 1
 
     def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
@@ -147,11 +163,10 @@ class Starts:
             if omitted is None or not omitted[i]:
                 changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
         model = self._model_with(changes)
-        q, reason = (
-            self._settle(model)
-            if model.arm.effects.load or self.tension.any() or self._redraws
-            else (self.q, "")
-        )
+        rests_straight = not (model.arm.effects.load or self.tension.any() or self._redraws)
+        if rests_straight:
+            return Drawn(model, self.q, changes)
+        q, reason = self._settle(model)
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
@@ -164,10 +179,12 @@ class Starts:
             model = self._model.with_scene(scene_with_numbers(self._model.scene, changes))
             model.metric  # noqa: B018 # there is one where the arm holds the loads inside of its strain
             misfit = self._model.misfit(model)
-            why = f"which changes {misfit}: rows can differ in numbers alone" if misfit else ""
         except (ConfigurationError, StrainLimitError) as error:
-            why = f"which the scene refuses: {'; '.join(str(error).splitlines())}"
-        if why:
+            refusal = "; ".join(str(error).splitlines())
+            text = f"can draw {_listed(changes)}, which the scene refuses: {refusal}"
+            raise _problem(("randomize", *key), text) from None
+        if misfit:
+            why = f"which changes {misfit}: rows can differ in numbers alone"
             raise _problem(("randomize", *key), f"can draw {_listed(changes)}, {why}")
         return model
 
