@@ -30,7 +30,7 @@ def run_all(
     call: Callable[[Run], Result],
     runs: Sequence[Run],
     workers: int,
-    label: str,
+    label: str | None,
     *,
     unit: str = "run",
     cluster: str | None = None,
@@ -45,7 +45,8 @@ def run_all(
         workers: processes of one thread each, which first import what --import names, and run the
             script that was started, for what it registers (but not below its
             `if __name__ == "__main__"`); 1: this process alone, with one thread too.
-        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
+        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the
+            label None.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None:
             this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend
@@ -75,7 +76,7 @@ def run_all(
         else _on_cluster(jobs, workers, cluster)
     )
     with (
-        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar,
+        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET or label is None) as bar,
         contextlib.closing(found),
     ):
         for place, result in found:
