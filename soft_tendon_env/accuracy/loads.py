@@ -10,7 +10,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-REACH = 1.5
+REACH = 1.25
 """Largest loads that a trial has, in units of those of the scene: a force that is changed in small
 steps does not begin a trial at each of them."""
 

@@ -29,6 +29,7 @@ from soft_tendon_env.accuracy.reference import (
     refine_once,
     start_at_rest,
     tip_path,
+    trajectory,
 )
 from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.model.full_physics import part_borders
@@ -81,6 +82,9 @@ MOST_LEVELS = 3
 
 OWN = 0
 """Case of loads that are the scene's own."""
+
+LOOKED_AT = 5
+"""Rows of tensions after which a motion ends that is too far from full physics already."""
 
 FEW = 3
 """Order of the moments that time steps are settled with."""
@@ -141,15 +145,30 @@ class CaseModels:
             self._models[case] = own.with_scene(loaded)
         return self._models[case]
 
-    def path(self, test: TrialInput) -> Array | None:
-        """Positions of the tip in a test, see `tip_path`."""
+    def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
+        """Positions of the tip in a test, see `tip_path`; None where it has none, or is farther
+        from the reference than `hopeless` [m] at a time."""
         model = self.model(test.case)
         if test.reference.is_equilibrium:
             return tip_path(model, test.tensions)
         if test.case not in self._starts:
             self._starts[test.case] = start_at_rest(model)
-        start = self._starts[test.case]
-        return None if start is None else tip_path(model, test.tensions, start)
+        state = self._starts[test.case]
+        tips = test.reference.tips
+        assert tips is not None  # of every test that is kept
+
+        pieces = []
+        for begin in range(0, len(test.tensions), LOOKED_AT):
+            rows = test.tensions[begin : begin + LOOKED_AT]
+            motion = None if state is None else trajectory(model, rows, state)
+            if motion is None:
+                return None
+            piece = motion.tip_pose[:, :3, 3]
+            if distance(piece, tips[begin : begin + len(piece)]) > hopeless:
+                return None
+            state = motion.final
+            pieces.append(piece[1:] if begin else piece)
+        return np.concatenate(pieces)
 
 
 class Trial:
@@ -254,8 +273,8 @@ class Trial:
         models = CaseModels(self, model)
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
-            path = models.path(test)
             enough = self._enough(test) if is_bounded else np.inf
+            path = models.path(test, enough + test.reference.error)
             self._decide(test.reference, path, enough)
             error = test.reference.error
             away = distance(path, test.reference.tips)
