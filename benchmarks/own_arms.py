@@ -201,7 +201,7 @@ def row(
 ) -> tuple[str, ...]:
     asked, started = accuracy_of(scene, preset), time.process_time()
     found, trial = search(scene, asked), time.process_time() - started
-    model = ste.build_model(found.of(scene), "scene")
+    model = ste.build_model(found.applied_to(scene), "scene")
     still = [
         distance(tip_path(model, tension), tip) for tension, tip in zip(rests, exact, strict=False)
     ]

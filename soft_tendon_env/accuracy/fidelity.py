@@ -13,15 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from soft_tendon_env.accuracy.candidates import bare_rod, known_fields, snapshots
+from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.input_motions import USUAL
-from soft_tendon_env.accuracy.trial import (
-    Accuracy,
-    Choice,
-    bare_rod,
-    choose,
-    known_fields,
-    snapshots,
-)
+from soft_tendon_env.accuracy.kept_trials import choose
+from soft_tendon_env.accuracy.loads import has_strengths
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import FidelityWarning, PassiveFields
@@ -31,18 +27,34 @@ from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import is_length, read_length
 
-AS_SCENE = "scene"  # the fidelity that leaves a scene as it is
-UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
-"""The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the
+AS_SCENE = "scene"
+"""Fidelity that leaves a scene as it is."""
+
+DEFAULT = "standard"
+"""Fidelity of `gym.make` for all that a scene leaves open."""
+
+
+class Unsaid:
+    """Type of the default argument of `build_model`."""
+
+    def __repr__(self) -> str:
+        return "UNSAID"
+
+
+UNSAID: Any = Unsaid()
+"""Fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the
 strain open."""
 
-
 PRESETS: Mapping[str, Accuracy] = {
-    "fast": Accuracy(1e-2, fields=8e-3, quadrature=5.0 * TIP_TOLERANCE, least=4, tolerance=5e-4),
-    "standard": Accuracy(
-        2e-3, fields=1e-3, quadrature=5.0 * TIP_TOLERANCE, least=6, tolerance=2.5e-5
+    "fast": Accuracy(
+        share=1e-2, fields=8e-3, quadrature=5.0 * TIP_TOLERANCE, least=4, tolerance=5e-4
     ),
-    "fine": Accuracy(5e-4, fields=2e-4, quadrature=0.4 * TIP_TOLERANCE, least=8, tolerance=3e-6),
+    "standard": Accuracy(
+        share=2e-3, fields=1e-3, quadrature=5.0 * TIP_TOLERANCE, least=6, tolerance=2.5e-5
+    ),
+    "fine": Accuracy(
+        share=5e-4, fields=2e-4, quadrature=0.4 * TIP_TOLERANCE, least=8, tolerance=3e-6
+    ),
 }
 """On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step;
 12 and 4 to 7; 24 and 7 to 10."""
@@ -88,30 +100,51 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     """
     if fidelity == AS_SCENE:
         return scene
-    asked, everything = accuracy_of(scene, fidelity or "standard"), fidelity is not None
-    chosen = {
-        "quadrature": {"tolerance": asked.quadrature, "least": asked.least},
-        "integrator": {"tolerance": asked.tolerance * rod_length(scene)},
-    }
+    is_strain_open = _leaves_strain_open(scene)
+    if fidelity is None and not is_strain_open:
+        return _with_open_parts(scene, _parts_without_strain(scene, DEFAULT))
+    parts = _parts(scene, fidelity or DEFAULT)
+    return _with_open_parts(scene, parts) if fidelity is None else scene.replace(parts)
+
+
+def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
+    """The scene with those of the parts that it says nothing of."""
     is_open = {
         "strain": _leaves_strain_open(scene),
         "quadrature": scene.quadrature == Quadrature(),
         "integrator": scene.integrator == Integrator(),
     }
-    if everything or is_open["strain"]:
-        fields = known_fields(scene)
-        if fields is None or not _are_measured(fields, scene) or is_length(fidelity or ""):
-            found = choose(scene, asked)
-            _check(scene, found, asked, fidelity or "standard")
-            chosen = {name: getattr(found, name) for name in is_open}
-        else:
-            needed = fields.needed(asked.fields * rod_length(scene), USUAL)
-            chosen["strain"] = snapshots(
-                scene, fields, len(fields.coefficients) if needed is None else needed
-            )
-    return scene.replace(
-        {name: table for name, table in chosen.items() if everything or is_open[name]}
-    )
+    return scene.replace({name: table for name, table in parts.items() if is_open[name]})
+
+
+def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
+    """Tables of strain, quadrature and integrator at a fidelity: of fields whose errors are known,
+    or of a trial."""
+    asked = accuracy_of(scene, fidelity)
+    fields = known_fields(scene)
+    if fields is not None and _are_measured(fields, scene) and not is_length(fidelity):
+        needed = fields.needed(asked.fields * rod_length(scene), USUAL)
+        count = len(fields.coefficients) if needed is None else needed
+        return {
+            "strain": snapshots(scene, fields, count),
+            **_parts_without_strain(scene, fidelity),
+        }
+    choice = choose(scene, asked)
+    _check(scene, choice, asked, fidelity)
+    return {
+        "strain": choice.strain,
+        "quadrature": choice.quadrature,
+        "integrator": choice.integrator,
+    }
+
+
+def _parts_without_strain(scene: Scene, fidelity: str) -> dict[str, Any]:
+    """Tables of quadrature and integrator of a preset, as on arms that ship."""
+    asked = accuracy_of(scene, fidelity)
+    return {
+        "quadrature": {"tolerance": asked.quadrature, "least": asked.least},
+        "integrator": {"tolerance": asked.tolerance * rod_length(scene)},
+    }
 
 
 def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
@@ -120,8 +153,12 @@ def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
     if not is_length(fidelity):
         return PRESETS[fidelity]
     share = read_length(fidelity) / rod_length(scene)
-    near = next((preset for preset in PRESETS.values() if preset.share <= share), PRESETS["fine"])
-    finer = min(share / near.share, 1.0)
+    near = PRESETS["fine"]
+    for preset in PRESETS.values():
+        if preset.share <= share:
+            near = preset
+            break
+    finer = min(share / near.share, 1.0)  # than the finest preset
     return near._replace(
         share=share, quadrature=finer * near.quadrature, tolerance=finer * near.tolerance
     )
@@ -131,31 +168,26 @@ def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
     """Whether the errors of passive fields hold for this arm: they were measured under its loads,
     or it has none."""
     loads = scene.effects.everywhere()
-    sizes = [getattr(effect, key) for effect in loads.chosen().values() for key in effect.strengths]
-    return not fields.misfit(scene) and (loads == fields.effects or not any(map(np.any, sizes)))
+    is_under_loads = loads == fields.effects or not has_strengths(loads)
+    return not fields.misfit(scene) and is_under_loads
 
 
-def _check(scene: Scene, found: Choice, asked: Accuracy, fidelity: str) -> None:
+def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None:
     """Raises ConfigurationError where a choice does not keep within a length, warns where it does
     not reach a preset."""
-    if found.error <= asked.share:
+    if choice.error <= asked.share:
         return
-    if np.isfinite(found.error):
+    if np.isfinite(choice.error):
         text = (
             f"{scene.name!r} has no coordinates that keep its tip as near to full physics as"
-            f" {fidelity!r} asks, "
-        )
-        text += (
-            f"{100 * asked.share:.3g} % of the length: the best there are, {found.describe(scene)}"
+            f" {fidelity!r} asks, {100 * asked.share:.3g} % of the length: the best there are,"
+            f" {choice.describe(scene)}"
         )
     else:
-        text = (
-            f"the accuracy of {scene.name!r} is not known: full physics has no motion under its"
-            " loads and tensions"
-        )
+        text = f"the accuracy of {scene.name!r} is not known: {choice.obstacle}"
     if is_length(fidelity):
         raise ConfigurationError([Problem((), text)])
-    warnings.warn(text, FidelityWarning, stacklevel=3)
+    warnings.warn(text, FidelityWarning, stacklevel=4)
 
 
 def checked_fidelity(fidelity: str) -> str:

@@ -7,7 +7,7 @@ N, tensions redrawn in 0 to 60 N every 20 ms, and a step to tensions within 20 N
 """
 
 from collections.abc import Callable, Mapping
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,15 +17,24 @@ from soft_tendon_env.tools.types import Array
 Motion = Literal["redrawn", "increments", "smooth", "wild", "step"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
-USUAL: tuple[Motion, ...] = MOTIONS[
-    :3
-]  # of agents and controllers, for which errors of passive fields and presets are stated
-HOLD = (
-    0.02  # [s], for which each row of a table of tensions is held: the environments' control period
-)
-REDRAWN_EVERY = 5  # rows
-INCREMENT = 0.1  # of the band, the largest change from row to row
-FREQUENCY, DETUNED = 0.8, 0.1  # [Hz], and by what share it differs from tendon to tendon
+
+USUAL: tuple[Motion, ...] = MOTIONS[:3]
+"""Motions of agents and controllers, for which errors of passive fields and presets are stated."""
+
+HOLD = 0.02
+"""Time [s] for which each row of a table of tensions is held: the environments' control period."""
+
+REDRAWN_EVERY = 5
+"""Rows between new tensions of the redrawn kind: 100 ms."""
+
+INCREMENT = 0.1
+"""Largest change from row to row of a walk, as a share of the band."""
+
+FREQUENCY = 0.8
+"""Mean frequency [Hz] of the smooth kind."""
+
+DETUNED = 0.1
+"""Share by which that frequency differs from tendon to tendon at most."""
 
 
 def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
@@ -42,21 +51,47 @@ def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
     time = HOLD * (np.arange(rows) + 0.5)
-    frequency = FREQUENCY * random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
-    return (
-        slack + (random.random(slack.size) - slack) * np.sin(np.pi * frequency * time[:, None]) ** 2
-    )
+    detuning = random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
+    angle = np.pi * FREQUENCY * detuning * time[:, None]
+    highest = random.random(slack.size)
+    return np.asarray(slack + (highest - slack) * np.sin(angle) ** 2)
 
 
-KINDS: Mapping[Motion, tuple[float, Callable[[np.random.Generator, int, Array], Array]]] = {
-    "redrawn": (1 / 4, _redrawn),
-    "increments": (1 / 3, _increments),
-    "smooth": (1 / 3, _smooth),
-    "wild": (1.0, lambda random, rows, slack: random.random((rows, slack.size))),
-    "step": (1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
+def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    return random.random((rows, slack.size))
+
+
+def _step(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    return np.tile(random.random(slack.size), (rows, 1))
+
+
+class Kind(NamedTuple):
+    """A kind of test input."""
+
+    band: float  # share of a tendon's range of tension
+    # values in the band (rows, n_a), from 0 to 1; slack (n_a,) is where the arm begins
+    table: Callable[[np.random.Generator, int, Array], Array]
+
+
+KINDS: Mapping[Motion, Kind] = {
+    "redrawn": Kind(1 / 4, _redrawn),
+    "increments": Kind(1 / 3, _increments),
+    "smooth": Kind(1 / 3, _smooth),
+    "wild": Kind(1.0, _wild),
+    "step": Kind(1 / 3, _step),
 }
-"""The band, as a share of the range of tension, and tables of values in it, from 0 to 1; slack is
-where the arm begins."""
+
+
+def slack_tensions(scene: Scene) -> Array:
+    """Tensions (n_a,) [N] at which an arm begins: those nearest to zero within limits."""
+    low, high = tension_limits(scene)
+    return np.clip(0.0, low, high)
+
+
+def tension_limits(scene: Scene) -> tuple[Array, Array]:
+    """Lowest and highest tensions (n_a,) [N] of the tendons."""
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    return limits[:, 0], limits[:, 1]
 
 
 def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2.0) -> Array:
@@ -66,9 +101,14 @@ def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2
     The band of a tendon reaches as far into its range on either side of the tension nearest to zero
     that it allows.
     """
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons]).T
-    slack, (band, table) = np.clip(0.0, *limits), KINDS[motion]
-    least, greatest = slack + band * (limits - slack)
+    kind = KINDS[motion]
+    low, high = tension_limits(scene)
+    slack = slack_tensions(scene)
+    least = slack + kind.band * (low - slack)
+    greatest = slack + kind.band * (high - slack)
+
     random = np.random.default_rng([seed, MOTIONS.index(motion)])
-    share = table(random, round(duration / HOLD), (slack - least) / (greatest - least))
+    rows = round(duration / HOLD)
+    start = (slack - least) / (greatest - least)
+    share = kind.table(random, rows, start)
     return np.asarray(least + (greatest - least) * share)

@@ -6,14 +6,17 @@ the next, with the tolerance of its time steps, which may err alike at both, bou
 error.
 """
 
-from collections.abc import Sequence
-from functools import partial
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.accuracy.input_motions import HOLD
-from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics
+from soft_tendon_env.accuracy.input_motions import HOLD, slack_tensions
+from soft_tendon_env.mechanics.workspace import make_workspace
+from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics, rest_near
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
@@ -22,30 +25,27 @@ from soft_tendon_env.model.simulation import (
     Trajectory,
     simulate,
 )
+from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import LEAST_TOLERANCE, Scene, rod_length
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 
-STEPS = (
-    5e-2,
-    1e-2,
-    2e-3,
-    # tolerance of time steps at a level, as a share of that of the motions; the last for those that
-    # follow
-)
+STEPS = (5e-2, 1e-2, 2e-3)
+"""Tolerance of time steps at each level, as a share of that of the motions; the last one holds for
+the levels that follow."""
+
+FINEST_STEPS = 10.0
+"""Least tolerance of time steps, in units of the least that the integrator takes."""
 
 
 class Reference(NamedTuple):
     """Motions and equilibria of full physics."""
 
-    tips: tuple[
-        Array | None,
-        ...,
-        # (rows + 1, 3) [m] for every input, the tip every HOLD, the start first; None: there is no
-        # such motion
-    ]
+    # (rows + 1, 3) [m] for every input, the tip every HOLD, the start first; None: there is no such
+    # motion
+    tips: tuple[Array | None, ...]
     tip_errors: tuple[float, ...]  # [m], bounds of the errors of these
     level: Level
 
@@ -53,30 +53,41 @@ class Reference(NamedTuple):
 def step_tolerance(scene: Scene, level: Level, tolerance: float) -> float:
     """Tolerance [m] of the time steps at a level of full physics, for motions with this tolerance
     [m]."""
-    return max(
-        STEPS[min(LEVELS.index(level), len(STEPS) - 1)] * tolerance,
-        10.0 * LEAST_TOLERANCE * rod_length(scene),
-    )
+    depth = min(LEVELS.index(level), len(STEPS) - 1)
+    finest = FINEST_STEPS * LEAST_TOLERANCE * rod_length(scene)
+    return max(STEPS[depth] * tolerance, finest)
 
 
-def trajectory(model: Model, tensions: Array) -> Trajectory | None:
-    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD; None where
-    there is no such motion or rest."""
-    start = Simulation(model)
-    slack = np.clip(0.0, *np.array([tendon.tension_limits for tendon in model.scene.tendons]).T)
+def start_at_rest(model: Model) -> State | None:
+    """State of a model at rest with slack tendons, where motions begin; None: it rests nowhere."""
     try:
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, start.reset_at_rest(slack))
-    except (SimulationDiverged, StrainLimitError, NoEquilibriumError):
+        return Simulation(model).reset_at_rest(slack_tensions(model.scene))
+    except (StrainLimitError, NoEquilibriumError):
         return None
 
 
-def tip_path(model: Model, tensions: Array) -> Array | None:
+def trajectory(model: Model, tensions: Array, start: State | None = None) -> Trajectory | None:
+    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD; None where
+    there is no such motion or rest.
+
+    start: where it begins, if `start_at_rest` is known.
+    """
+    beginning = start_at_rest(model) if start is None else start
+    if beginning is None:
+        return None
+    try:
+        return simulate(model, tensions, HOLD * len(tensions), HOLD, beginning)
+    except (SimulationDiverged, StrainLimitError):
+        return None
+
+
+def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
     """Positions of the tip (rows + 1, 3) [m] in a `trajectory`, or (1, 3) at rest under tensions
     (n_a,); None where there is none."""
     if tensions.ndim == 1:
         rest = static_equilibrium(model, tensions)
         return rest.tip_pose[None, :3, 3] if rest.converged else None
-    motion = trajectory(model, tensions)
+    motion = trajectory(model, tensions, start)
     return None if motion is None else motion.tip_pose[:, :3, 3]
 
 
@@ -85,7 +96,150 @@ def distance(path: Array | None, reference: Array | None) -> float:
     full physics has no such motion."""
     if reference is None:
         return np.nan
-    return np.inf if path is None else float(np.linalg.norm(path - reference, axis=1).max())
+    if path is None:
+        return np.inf
+    return float(np.linalg.norm(path - reference, axis=1).max())
+
+
+class Ladder:
+    """Models of full physics of one scene, each finer than the one before, made when first used."""
+
+    def __init__(self, scene: Scene, tolerance: float) -> None:
+        """tolerance: of motions [m]."""
+        self.scene = scene
+        self.tolerance = tolerance
+        self._rungs: list[Rung] = []
+
+    def rung(self, depth: int) -> Rung:
+        """Full physics at the level LEVELS[depth]."""
+        while len(self._rungs) <= depth:
+            level = LEVELS[len(self._rungs)]
+            steps = step_tolerance(self.scene, level, self.tolerance)
+            model = full_physics(self.scene, level, steps)
+            self._rungs.append(Rung(model, steps, self._rungs[-1] if self._rungs else None))
+        return self._rungs[depth]
+
+
+class Rung:
+    """Full physics at one level."""
+
+    def __init__(self, model: Model, steps: float, coarser: Rung | None) -> None:
+        self.model = model
+        self.steps = steps  # [m], tolerance of time steps
+        self.coarser = coarser
+
+    @cached_property
+    def start(self) -> State | None:
+        """State at rest with slack tendons; None: there is none."""
+        if self.coarser is None:
+            return start_at_rest(self.model)
+        before = self.coarser.start
+        if before is None:
+            return start_at_rest(self.model)
+        slack = slack_tensions(self.model.scene)
+        q = self.rest(slack, before.q)
+        if q is None:
+            return start_at_rest(self.model)
+        return Simulation(self.model).reset(q, tension=slack)
+
+    @cached_property
+    def _projection(self) -> Array:
+        """Pseudo-inverse (n, points 6) of the fields: coordinates whose strain is nearest."""
+        fields = make_workspace(self.model.arm).Phi
+        columns = self.model.grid.unpacked(fields.reshape(self.model.coordinate_count, -1))
+        return np.asarray(np.linalg.pinv(columns.reshape(len(columns), -1).T))
+
+    def nearest(self, coarse: Array) -> Array:
+        """Coordinates (n,) whose strain is nearest to that of the coarser level's coordinates."""
+        assert self.coarser is not None
+        grid = self.model.grid
+        places = grid.points[grid.real].ravel()
+        strain = self.coarser.model.strain_at(coarse, places)[0]
+        change = strain - grid.unpacked(self.model.arm.rod.reference_strain)
+        return np.asarray(self._projection @ change.ravel())
+
+    def rest(self, tensions: Array, coarse: Array | None) -> Array | None:
+        """Coordinates (n,) at rest under tensions (n_a,); None: the arm rests nowhere.
+
+        coarse: coordinates of the coarser level there, from which Newton's method starts. It takes
+        one or two linearisations, where the path from the unloaded arm takes ten.
+        """
+        if coarse is None:
+            equilibrium = static_equilibrium(self.model, tensions)
+            return equilibrium.q if equilibrium.converged else None
+        return rest_near(self.model, self.nearest(coarse), tensions, 1.0, stable=True)
+
+
+class ReferenceMotion:
+    """Motion or equilibrium of full physics under one input, refined level by level."""
+
+    def __init__(self, ladder: Ladder, tensions: Array) -> None:
+        """tensions: (rows, n_a) [N], each row held for HOLD, or (n_a,) of an equilibrium."""
+        self.ladder = ladder
+        self.tensions = tensions
+        self.tips: Array | None = None  # (rows + 1, 3) [m]; None: full physics has no such motion
+        self.error = np.inf  # [m], bound of the tips' error
+        self.depth = 0  # levels that were computed
+        self._q: Array | None = None  # at the last level, of an equilibrium
+
+    @property
+    def is_equilibrium(self) -> bool:
+        """Whether it is one, and no motion."""
+        return self.tensions.ndim == 1
+
+    @property
+    def next_size(self) -> float:
+        """Expected cost of the next level, see `size_at`."""
+        return self.size_at(self.depth)
+
+    def size_at(self, depth: int) -> float:
+        """Expected cost of a level, in units that are the same for all inputs."""
+        samples = 1 if self.is_equilibrium else len(self.tensions)
+        return samples * self.ladder.rung(depth).model.coordinate_count ** 2.0
+
+    def refine(self) -> None:
+        """Computes the next level; the change bounds the error."""
+        rung = self.ladder.rung(self.depth)
+        before = self.tips
+        self.tips = self._rest(rung) if self.is_equilibrium else self._motion(rung)
+        self.depth += 1
+
+        if before is None:
+            self.error = np.inf
+            return
+        steps = 0.0 if self.is_equilibrium else rung.steps
+        self.error = distance(self.tips, before) + steps
+
+    def _rest(self, rung: Rung) -> Array | None:
+        self._q = rung.rest(self.tensions, self._q)
+        return None if self._q is None else rung.model.tip_pose(self._q)[None, :3, 3]
+
+    def _motion(self, rung: Rung) -> Array | None:
+        return None if rung.start is None else tip_path(rung.model, self.tensions, rung.start)
+
+
+def refine_once(
+    motions: Sequence[ReferenceMotion],
+    label: str | None,
+    done: Callable[[int, None], None] | None = None,
+) -> None:
+    """Refines motions by a level, in threads; label: of the progress bar, None: there is none.
+
+    done: is told of every motion as soon as it is there, with its place.
+    """
+    for motion in motions:  # what threads share is made before them
+        rung = motion.ladder.rung(motion.depth)
+        if not motion.is_equilibrium:
+            _ = rung.start
+    run_all(
+        ReferenceMotion.refine,
+        motions,
+        processors(),
+        label,
+        unit="motion",
+        threads=True,
+        done=done,
+    )
 
 
 def reference_motions(
@@ -94,27 +248,19 @@ def reference_motions(
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, or equilibria
     under (n_a,), each refined until its error is below `tolerance` [m], or to the finest of the
     first `most` of LEVELS. The level is that of the last to be refined."""
-    found: list[Array | None] = [None] * len(inputs)
-    errors, rest = [np.inf] * len(inputs), list(range(len(inputs)))
-    for level in LEVELS[:most]:
-        model = full_physics(scene, level, steps := step_tolerance(scene, level, tolerance))
-        label = f"full physics, {model.coordinate_count} coordinates"
-        paths = run_all(
-            partial(tip_path, model),
-            [inputs[i] for i in rest],
-            processors(),
-            label,
-            unit="motion",
-            threads=True,
-        )
-        for i, now in zip(rest, paths, strict=True):
-            errors[i] = (
-                np.inf
-                if found[i] is None
-                else distance(now, found[i]) + steps * (inputs[i].ndim - 1)
-            )  # equilibria have none
-            found[i] = now
-        rest = [i for i in rest if found[i] is None or errors[i] > tolerance]
-        if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
+    ladder = Ladder(scene, tolerance)
+    motions = [ReferenceMotion(ladder, tensions) for tensions in inputs]
+    unsettled = list(motions)
+    for depth in range(most):
+        count = ladder.rung(depth).model.coordinate_count
+        refine_once(unsettled, f"{scene.name}: full physics, {count} coordinates")
+        level = LEVELS[depth]
+        unsettled = [
+            motion for motion in unsettled if motion.tips is None or motion.error > tolerance
+        ]
+        is_hopeless = all(motion.tips is None for motion in unsettled)
+        if is_hopeless and len(unsettled) < len(motions):
             break
-    return Reference(tuple(found), tuple(errors), level)
+    tips = tuple(motion.tips for motion in motions)
+    errors = tuple(motion.error for motion in motions)
+    return Reference(tips, errors, level)

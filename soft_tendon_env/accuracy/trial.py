@@ -1,30 +1,41 @@
 """Trial of an arm: the coordinates, quadrature and time steps that keep its tip within a share of
 its length of full physics.
 
-A trial is made once, in seconds, under the scene's loads and within its tension limits, and kept in
-the user's cache. The arm is without obstacles, and without what lies between commands and tensions.
+A trial is made once, in seconds, under loads up to a multiple of the scene's and within its tension
+limits. The arm is without obstacles, and without what lies between commands and tensions.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import hashlib
-import inspect
-import json
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from filelock import FileLock
 
-from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions
-from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
+from soft_tendon_env.accuracy.candidates import ANGULAR, bare_rod, known_fields, strain_tables
+from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.input_motions import (
+    USUAL,
+    motion_tensions,
+    slack_tensions,
+    tension_limits,
+)
+from soft_tendon_env.accuracy.loads import load_cases, reaches
+from soft_tendon_env.accuracy.progress import Progress
+from soft_tendon_env.accuracy.reference import (
+    Ladder,
+    ReferenceMotion,
+    distance,
+    refine_once,
+    start_at_rest,
+    tip_path,
+    trajectory,
+)
 from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.model.full_physics import part_borders
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.scene.passive_fields import PassiveFields, fields_of, find_fields
+from soft_tendon_env.model.state import State
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import (
     MOST_INTERVALS,
     Scene,
@@ -32,369 +43,405 @@ from soft_tendon_env.scene.scene import (
     extrapolation_columns,
     rod_length,
 )
-from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
-from soft_tendon_env.tools.files import (
-    digest,
-    new_data_folder,
-    read_json,
-    replacing,
-    sources_digest,
-)
-from soft_tendon_env.tools.messages import say_once
+from soft_tendon_env.tools.types import Array
 
-SEED, SECONDS, RESTS = (
-    500,
-    2.0,
-    16,
-    # of the motions, one of each usual kind; equilibria under random tensions, besides the slack
-    # arm's
-)
-# by which the error on these stays below what is asked for, since other motions may be worse
+SEED = 500
+"""Seed of the motions and tensions of every trial."""
+
+SECONDS = 2.0
+"""Duration [s] of the motions, one of each usual kind; less where they take long to compute."""
+
+PARTS_COST = 1.0
+"""By how much more of its time an arm in several parts takes: its motions are so much shorter."""
+
+UNDAMPED_COST = 3.0
+"""As PARTS_COST, of an arm whose damping leaves it short steps."""
+
+RESTS = 16
+"""Equilibria under random tensions, besides the slack arm's."""
+
 MARGIN = 2.0
-REFERENCE, UNSURE = (
-    0.1,
-    10.0,
-    # of what is asked for: error aimed at in full physics, and the largest that anything is judged
-    # by
-)
-FIELDS, ROD, PIECE, EXPLICIT = (
-    (6, 9, 12, 18, 24),
-    (1, 2, 3, 4, 6, 8, 10, 12),
-    (1, 2, 3, 4, 5, 6, 7, 9),
-    (4, 6, 9),
-)
-"""Numbers of the arm's own passive fields, Legendre orders over the rod, over each part of it, and
-of explicit strain, that are tried."""
-FEW, RICH, FINER, SETTLED, SOME, TIGHTER, MOST, RICHEST, MOST_LEVELS = (
-    3,
-    5,
-    10.0,
-    0.15,
-    3,
-    5.0,
-    5,
-    3,
-    3,
-)
-"""Orders of moments and explicit strain that steps and quadrature are settled with; finer ones, by
-how much, change the tip by less than a part of what is asked for, in each of so many inputs; by how
-much and how often steps are tightened; how many of the richest strains are compared where none
-does; levels of full physics."""
-SOURCES = tuple(
-    f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy")
-)
+"""By how many times the error on these stays below what is asked for: other motions may be
+worse."""
+
+LARGER_LOADS_MARGIN = 1.5
+"""As MARGIN, under loads larger than the scene's, which weaker ones are better than."""
+
+REFERENCE = 0.1
+"""Error that is aimed at in full physics, as a share of what is asked for."""
+
+UNSURE = 10.0
+"""Largest error of full physics that anything is judged by, in units of what is asked for."""
+
+FIRST_LEVELS = 2
+"""Levels of full physics that every input gets; the finer ones where a decision depends on them."""
+
+MOST_LEVELS = 3
+"""Levels of full physics that an input gets at most."""
+
+OWN = 0
+"""Case of loads that are the scene's own."""
+
+LOOKED_AT = 5
+"""Rows of tensions after which a motion ends that is too far from full physics already."""
+
+FEW = 3
+"""Order of the moments that time steps are settled with."""
+
+RICH = 5
+"""Order of the explicit strain that the quadrature is settled with, on a rod of one piece."""
+
+SETTLED = 0.15
+"""Share of what is asked for by which finer steps or intervals may change the tip."""
+
+EVERY = 3
+"""Of so many inputs one is looked at when steps and quadrature are settled."""
+
+DENSER = 2.0
+"""Factor of the intervals that a quadrature is compared with."""
+
+MORE_INTERVALS = 1.3
+"""Factor of its intervals where these change the tip."""
+
+FINER_STEPS = 10.0
+"""Factor of the time steps' tolerance that steps are compared with: its inverse."""
+
+TIGHTER = 5.0
+"""Factor by which the tolerance is reduced where these change the tip."""
+
+MOST_TIGHTENED = 5
+"""How often it is, at most."""
+
+RICHEST = 3
+"""Candidates with the most coordinates, of which the best is taken where none is near enough."""
 
 
-class Accuracy(NamedTuple):
-    """Accuracy that is asked of the tip and, to begin with, of the parts of a simulation, as shares
-    of the rod's length."""
+class TrialInput(NamedTuple):
+    """One input of a trial."""
 
-    share: float  # largest distance of the tip from full physics
-    fields: float  # as measured for passive fields that ship, or that `soft-tendon fields` made
-    quadrature: float  # at rest, whatever the tensions within limits
-    least: int  # intervals per piece
-    tolerance: float  # of a time step
+    reference: ReferenceMotion
+    case: int  # of the loads
 
-
-class Choice(NamedTuple):
-    """Coordinates, quadrature and time steps that a trial chose, and the error that it measured."""
-
-    strain: dict[str, Any]
-    quadrature: dict[str, Any]
-    integrator: dict[str, Any]
-    coordinates: int
-    # bound of the tip's distance from full physics, as a share of the length; inf: full physics has
-    # none of the motions
-    error: float
-    # motions and equilibria that full physics does not have, or leaves open: a column may fall
-    # either way
-    left_out: int = 0
-
-    def of(self, scene: Scene) -> Scene:
-        """The scene with this choice."""
-        return scene.replace(
-            {name: getattr(self, name) for name in ("strain", "quadrature", "integrator")}
-        )
-
-    def with_strain(self, scene: Scene, strain: dict[str, Any]) -> Choice:
-        """The choice with another strain table, and at least as many intervals along the rod as
-        that needs. Raises ConfigurationError."""
-        changed = scene.replace({"strain": strain})
-        spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
-        order = (
-            2 if "fields" in strain.get("passive", ()) else changed.strain.highest_order
-        )  # leading POD modes are smooth
-        least = max(math.ceil(self.quadrature["least"] * spread), order + 2)
-        return self._replace(
-            strain=strain,
-            quadrature={**self.quadrature, "least": least},
-            coordinates=coordinate_count(changed),
-        )
-
-    def finer(self, intervals: float, steps: float = 1.0) -> Choice:
-        """The choice with so many times as many intervals, and a tolerance of time steps that is so
-        many times less."""
-        quadrature = {**self.quadrature, "least": math.ceil(intervals * self.quadrature["least"])}
-        return self._replace(
-            quadrature=quadrature, integrator={"tolerance": self.integrator["tolerance"] / steps}
-        )
-
-    def describe(self, scene: Scene) -> str:
-        """The choice in words, with the error that was measured."""
-        modes = self.strain.get("modes", self.strain.get("passive", []))
-        if isinstance(modes, dict):
-            name = f"{modes['fields']} POD modes"
-        elif modes:
-            kind = (
-                "explicit strain"
-                if "modes" in self.strain
-                else f"passive {', '.join(modes[0]['strains'])}"
-            )
-            name = (
-                f"{kind} up to order {modes[0]['order']} over"
-                f" {'the rod' if modes[0]['span'] == 'rod' else 'each part'}"
-            )
-        else:
-            name = "the tensions alone"
-        bound = (
-            f"{100 * self.error:.2g} % of the length, {1e3 * self.error * rod_length(scene):.2g} mm"
-        )
-        left_out = (
-            f" without {self.left_out} inputs under which the arm's motion is not unique"
-            if self.left_out
-            else ""
-        )
-        return f"{name}, {self.coordinates} coordinates, were within {bound}, in a trial{left_out}"
+    @property
+    def tensions(self) -> Array:
+        """(rows, n_a) [N] of a motion, (n_a,) of an equilibrium."""
+        return self.reference.tensions
 
 
-def bare_rod(scene: Scene) -> dict[str, Any]:
-    """Strain table of the rod alone, without what is a matter of accuracy."""
-    if isinstance(scene.strain, StaticsBased):
-        return scene.strain.model_dump(
-            mode="json", include={"type", "strains", "borders", "rank_tolerance", "include_loads"}
-        )
-    free = [strain for strain in STRAINS if strain in scene.strain.free]
-    return {"type": "statics_based", "strains": free, "borders": list(scene.strain.borders)}
+class CaseModels:
+    """A model under the loads of each case, and where its motions start."""
 
+    def __init__(self, trial: Trial, model: Model) -> None:
+        self._trial = trial
+        self._models = {0: model}
+        self._starts: dict[int, State | None] = {}
 
-def known_fields(scene: Scene) -> PassiveFields | None:
-    """Passive fields of the arm: those of the file that its scene names, or those that ship or are
-    kept, the best for its loads first."""
-    named = scene.strain.passive if isinstance(scene.strain, StaticsBased) else None
-    return (
-        fields_of(scene)
-        if isinstance(named, Snapshots)
-        else find_fields(scene.replace({"strain": bare_rod(scene)}))
-    )
+    def model(self, case: int) -> Model:
+        """The model under the loads of a case."""
+        if case not in self._models:
+            own = self._models[0]
+            loaded = own.scene.replace({"effects": self._trial.cases[case]})
+            self._models[case] = own.with_scene(loaded)
+        return self._models[case]
 
+    def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
+        """Positions of the tip in a test, see `tip_path`; None where it has none, or is farther
+        from the reference than `hopeless` [m] at a time."""
+        model = self.model(test.case)
+        if test.reference.is_equilibrium:
+            return tip_path(model, test.tensions)
+        if test.case not in self._starts:
+            self._starts[test.case] = start_at_rest(model)
+        state = self._starts[test.case]
+        tips = test.reference.tips
+        assert tips is not None  # of every test that is kept
 
-def snapshots(scene: Scene, fields: PassiveFields, count: int) -> dict[str, Any]:
-    """Strain table with this many of the passive fields."""
-    file = getattr(getattr(scene.strain, "passive", None), "file", None)
-    table = {
-        "type": "snapshots",
-        "fields": count,
-        "digest": fields.digest,
-        **({"file": file} if file else {}),
-    }
-    return {**bare_rod(scene), "passive": table if count else []}
-
-
-def strain_tables(scene: Scene, fields: PassiveFields | None) -> list[dict[str, Any]]:
-    """Strain tables that a trial goes through, fewest coordinates first."""
-    rod, free, cuts = bare_rod(scene), list(scene.strain.free), part_borders(scene)
-    tables = [rod | {"passive": []}]
-    if fields is not None:
-        tables += [
-            snapshots(scene, fields, count) for count in FIELDS if count <= len(fields.coefficients)
-        ]
-    for strains in ([strain for strain in STRAINS[:3] if strain in free], free):
-        moments = [{"strains": strains, "order": order, "span": "rod"} for order in ROD if strains]
-        tables += [rod | {"passive": [table]} for table in moments]
-        parts = [
-            {"strains": strains, "order": order, "span": "piece"} for order in PIECE if strains
-        ]
-        tables += [
-            rod | {"passive": [table], "borders": [*rod["borders"], *cuts]} for table in parts
-        ]
-    explicit = [{"strains": free, "order": order, "span": "piece"} for order in EXPLICIT]
-    tables += [
-        {"type": "explicit", "modes": [modes], "borders": [*rod["borders"], *cuts]}
-        for modes in explicit
-    ]
-    sized = list[tuple[int, int]]()
-    for i, table in enumerate(tables):
-        with contextlib.suppress(ConfigurationError):  # no independent coordinates
-            sized.append((coordinate_count(scene.replace({"strain": table})), i))
-    return [tables[i] for count, i in sorted(sized) if count]
+        pieces = []
+        for begin in range(0, len(test.tensions), LOOKED_AT):
+            rows = test.tensions[begin : begin + LOOKED_AT]
+            motion = None if state is None else trajectory(model, rows, state)
+            if motion is None:
+                return None
+            piece = motion.tip_pose[:, :3, 3]
+            if distance(piece, tips[begin : begin + len(piece)]) > hopeless:
+                return None
+            state = motion.final
+            pieces.append(piece[1:] if begin else piece)
+        return np.concatenate(pieces)
 
 
 class Trial:
     """Equilibria and motions of full physics, and distances of models from them."""
 
-    def __init__(self, scene: Scene, share: float) -> None:
-        """share: of the rod's length, that models should be judged by."""
-        self.scene, self.unit = (
-            scene.replace({"effects": scene.effects.everywhere()}),
-            share * rod_length(scene),
-        )
-        low, high = np.array([tendon.tension_limits for tendon in scene.tendons]).T
-        rests = [
-            np.clip(0.0, low, high),
-            *(low + np.random.default_rng(SEED).random((RESTS, low.size)) * (high - low)),
+    def __init__(
+        self, scene: Scene, share: float, reach: float = 1.0, progress: Progress | None = None
+    ) -> None:
+        """share: of the rod's length, that models should be judged by. reach: multiple of the
+        scene's loads that inputs have. Raises ConfigurationError."""
+        self.scene = scene.replace({"effects": scene.effects.everywhere()})
+        self.unit = share * rod_length(scene)
+        self.cases = load_cases(scene, reach, SEED)
+        self._progress = Progress(scene.name) if progress is None else progress
+        everything = self._inputs()
+        self.inputs = len(everything)
+        self.missing = 0
+        self.not_unique = 0
+        self.tests: list[TrialInput] = []
+        self._compute(everything)
+
+    @property
+    def left_out(self) -> int:
+        """Inputs that full physics leaves open, or under which it has no motion."""
+        return self.missing + self.not_unique
+
+    def _inputs(self) -> list[TrialInput]:
+        """Tests before anything is computed: equilibria, then motions, which take turns with the
+        cases of loads."""
+        low, high = tension_limits(self.scene)
+        draws = np.random.default_rng(SEED).random((RESTS, low.size))
+        tensions = [slack_tensions(self.scene), *(low + draws * (high - low))]
+        tensions += [motion_tensions(self.scene, kind, SEED, self._seconds()) for kind in USUAL]
+        ladders = [
+            Ladder(self.scene.replace({"effects": effects}), REFERENCE * self.unit)
+            for effects in self.cases
         ]
-        is_damped = extrapolation_columns(scene.replace({"integrator": {}})) > 2
-        seconds = SECONDS / (
-            1.0 + bool(part_borders(scene)) + 3.0 * (not is_damped)
-        )  # many coordinates, or short steps, take longer
-        inputs = [*rests, *(motion_tensions(scene, kind, SEED, seconds) for kind in USUAL)]
-        found = reference_motions(self.scene, inputs, REFERENCE * self.unit, MOST_LEVELS)
-        tests = zip(inputs, found.tips, found.tip_errors, strict=True)
-        self.tests = [
-            (tensions, tips, error)
-            for tensions, tips, error in tests
-            if tips is not None and error <= UNSURE * self.unit
-        ]
-        self.left_out = len(inputs) - len(self.tests)
+        tests = []
+        for place, table in enumerate(tensions):
+            # the first motion has the scene's own loads, as the slack arm
+            turn = place if table.ndim == 1 else place - RESTS - 1
+            case = turn % len(self.cases)
+            tests.append(TrialInput(ReferenceMotion(ladders[case], table), case))
+        return tests
+
+    def _seconds(self) -> float:
+        """Duration [s] of the motions."""
+        factor = 1.0
+        if part_borders(self.scene):
+            factor += PARTS_COST
+        is_damped = extrapolation_columns(self.scene.replace({"integrator": {}})) > 2
+        if not is_damped:
+            factor += UNDAMPED_COST
+        return SECONDS / factor
+
+    def _compute(self, everything: list[TrialInput]) -> None:
+        """Computes full physics to where it can judge, and keeps the tests that have a unique
+        motion."""
+        motions = [test.reference for test in everything]
+        for motion in motions:
+            for depth in range(FIRST_LEVELS):
+                self._progress.plan(motion.size_at(depth))
+
+        rests = [motion for motion in motions if motion.is_equilibrium]
+        self._refine(rests)
+        is_extended = len(self.cases) > 1
+        if is_extended and any(motion.tips is None for motion in rests):
+            self.missing = len(motions)  # larger loads buckle it: nothing is judged by them
+            return
+        self._refine([motion for motion in motions if not motion.is_equilibrium])
+        self._refine(motions)
+        for _ in range(FIRST_LEVELS, MOST_LEVELS):
+            rough = [motion for motion in motions if not self._can_judge(motion)]
+            if all(motion.tips is None for motion in rough) and len(rough) < len(motions):
+                break
+            self._refine(rough)
+
+        for test in everything:
+            if test.reference.tips is None:
+                self.missing += 1
+            elif test.reference.error > UNSURE * self.unit:
+                self.not_unique += 1
+            else:
+                self.tests.append(test)
+
+    def _can_judge(self, motion: ReferenceMotion) -> bool:
+        """Whether a model could be within what is asked for by this reference."""
+        return motion.tips is not None and motion.error <= self.unit / MARGIN
+
+    def _refine(self, motions: list[ReferenceMotion]) -> None:
+        """Computes the next level of full physics."""
+        sizes = [motion.next_size for motion in motions]
+        refine_once(motions, None, lambda place, _: self._progress.reference(sizes[place]))
 
     def model(self, choice: Choice) -> Model:
         """Model of a choice with the fewest of its quadrature intervals."""
-        return model_on(choice.of(self.scene), choice.quadrature["least"])
+        return model_on(choice.applied_to(self.scene), choice.quadrature["least"])
 
-    def distance(self, model: Model, enough: float = np.inf) -> float:
-        """Bound of the tip's distance [m] from full physics, whose own uncertainty counts; inf
-        where it is more than that and `enough`."""
+    def distance(self, model: Model, is_bounded: bool = False) -> float:
+        """Bound of the tip's distance [m] from full physics, whose own uncertainty counts;
+        is_bounded: inf where it is more than that, and too much for what is asked for."""
+        models = CaseModels(self, model)
         worst = 0.0 if self.tests else np.inf
-        for i, (tensions, tips, error) in enumerate(self.tests):
-            off = distance(tip_path(model, tensions), tips)
-            worst = max(worst, off + error)
-            if off > max(enough, error):
-                self.tests.insert(0, self.tests.pop(i))  # it may well tell the next one too
+        for test in list(self.tests):
+            enough = self._enough(test) if is_bounded else np.inf
+            path = models.path(test, enough + test.reference.error)
+            self._decide(test.reference, path, enough)
+            error = test.reference.error
+            away = distance(path, test.reference.tips)
+            if not error <= UNSURE * self.unit:  # refined, it turned out to be not unique
+                self.tests.remove(test)
+                self.not_unique += 1
+                continue
+            worst = max(worst, away + error)
+            if away > max(enough, error):
+                # it may well rule out the next model too
+                self.tests.remove(test)
+                self.tests.insert(0, test)
                 return np.inf
         return worst
 
-    def agree(self, first: Choice, second: Choice, dimension: int, part: float = SETTLED) -> bool:
-        """Whether the tips of two models are apart by a part of what they are judged by at most, at
-        some rests (1) or in a motion (2)."""
-        models, inputs = (
-            (self.model(first), self.model(second)),
-            [tensions for tensions, *_ in self.tests if tensions.ndim == dimension],
-        )
-        paths = ([tip_path(model, tensions) for model in models] for tensions in inputs[::SOME])
-        return all(
-            distance(one, two) <= part * self.unit
-            for one, two in paths
-            if one is not None and two is not None
-        )
+    def _enough(self, test: TrialInput) -> float:
+        """Largest distance [m] of a tip that is near enough."""
+        return self.unit / (MARGIN if test.case == OWN else LARGER_LOADS_MARGIN)
+
+    def _decide(self, reference: ReferenceMotion, path: Array | None, enough: float) -> None:
+        """Refines a reference until it says whether a path is near `enough` [m], or to the end."""
+        while reference.depth < MOST_LEVELS and reference.error > REFERENCE * self.unit:
+            away = distance(path, reference.tips)
+            is_near = away + reference.error <= enough
+            is_far = away - reference.error > enough
+            if np.isfinite(enough) and (is_near or is_far):
+                return
+            reference.refine()
+
+    def agree_at_rest(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
+        """Whether the tips of two models with the same coordinates are apart by a part of what is
+        asked for at most, at some rests."""
+        tests = [test for test in self.tests if test.reference.is_equilibrium]
+        ours = CaseModels(self, self.model(first))
+        theirs = CaseModels(self, self.model(second))
+        for test in tests[::EVERY]:
+            rest = static_equilibrium(ours.model(test.case), test.tensions)
+            if not rest.converged:
+                continue
+            other = static_equilibrium(theirs.model(test.case), test.tensions, rest.q)
+            apart = np.linalg.norm(other.tip_pose[:3, 3] - rest.tip_pose[:3, 3])
+            if other.converged and apart > part * self.unit:
+                return False
+        return True
+
+    def agree_in_motion(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
+        """As `agree_at_rest`, in some motions, of models with any coordinates."""
+        tests = [test for test in self.tests if not test.reference.is_equilibrium]
+        ours = CaseModels(self, self.model(first))
+        theirs = CaseModels(self, self.model(second))
+        for test in tests[::EVERY]:
+            path = ours.path(test)
+            other = theirs.path(test)
+            if path is None or other is None:
+                continue
+            if distance(path, other) > part * self.unit:
+                return False
+        return True
 
 
 def search(scene: Scene, asked: Accuracy) -> Choice:
     """The choice with the fewest coordinates whose error is below what is asked for, by MARGIN; or
-    the best there is."""
-    trial, length = Trial(scene, asked.share), rod_length(scene)
-    settled, best = settle(trial, asked), list[Choice]()
-    tables, enough = (
-        strain_tables(trial.scene, known_fields(scene)) if trial.tests else [],
-        trial.unit / MARGIN,
+    the best there is.
+
+    It holds for loads up to a multiple of the scene's, or for these alone where larger ones have no
+    unique motion, or where nothing is within what is asked for under them.
+    """
+    with Progress(scene.name) as progress:
+        for reach in reaches(scene):
+            trial = Trial(scene, asked.share, reach, progress)
+            is_last = reach == 1.0
+            if trial.left_out and not is_last:
+                continue
+            choice = best_choice(trial, asked, progress)
+            if choice.error <= asked.share or is_last:
+                break
+    return choice
+
+
+def best_choice(trial: Trial, asked: Accuracy, progress: Progress) -> Choice:
+    """The choice with the fewest coordinates that a trial finds near enough, or the best there
+    is."""
+    settled = settle(trial, asked)
+    if not trial.tests:
+        return _with_inputs(settled, trial)
+    tables = []
+    for table in strain_tables(trial.scene, known_fields(trial.scene)):
+        tables.append(table)
+        choice = judged(trial, settled, table, is_bounded=True)
+        progress.candidate()
+        if choice is not None and np.isfinite(choice.error):
+            return _with_inputs(choice, trial)
+
+    best = settled
+    for table in tables[-RICHEST:]:
+        choice = judged(trial, settled, table, is_bounded=False)
+        if choice is not None and choice.error < best.error:
+            best = choice
+    return _with_inputs(best, trial)
+
+
+def judged(
+    trial: Trial, settled: Choice, strain: dict[str, Any], is_bounded: bool
+) -> Choice | None:
+    """The choice with a strain table and its error, see `Trial.distance`; None: there are no
+    independent coordinates."""
+    try:
+        choice = settled.with_strain(trial.scene, strain)
+        model = trial.model(choice)
+    except ConfigurationError:
+        return None
+    error = trial.distance(model, is_bounded)
+    return choice._replace(
+        coordinates=model.coordinate_count, error=error / rod_length(trial.scene)
     )
-    for table, most in [
-        *((table, enough) for table in tables),
-        *((table, np.inf) for table in tables[-RICHEST:]),
-    ]:
-        with contextlib.suppress(ConfigurationError):  # no independent coordinates
-            found = settled.with_strain(trial.scene, table)
-            found = found._replace(error=trial.distance(trial.model(found), most) / length)
-            if most == enough and np.isfinite(found.error):
-                return found
-            best += [found] * (most == np.inf)
-    return min(best, key=lambda choice: choice.error, default=settled)
+
+
+def _with_inputs(choice: Choice, trial: Trial) -> Choice:
+    """The choice with what it was tried on."""
+    largest = trial.cases[min(1, len(trial.cases) - 1)]
+    return choice._replace(
+        missing=trial.missing,
+        not_unique=trial.not_unique,
+        inputs=trial.inputs,
+        loads=largest.model_dump(mode="json"),
+    )
 
 
 def settle(trial: Trial, asked: Accuracy) -> Choice:
     """A choice with few moments whose intervals and time steps are so fine that finer ones hardly
     move the tip."""
-    scene, free = trial.scene, list(trial.scene.strain.free)
-    order = max(1, RICH - 2 * int(math.log2(breakpoints(scene).size - 1)))  # less on many pieces
-    rich: dict[str, Any] = {
+    scene = trial.scene
+    free = list(scene.strain.free)
+    choice = settled_quadrature(trial, asked)
+
+    angular = [strain for strain in ANGULAR if strain in free]
+    moments = {"strains": angular or free, "order": FEW, "span": "rod"}
+    choice = choice.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
+    for _ in range(MOST_TIGHTENED):
+        if trial.agree_in_motion(choice, choice.with_finer_steps(FINER_STEPS)):
+            break
+        choice = choice.with_finer_steps(TIGHTER)
+    count = coordinate_count(choice.applied_to(scene))
+    return choice._replace(coordinates=count)
+
+
+def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
+    """A choice of explicit strain whose intervals, per piece of the bare rod, are so many that more
+    hardly move the tip."""
+    scene = trial.scene
+    pieces = breakpoints(scene).size - 1
+    order = max(1, RICH - 2 * int(math.log2(pieces)))  # less on many pieces
+    modes = {"strains": list(scene.strain.free), "order": order, "span": "piece"}
+    rich = {
         "type": "explicit",
-        "modes": [{"strains": free, "order": order, "span": "piece"}],
-    }
-    rich["borders"] = [*scene.strain.borders, *part_borders(scene)]
-    moments = {
-        "strains": [strain for strain in STRAINS[:3] if strain in free] or free,
-        "order": FEW,
-        "span": "rod",
+        "modes": [modes],
+        "borders": [*scene.strain.borders, *part_borders(scene)],
     }
     quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
-    found = Choice(
-        rich,
-        quadrature,
-        {"tolerance": asked.tolerance * rod_length(scene)},
-        0,
-        np.inf,
-        trial.left_out,
-    )
-    parts = (breakpoints(found.of(scene)).size - 1) / (breakpoints(scene).size - 1)  # of each piece
-    found.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
-    while found.quadrature["least"] < MOST_INTERVALS and not trial.agree(
-        found, found.finer(2.0), 1
-    ):
-        found = found.finer(1.3)
-    found.quadrature["least"] = math.ceil(parts * found.quadrature["least"])
-    found = found.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
-    for _ in range(MOST):
-        if trial.agree(found, found.finer(1.0, FINER), 2):
+    integrator = {"tolerance": asked.tolerance * rod_length(scene)}
+    choice = Choice(rich, quadrature, integrator, 0, np.inf)
+
+    parts = (breakpoints(choice.applied_to(scene)).size - 1) / pieces  # of each piece
+    choice.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
+    while choice.quadrature["least"] < MOST_INTERVALS:
+        if trial.agree_at_rest(choice, choice.with_intervals(DENSER)):
             break
-        found = found.finer(1.0, TIGHTER)
-    return found
-
-
-def choose(scene: Scene, asked: Accuracy) -> Choice:
-    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError."""
-    key = trial_digest(scene, asked)
-    try:
-        path = new_data_folder("trials") / f"{key}.json"
-    except OSError:  # nothing can be kept
-        return search(scene, asked)
-    with FileLock(path.with_suffix(".lock")):  # one process makes it, the others find it
-        with contextlib.suppress(OSError, ValueError, TypeError):  # none, or damaged
-            return Choice(**read_json(path))
-        say_once(
-            f"the coordinates of {scene.name!r} are chosen by a short trial against a converged"
-            f" reference, once: {path}"
-        )
-        found = search(scene, asked)
-        with contextlib.suppress(OSError), replacing(path) as temporary:
-            temporary.write_text(json.dumps(found._asdict()))
-    say_once(f"{scene.name!r}: {found.describe(scene)}; the bound is {100 * asked.share:.3g} %")
-    return found
-
-
-@functools.cache
-def code_digest() -> str:
-    """Digest of the sources that a trial depends on."""
-    return sources_digest(*SOURCES)
-
-
-def trial_digest(scene: Scene, asked: Accuracy) -> str:
-    """16 hex digits of all that a trial depends on: arm, limits, loads, fields, what is asked for,
-    and the code that simulates it."""
-    arm = scene.model_dump(
-        mode="json",
-        exclude={"name", "description", "strain", "quadrature", "integrator", "effects"},
-    )
-    loads, fields = scene.effects.everywhere(), known_fields(scene)
-    code = [
-        code_digest(),
-        *(digest(Path(inspect.getfile(type(effect)))) for effect in loads.chosen().values()),
-    ]
-    made_of = [
-        arm,
-        loads.model_dump(mode="json"),
-        bare_rod(scene),
-        fields and fields.digest,
-        asked,
-        code,
-    ]
-    return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()[:16]
+        choice = choice.with_intervals(MORE_INTERVALS)
+    choice.quadrature["least"] = math.ceil(parts * choice.quadrature["least"])
+    return choice

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from soft_tendon_env.tools.extensions import import_modules, imported_modules
-from soft_tendon_env.tools.messages import describe, first_line
+from soft_tendon_env.tools.messages import first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
@@ -29,7 +29,7 @@ def run_all(
     call: Callable[[Run], Result],
     runs: Sequence[Run],
     workers: int,
-    label: str,
+    label: str | None,
     *,
     unit: str = "run",
     cluster: str | None = None,
@@ -44,7 +44,8 @@ def run_all(
         workers: processes of one thread each, which first import what --import names, and run the
             script that was started, for what it registers (but not below its
             `if __name__ == "__main__"`); 1: this process alone, with one thread too.
-        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
+        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the
+            label None.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None:
             this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend

@@ -24,12 +24,12 @@ class ProgressLines(tqdm):
         return False
 
 
-def progress_bar(total: int, label: str, unit: str) -> "tqdm[Any]":
+def progress_bar(total: int, label: str | None, unit: str) -> "tqdm[Any]":
     """Progress bar on stderr, to be closed by its user, who calls `update`.
 
     Args:
         total: number of units that are to be done.
-        label, unit: names of what is done, and of a part of it.
+        label, unit: names of what is done, and of a part of it; without a label there is no bar.
 
     Returns:
         tqdm's bar on a terminal; elsewhere MOST_LINES lines at most, with percentage and seconds to
@@ -40,7 +40,7 @@ def progress_bar(total: int, label: str, unit: str) -> "tqdm[Any]":
         "desc": label,
         "unit": unit,
         "leave": False,
-        "disable": QUIET,
+        "disable": QUIET or label is None,
     }
     if sys.stderr is not None and sys.stderr.isatty():
         return tqdm(**shared)

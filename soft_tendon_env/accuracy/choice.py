@@ -1,0 +1,131 @@
+"""Choice of a trial: coordinates, quadrature and time steps of an arm, and how near to full physics
+they were."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
+
+SMOOTH_FIELDS = 2
+"""Order of polynomials that a quadrature should integrate for leading POD modes, which are
+smooth."""
+
+SPARE_INTERVALS = 2
+"""Intervals of a part of the rod above the order of its polynomials."""
+
+
+class Accuracy(NamedTuple):
+    """Accuracy that is asked of the tip and, to begin with, of the parts of a simulation, as shares
+    of the rod's length."""
+
+    share: float  # largest distance of the tip from full physics
+    fields: float  # as measured for passive fields that ship, or that `soft-tendon fields` made
+    quadrature: float  # at rest, whatever the tensions within limits
+    least: int  # intervals per piece
+    tolerance: float  # of a time step
+
+
+class Choice(NamedTuple):
+    """Coordinates, quadrature and time steps that a trial chose, and the error that it measured."""
+
+    strain: dict[str, Any]
+    quadrature: dict[str, Any]
+    integrator: dict[str, Any]
+    coordinates: int
+    # bound of the tip's distance from full physics, as a share of the length; inf: not known
+    error: float
+    # inputs under which full physics neither rests nor moves, since the arm buckles or diverges
+    missing: int = 0
+    # inputs under which refinements of full physics disagree: a column may fall either way
+    not_unique: int = 0
+    inputs: int = 0  # that were tried, those with them
+    loads: dict[str, Any] | None = None  # table of the largest effects that were tried
+
+    @property
+    def left_out(self) -> int:
+        """Inputs that the error does not speak of."""
+        return self.missing + self.not_unique
+
+    def applied_to(self, scene: Scene) -> Scene:
+        """The scene with this choice."""
+        parts = {
+            "strain": self.strain,
+            "quadrature": self.quadrature,
+            "integrator": self.integrator,
+        }
+        return scene.replace(parts)
+
+    def with_strain(self, scene: Scene, strain: dict[str, Any]) -> Choice:
+        """The choice with another strain table, and at least as many intervals along the rod as
+        that needs. Raises ConfigurationError."""
+        changed = scene.replace({"strain": strain})
+        has_fields = "fields" in strain.get("passive", ())
+        order = SMOOTH_FIELDS if has_fields else changed.strain.highest_order
+
+        # as many along the rod, whatever its pieces
+        spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
+        along = math.ceil(self.quadrature["least"] * spread)
+        least = max(along, order + SPARE_INTERVALS)
+        return self._replace(
+            strain=strain,
+            quadrature={**self.quadrature, "least": least},
+        )
+
+    def with_intervals(self, times: float) -> Choice:
+        """The choice with so many times as many intervals."""
+        least = math.ceil(times * self.quadrature["least"])
+        return self._replace(quadrature={**self.quadrature, "least": least})
+
+    def with_finer_steps(self, times: float) -> Choice:
+        """The choice with a tolerance of time steps that is so many times less."""
+        return self._replace(integrator={"tolerance": self.integrator["tolerance"] / times})
+
+    def describe(self, scene: Scene) -> str:
+        """The choice in words: with the error that was measured, or why there is none and what to
+        do."""
+        kind = f"{describe_strain(self.strain)}, {self.coordinates} coordinates,"
+        if not math.isfinite(self.error):
+            return f"{kind} are a guess, since {self.obstacle}"
+        share = f"{100 * self.error:.2g} % of the length"
+        size = f"{1e3 * self.error * rod_length(scene):.2g} mm"
+        left_out = ""
+        if self.left_out:
+            left_out = f" without {self.left_out} inputs under which the arm's motion is not unique"
+        return f"{kind} were within {share}, {size}, in a trial{left_out}"
+
+    @property
+    def obstacle(self) -> str:
+        """Why the error is not known, and what to do."""
+        if self.left_out < self.inputs:
+            return (
+                "none of the coordinates that were tried can follow full physics under these loads"
+                " and tensions: reduce tension_limits or the loads, or give [strain] in the scene"
+            )
+        if self.missing > self.not_unique:
+            return (
+                "full physics has no motion under its loads and tensions (it buckles, diverges or"
+                f" rests nowhere in {self.missing} of {self.inputs} inputs): reduce"
+                " tension_limits or the loads, or add damping"
+            )
+        return (
+            "the motion of full physics under its loads and tensions is not unique (refinements"
+            f" disagree in {self.not_unique} of {self.inputs} inputs, as where a column falls"
+            " either way): reduce tension_limits or the loads, or add damping"
+        )
+
+
+def describe_strain(strain: dict[str, Any]) -> str:
+    """A strain table in words."""
+    modes = strain.get("modes", strain.get("passive", []))
+    if isinstance(modes, dict):
+        return f"{modes['fields']} POD modes"
+    if not modes:
+        return "the tensions alone"
+    first = modes[0]
+    kind = "explicit strain"
+    if "modes" not in strain:
+        kind = f"passive {', '.join(first['strains'])}"
+    span = "the rod" if first["span"] == "rod" else "each part"
+    return f"{kind} up to order {first['order']} over {span}"

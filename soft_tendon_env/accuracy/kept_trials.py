@@ -1,0 +1,123 @@
+"""Trials that are kept in the user's cache: each holds for one arm, one accuracy, and loads up to
+those that were tried."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
+
+from soft_tendon_env.accuracy import trial
+from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
+from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.files import (
+    digest,
+    new_data_folder,
+    read_json,
+    replacing,
+    sources_digest,
+)
+from soft_tendon_env.tools.messages import say_once
+
+SOURCES = ("mechanics", "effects", "scene", "model", "accuracy")
+"""Folders of the package that a trial depends on."""
+
+DIGITS = 16
+"""Hexadecimal digits of a digest."""
+
+
+def choose(scene: Scene, asked: Accuracy) -> Choice:
+    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError."""
+    key = trial_digest(scene, asked)
+    try:
+        folder = new_data_folder("trials")
+    except OSError:  # nothing can be kept
+        return trial.search(scene, asked)
+    with FileLock(folder / f"{key}.lock"):  # one process makes it, the others find it
+        kept = kept_choice(folder, key, scene)
+        if kept is not None:
+            return kept
+        say_once(
+            f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
+            f" converged reference, once for loads up to those that it tries: {folder}"
+        )
+        choice = trial.search(scene, asked)
+        keep(folder, key, scene, choice)
+    say_once(f"{scene.name!r}: {choice.describe(scene)}; the bound is {100 * asked.share:.3g} %")
+    return choice
+
+
+def kept_choice(folder: Path, key: str, scene: Scene) -> Choice | None:
+    """The choice with the fewest coordinates of those that were tried under loads as large as the
+    scene's; None: there is none."""
+    fitting = [choice for choice in _kept(folder, key, scene) if _reaches(choice, scene)]
+    return min(fitting, key=lambda choice: choice.coordinates, default=None)
+
+
+def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
+    codes = effect_digests(scene.effects.everywhere())
+    for path in sorted(folder.glob(f"{key}_*.json")):
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # damaged
+            record = read_json(path)
+            tried = record.pop("codes")
+            if all(tried.get(name) == code for name, code in codes.items()):
+                yield Choice(**record)
+
+
+def _reaches(choice: Choice, scene: Scene) -> bool:
+    """Whether the loads that were tried include the scene's."""
+    try:
+        return Effects(**(choice.loads or {})).includes(scene.effects)
+    except ConfigurationError:  # of an effect that is not registered
+        return False
+
+
+def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
+    """Writes a choice to the cache, if that can be written."""
+    loads = json.dumps(choice.loads, sort_keys=True)
+    codes = effect_digests(scene.effects.everywhere())
+    path = folder / f"{key}_{_digest_of(loads)}.json"
+    record = {**choice._asdict(), "codes": codes}
+    with contextlib.suppress(OSError), replacing(path) as temporary:
+        temporary.write_text(json.dumps(record))
+
+
+def effect_digests(effects: Effects) -> dict[str, str]:
+    """Digests of the files that effects stand in, by name: they may be a user's own."""
+    files = {name: inspect.getfile(type(effect)) for name, effect in effects.chosen().items()}
+    return {name: digest(Path(file)) for name, file in files.items()}
+
+
+@functools.cache
+def code_digest() -> str:
+    """Digest of the sources that a trial depends on."""
+    return sources_digest(*(f"{folder}/**/*.py" for folder in SOURCES))
+
+
+def trial_digest(scene: Scene, asked: Accuracy) -> str:
+    """16 hex digits of all that a trial depends on besides loads: arm, limits, fields, what is
+    asked for, and the code that simulates it."""
+    apart = {"name", "description", "strain", "quadrature", "integrator", "effects"}
+    fields = known_fields(scene)
+    made_of: list[Any] = [
+        scene.model_dump(mode="json", exclude=apart),
+        bare_rod(scene),
+        fields and fields.digest,
+        asked,
+        code_digest(),
+    ]
+    return _digest_of(json.dumps(made_of, sort_keys=True))
+
+
+def _digest_of(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]

@@ -1,0 +1,55 @@
+"""Progress bar of a trial: the arm's name, the share that is done, and the time to go."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from soft_tendon_env.tools.messages import QUIET
+
+REFERENCE_SHARE = 0.7
+"""Share of a trial's time that the reference takes, as measured on the arms of
+benchmarks/own_arms.py."""
+
+CANDIDATE_SHARE = 0.1
+"""Share of what is left that each candidate is taken to need: how many there are is not known."""
+
+LAYOUT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, about {remaining} to go"
+
+
+class Progress:
+    """Bar of one trial, which SOFT_TENDON_ENV_QUIET=1 leaves out."""
+
+    def __init__(self, name: str, shown: bool = True) -> None:
+        from tqdm import tqdm  # not for everyone who imports an environment
+
+        label = f"{name}, trial of its accuracy"
+        self._bar = tqdm(
+            total=1.0, desc=label, bar_format=LAYOUT, leave=False, disable=QUIET or not shown
+        )
+        self._planned = 0.0
+        self._done = 0.0
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+    def plan(self, work: float) -> None:
+        """Adds work of the reference, in units that are the same throughout."""
+        self._planned += work
+
+    def reference(self, work: float) -> None:
+        """Some of the reference's work is done."""
+        self._done += work
+        share = REFERENCE_SHARE * min(self._done / self._planned, 1.0)
+        self._bar.update(max(share - self._bar.n, 0.0))
+
+    def candidate(self) -> None:
+        """One more candidate was judged."""
+        self._bar.update(CANDIDATE_SHARE * (1.0 - self._bar.n))
