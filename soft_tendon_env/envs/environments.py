@@ -69,7 +69,11 @@ class EpisodesEnv:
             return observation, action
         bound = np.float32(self.episodes.goal_bound)
         goal = Box(-bound, bound, (3,), np.float32)
-        parts = {"observation": observation, "achieved_goal": goal, "desired_goal": goal}
+        parts: dict[str, gym.Space[Any]] = {
+            "observation": observation,
+            "achieved_goal": goal,
+            "desired_goal": goal,
+        }
         return Dict(parts), action
 
     def set_target(self, target: Any, rows: ArrayLike | None = None) -> None:

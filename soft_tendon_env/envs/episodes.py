@@ -519,6 +519,7 @@ def _replace(values: Array, members: Indices, new: Array) -> Array:
 def episodes_of(env: Any) -> Episodes:
     """The episodes that an environment of this package runs, single, vector or for
     Stable-Baselines3, wrapped or not. Raises TypeError."""
+    inner: Any
     if isinstance(env, gym.Env | gym.vector.VectorEnv):
         inner = env.unwrapped
     else:  # as those of Stable-Baselines3

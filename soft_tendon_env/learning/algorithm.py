@@ -78,13 +78,13 @@ class ActorAlgorithm(BaseAlgorithm):
     def _learn_part(self, callback: BaseCallback) -> bool:
         """Act for a while and learn from that; False where the callback ends the training."""
 
-    def learn(
+    def learn(  # type: ignore[override]
         self,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 1,
         **others: Any,
-    ) -> Self:  # type: ignore[override]
+    ) -> Self:
         """Learn for so many steps of all rows; every `log_interval`-th part has a row of the log.
         See `BaseAlgorithm.learn`."""
         self._prepare()

@@ -310,10 +310,11 @@ class ControllerPolicy:
     ) -> tuple[Any, RowMemory]:
         """Action (n_a,) and memory of a row from its observation by group, its measured pose (4, 4)
         and the reference."""
-        time, estimate = (
-            memory.periods * self._period,
-            protocol.Estimate(groups.get("coordinates"), groups.get("rates")),
-        )  # type: ignore[arg-type]
+        time = memory.periods * self._period
+        # without an estimator the environment observes both
+        coordinates: Any = groups.get("coordinates")
+        rates: Any = groups.get("rates")
+        estimate = protocol.Estimate(coordinates, rates)
         if self.estimator is not None:
             fields = {
                 name: groups[group]

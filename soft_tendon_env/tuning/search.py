@@ -57,31 +57,27 @@ class Parameter(Configuration):
 
     @model_validator(mode="after")
     def _is_a_range(self) -> "Parameter":
-        low, high = self.low, self.high
-        if (
-            low is not None and high is not None and low < high and (low > 0 or not self.log)
-        ) == bool(self.choices):
-            raise ConfigurationError(
-                [
-                    Problem(
-                        (),
-                        "is no range: it should have low < high (both positive where log = true),"
-                        " or choices",
-                    )
-                ]
+        is_range = False
+        if self.low is not None and self.high is not None:
+            is_positive = self.low > 0
+            is_range = self.low < self.high and (is_positive or not self.log)
+        if is_range == bool(self.choices):
+            text = (
+                "is no range: it should have low < high (both positive where log = true),"
+                " or choices"
             )
+            raise ConfigurationError([Problem((), text)])
         return self
 
     def suggest(self, trial: Trial, name: str) -> Any:
         """Value that a trial tries; Optuna keeps choices as JSON."""
         if self.choices:
-            return json.loads(
-                trial.suggest_categorical(name, [json.dumps(choice) for choice in self.choices])
-            )
-        whole = isinstance(self.low, int) and isinstance(self.high, int)
-        return (trial.suggest_int if whole else trial.suggest_float)(
-            name, self.low, self.high, log=self.log
-        )  # type: ignore[arg-type]
+            choices = [json.dumps(choice) for choice in self.choices]
+            return json.loads(trial.suggest_categorical(name, choices))
+        if isinstance(self.low, int) and isinstance(self.high, int):
+            return trial.suggest_int(name, self.low, self.high, log=self.log)
+        assert self.low is not None and self.high is not None  # a range has both, see _is_a_range
+        return trial.suggest_float(name, self.low, self.high, log=self.log)
 
 
 class Search(Configuration, ABC):
