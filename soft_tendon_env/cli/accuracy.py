@@ -24,12 +24,8 @@ from soft_tendon_env.scene.strain import Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import GivenLength, length_text
 
-SHARES = (
-    2e-2,
-    5e-3,
-    1e-3,
-    2e-4,
-)  # of the rod's length, errors that are asked for beside those of the presets
+SHARES = (2e-2, 5e-3, 1e-3, 2e-4)
+"""Errors that are asked for beside those of the presets, as shares of the rod's length."""
 HEADER = ("asked", "asked [mm]", "coordinates", "intervals", "CPU of a second [ms]", "tip [mm]")
 
 
@@ -48,78 +44,87 @@ def run(settings: Accuracy) -> None:
     """Choose, measure, print and write. Raises ConfigurationError where no setting is within the
     tolerance."""
     with mistakes():
-        scene, tolerance, out = (
-            settings.changed_scene(),
-            settings.within,
-            writable_folder(Path(settings.out)),
-        )
-        scene = scene.replace(
-            {"effects": scene.effects.everywhere()}
-        )  # without obstacles, and what lies between commands and tensions
-        wanted = (
-            {}
-            if tolerance is None
-            else {length_text(tolerance): at_fidelity(scene, length_text(tolerance))}
-        )
-    shares = {length_text(share * rod_length(scene)): share for share in SHARES} | {
-        name: preset.share for name, preset in PRESETS.items()
-    }
-    shares |= {length: float(tolerance or 0.0) / rod_length(scene) for length in wanted}
-    trial, records = Trial(scene, min(shares.values())), list[dict[str, Any]]()
-    for asked, share in sorted(shares.items(), key=lambda item: -item[1]):
+        scene = settings.changed_scene()
+        out = writable_folder(Path(settings.out))
+        # Without obstacles, and without what lies between commands and tensions.
+        scene = scene.replace({"effects": scene.effects.everywhere()})
+        recommended = None
+        if settings.within is not None:
+            recommended = at_fidelity(scene, length_text(settings.within))
+
+    length = rod_length(scene)
+    shares = {length_text(share * length): share for share in SHARES}
+    for name, preset in PRESETS.items():
+        shares[name] = preset.share
+    if settings.within is not None:
+        shares[length_text(settings.within)] = settings.within / length
+
+    trial = Trial(scene, min(shares.values()))
+    records = list[dict[str, Any]]()
+    for fidelity in sorted(shares, key=shares.__getitem__, reverse=True):
         try:
-            model = build_model(at_fidelity(scene, asked), "scene")
+            model = build_model(at_fidelity(scene, fidelity), "scene")
         except ConfigurationError as error:  # nothing is within this length
             print(error)
             continue
-        measured = {
-            "asked": asked,
-            "tolerance": share * rod_length(scene),
-            "coordinates": model.coordinate_count,
-        }
-        costs = {
-            "intervals": model.grid.per_piece,
-            "cpu_time": cpu_time(model, trial),
-            "tip_error": trial.distance(model),
-        }
-        records.append(measured | costs)
+        records.append(measure(model, trial, fidelity, shares[fidelity] * length))
+
     print(
         f"{scene.name}: largest distance from a converged reference in {len(trial.tests)} motions"
         f" and equilibria; {machine()}.\n"
     )
-    rows = [[*row.values()] for row in records]
-    cells = [
-        [
-            row[0],
-            number(1e3 * row[1]),
-            *map(str, row[2:4]),
-            *(number(1e3 * value) for value in row[4:]),
-        ]
-        for row in rows
-    ]
-    print(f"{markdown_table(HEADER, cells)}\n")
+    print(f"{markdown_table(HEADER, [cells_of(record) for record in records])}\n")
     write_csv(out / f"{scene.name}.csv", records)
-    for length, found in wanted.items():
-        write_recommended(found, out / f"{scene.name}_{length}.toml")
+    if settings.within is not None and recommended is not None:
+        path = out / f"{scene.name}_{length_text(settings.within)}.toml"
+        write_recommended(recommended, path)
+
+
+def measure(model: Model, trial: Trial, fidelity: str, tolerance: float) -> dict[str, Any]:
+    """What a fidelity takes and what it reaches: tolerance and tip_error [m], cpu_time [s]."""
+    return {
+        "asked": fidelity,
+        "tolerance": tolerance,
+        "coordinates": model.coordinate_count,
+        "intervals": model.grid.per_piece,
+        "cpu_time": cpu_time(model, trial),
+        "tip_error": trial.distance(model),
+    }
+
+
+def cells_of(record: dict[str, Any]) -> list[str]:
+    """The row of HEADER for what `measure` gives: lengths in mm, times in ms."""
+    return [
+        record["asked"],
+        number(1e3 * record["tolerance"]),
+        str(record["coordinates"]),
+        str(record["intervals"]),
+        number(1e3 * record["cpu_time"]),
+        number(1e3 * record["tip_error"]),
+    ]
 
 
 def cpu_time(model: Model, trial: Trial) -> float:
     """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser
     of two over all motions."""
     motions = [test.tensions for test in trial.tests if not test.reference.is_equilibrium]
+    if not motions:
+        return np.nan
     times = list[float]()
     for _ in range(2):
         started = time.thread_time()
         for tensions in motions:
             trajectory(model, tensions)
         times.append(time.thread_time() - started)
-    return min(times) / (HOLD * sum(map(len, motions))) if motions else np.nan
+    simulated = HOLD * sum(len(tensions) for tensions in motions)
+    return min(times) / simulated
 
 
-def write_recommended(found: Scene, path: Path) -> None:
+def write_recommended(scene: Scene, path: Path) -> None:
     """The scene as TOML, and beside it the passive fields that it names. Raises OSError."""
-    if isinstance(getattr(found.strain, "passive", None), Snapshots):
-        fields_of(found).save(path.with_suffix(SUFFIX))
-        found = found.replace({"strain.passive.file": path.with_suffix(SUFFIX).name})
-    save_scene(found, path)
+    if isinstance(getattr(scene.strain, "passive", None), Snapshots):
+        fields_file = path.with_suffix(SUFFIX)
+        fields_of(scene).save(fields_file)
+        scene = scene.replace({"strain.passive.file": fields_file.name})
+    save_scene(scene, path)
     print(f"written: {path}")

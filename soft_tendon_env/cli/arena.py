@@ -19,10 +19,11 @@ from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
 
-CONTROLLER_PACE, AGENT_PACE = (
-    0.2,
-    0.05,
-)  # seconds of a core per second of an episode of the paper's arm, on an AMD EPYC
+CONTROLLER_PACE = 0.2
+"""Seconds of a core per second of an episode of the paper's arm under a controller, on an AMD
+EPYC."""
+AGENT_PACE = 0.05
+"""The same under an agent."""
 
 
 class Arena(Benchmark):
@@ -48,15 +49,11 @@ class Arena(Benchmark):
         own. Raises ConfigurationError."""
         path = Path(given.get("config", "published"))
         shipped = CONFIGS / f"{path}.toml"
-        path = path if path.exists() or not shipped.exists() else shipped
-        table = {
-            **read_toml(path),
-            **(
-                {"entrants": [{"policy": policy} for policy in given["policies"]]}
-                if "policies" in given
-                else {}
-            ),
-        }
+        if not path.exists() and shipped.exists():
+            path = shipped
+        table = read_toml(path)
+        if "policies" in given:
+            table["entrants"] = [{"policy": policy} for policy in given["policies"]]
         Benchmark.parse(table, str(path))
         return table
 
@@ -65,47 +62,52 @@ def run(settings: Arena) -> None:
     """Play what is missing, print and write."""
     with mistakes():
         require("pictures")
-        out, marker = Path(settings.out), f"arena {settings.task}"
-        page, (cells, notes) = Page(settings.write_docs, [marker]), settings.cells()
+        out = Path(settings.out)
+        marker = f"arena {settings.task}"
+        page = Page(settings.write_docs, [marker])
+        cells, notes = settings.cells()
         experiment = Experiment(cells, out / "cells")
         check_cluster(settings.cluster)
         writable_folder(out)
-    what = f"{settings.episodes} episodes of {settings.seconds:g} s"
+    episodes = f"{settings.episodes} episodes of {settings.seconds:g} s"
     for note in notes:
         print(f"note: {note}")
     missing = experiment.missing()
     hours = sum(_hours(experiment.cells[label]) for label in missing) / settings.workers
     print(
-        f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {what}, about"
+        f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {episodes}, about"
         f" {hours:.2g} hours; {machine()}",
         flush=True,
     )
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    found, picture = standings_by_regime(settings, experiment), out / "arena.png"
+    standings = standings_by_regime(settings, experiment)
+    legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
+    text = f"{benchmark_tables(settings, standings)}\n\n{legend}"
+    print(f"\n{text}\n")
+
+    # A page of the documentation has the picture and its CSV file beside it.
+    picture = out / "arena.png"
     if settings.write_docs is not None:
         picture = Path(settings.write_docs).with_suffix(".png")
-    legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
-    text = f"{benchmark_tables(settings, found)}\n\n{legend}"
-    print(f"\n{text}\n")
+    rows = []
+    panels = {}
+    for regime, of_regime in standings.items():
+        rows += [{"regime": regime, **row} for row in records(of_regime)]
+        panels[f"information: {regime}"] = of_regime
     for path in {out / "arena.csv", picture.with_suffix(".csv")}:
-        write_csv(
-            path, [{"regime": regime, **row} for regime, of in found.items() for row in records(of)]
-        )
-    draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
-    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
-    page.write(
-        marker,
-        "\n\n".join(
-            [*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]
-        ),
-    )
+        write_csv(path, rows)
+    draw_errors(panels, picture)
+
+    parts = [f"{episodes.capitalize()}."]
+    parts += [f"Note: {note}." for note in notes]
+    parts += [f"![Errors of all policies by setting and regime]({picture.name})", text]
+    page.write(marker, "\n\n".join(parts))
 
 
 def _hours(cell: Cell) -> float:
     """Time [h] that a cell is expected to take a core."""
-    is_controller = isinstance(PolicyName.parse(cell.policy, cell.task), Controller)
-    return (
-        len(cell.seeds) * cell.seconds * (CONTROLLER_PACE if is_controller else AGENT_PACE) / 3600.0
-    )
+    policy = PolicyName.parse(cell.policy, cell.task)
+    pace = CONTROLLER_PACE if isinstance(policy, Controller) else AGENT_PACE
+    return len(cell.seeds) * cell.seconds * pace / 3600.0

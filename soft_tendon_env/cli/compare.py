@@ -58,30 +58,31 @@ def play(
     with mistakes():
         require("pictures")
         files = {task: agents_of(task, policies) for task in tasks}
-        arms = {
-            task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()
-        }
-        experiments = {
-            task: comparison.compare(settings, task, of_task, folder / "cells")
-            for task, of_task in arms.items()
-        }
+        arms = {}
+        experiments = {}
+        for task in tasks:
+            arms[task] = comparison.shared_arms(settings, task, files[task])
+            experiments[task] = comparison.compare(settings, task, arms[task], folder / "cells")
         check_cluster(settings.cluster)
         writable_folder(folder)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    what, texts = f"{settings.episodes} episodes of {settings.seconds:g} s", dict[str, str]()
-    print(f"{what}; {machine()}")
+    episodes = f"{settings.episodes} episodes of {settings.seconds:g} s"
+    print(f"{episodes}; {machine()}")
+    texts = dict[str, str]()
     for task, experiment in experiments.items():
         experiment.play(task, settings.workers, settings.cluster)
-        found, summaries = comparison.standings_of(experiment, files[task])
-        errors = tables.error_table(found)
-        texts[task] = f"{what.capitalize()}.\n\n{errors}"
-        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
-        print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
-        write_json(
-            folder / f"{task}.json",
-            {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)},
-        )
-        tables.write_csv(folder / f"{task}.csv", tables.records(found))
-        draw_errors({task: found}, folder / f"{task}.png")
+        standings, summaries = comparison.standings_of(experiment, files[task])
+        errors = tables.error_table(standings)
+        texts[task] = f"{episodes.capitalize()}.\n\n{errors}"
+
+        print(f"\n## {task}\n")
+        if len(files[task]) > 1:
+            print(f"{errors}\n\n{tables.ERRORS_LEGEND}\n")
+        print(f"{comparison.numbers_table(task, files[task], summaries)}\n")
+
+        results = comparison.results_record(settings, task, arms[task], standings, summaries)
+        write_json(folder / f"{task}.json", {**origin(), **results})
+        tables.write_csv(folder / f"{task}.csv", tables.records(standings))
+        draw_errors({task: standings}, folder / f"{task}.png")
     return texts

@@ -4,6 +4,7 @@ import inspect
 import sys
 
 from pydantic import Field
+from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import Mistake
 from soft_tendon_env.effects import EFFECTS, Effect
@@ -21,14 +22,12 @@ class Effects(Configuration):
 
 def run(settings: Effects) -> None:
     """Print them."""
-    name = settings.name
-    if name is not None and name not in EFFECTS:
-        raise Mistake(f"name is {name!r}: {not_registered(name, EFFECTS)}")
-    print(
-        "\n\n".join(
-            describe_effect(key, EFFECTS[key]) for key in sorted(EFFECTS) if name in (None, key)
-        )
-    )
+    names = sorted(EFFECTS)
+    if settings.name is not None:
+        if settings.name not in EFFECTS:
+            raise Mistake(f"name is {settings.name!r}: {not_registered(settings.name, EFFECTS)}")
+        names = [settings.name]
+    print("\n\n".join(describe_effect(name, EFFECTS[name]) for name in names))
 
 
 def describe_effect(name: str, effect: type[Effect]) -> str:
@@ -37,13 +36,19 @@ def describe_effect(name: str, effect: type[Effect]) -> str:
     module = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "").partition("\n\n")[0]
     lines = [f"[effects.{name}]", module, "", inspect.cleandoc(effect.__doc__ or ""), ""]
     for key, field in effect.model_fields.items():
-        value = list(field.default) if isinstance(field.default, tuple) else field.default
-        default = (
-            "required"
-            if field.is_required()
-            else f"{'none' if value is None else value} by default"
-        )
-        lines.append(
-            f"  {key}: {default}" + (f"; {field.description}" if field.description else "")
-        )
+        line = f"  {key}: {_default_of(field)}"
+        if field.description:
+            line += f"; {field.description}"
+        lines.append(line)
     return "\n".join(lines)
+
+
+def _default_of(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
+    if value is None:
+        return "none by default"
+    if isinstance(value, tuple):  # as TOML has it
+        value = list(value)
+    return f"{value} by default"

@@ -48,25 +48,30 @@ class Export(Configuration):
 def run(settings: Export) -> None:
     """Export, check, print and write. Raises UserError where the file is another policy than the
     agent."""
-    others = (
-        {"task": "--task", "options": "--scene, --fidelity, --target or --set"}
-        if settings.mjcf
-        else {"links": "--links"}
-    )
     with mistakes():
-        if wrong := [
-            flags for field, flags in others.items() if field in settings.model_fields_set
-        ]:
-            raise ValueError(
-                f"{' and '.join(wrong)} cannot be given {'with' if settings.mjcf else 'without'}"
-                " --mjcf"
-            )
-        if not settings.mjcf and not is_agent(name := settings.agent_or_scene):
-            raise ValueError(
-                f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship;"
-                " for a scene give --mjcf"
-            )
-    (export_arm if settings.mjcf else export_policy)(settings)
+        _check_options(settings)
+    if settings.mjcf:
+        export_arm(settings)
+    else:
+        export_policy(settings)
+
+
+def _check_options(settings: Export) -> None:
+    """Raises ValueError for options of the other kind of export, and for what is no agent."""
+    of_the_other = {"links": "--links"}
+    word = "without"
+    if settings.mjcf:
+        of_the_other = {"task": "--task", "options": "--scene, --fidelity, --target or --set"}
+        word = "with"
+    wrong = [text for field, text in of_the_other.items() if field in settings.model_fields_set]
+    if wrong:
+        raise ValueError(f"{' and '.join(wrong)} cannot be given {word} --mjcf")
+    name = settings.agent_or_scene
+    if not settings.mjcf and not is_agent(name):
+        raise ValueError(
+            f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship;"
+            " for a scene give --mjcf"
+        )
 
 
 def export_arm(settings: Export) -> None:
@@ -90,28 +95,27 @@ def export_arm(settings: Export) -> None:
     # of MuJoCo, whose least inertia is greater than that of some thin rods; or there is no rest
     except ValueError as error:
         raise UserError(f"{path} cannot be compared: {describe(error)}") from error
+    # NaN where one of the two has no rest.
     known = rest[np.isfinite(rest)]
-    sets = f"at rest under {known.size} of {rest.size} sets of tensions"
-    found = {
-        f"{sets}, mean": known.mean() if known.size else np.nan,
-        f"{sets}, largest": known.max() if known.size else np.nan,
+    tensions = f"at rest under {known.size} of {rest.size} sets of tensions"
+    distances = {
+        f"{tensions}, mean": known.mean() if known.size else np.nan,
+        f"{tensions}, largest": known.max() if known.size else np.nan,
+        f"in {seconds:g} s after a step of tensions, largest": motion,
     }
-    found[f"in {seconds:g} s after a step of tensions, largest"] = motion
-    rows = [
-        (name, tables.number(1e3 * value), tables.number(100.0 * value / rod_length(scene), 2))
-        for name, value in found.items()
-    ]
-    print(
-        tables.markdown_table(
-            ("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]"), rows
-        )
-    )
+    rows = []
+    for name, distance in distances.items():
+        percent = 100.0 * distance / rod_length(scene)
+        rows.append((name, tables.number(1e3 * distance), tables.number(percent, 2)))
+    header = ("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]")
+    print(tables.markdown_table(header, rows))
 
 
 def export_policy(settings: Export) -> None:
     """Write the agent as ONNX and compare it with the original. Raises UserError where the file is
     another policy."""
-    name, path = settings.agent_or_scene, Path(settings.out or "out/agent.onnx")
+    name = settings.agent_or_scene
+    path = Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")
         from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
@@ -124,19 +128,17 @@ def export_policy(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    (observations, difference, of_range), metadata = (
-        compare(path, policy, env),
-        json.loads(model.metadata_props[0].value),
-    )
-    inputs = [
-        (name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()
-    ]
+    observations, difference, of_range = compare(path, policy, env)
+    metadata = json.loads(model.metadata_props[0].value)
+    inputs = []
+    for group, properties in metadata["inputs"].items():
+        inputs.append((group, str(tuple(properties["shape"])), properties["unit"]))
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
-    unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
-    print(
-        f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g}"
-        " times a second."
-    )
+
+    unit = metadata["command"]["unit"]
+    tendon_count = len(metadata["command"]["limits"])
+    rate = 1.0 / metadata["control_period_s"]
+    print(f"\nOutput: the command [{unit}] of {tendon_count} tendons, {rate:g} times a second.")
     print(
         f"Largest difference of commands on {observations:,} observations:"
         f" {tables.number(difference)} {unit}."

@@ -43,31 +43,33 @@ class Fields(ArmSettings):
 def run(settings: Fields) -> None:
     """Make, write and report."""
     with mistakes():
-        scene, out = settings.changed_scene(), settings.out
+        scene = settings.changed_scene()
+        out = settings.out
         if out is not None and not out.endswith(".json"):
             raise ValueError(
                 f"--out is {out}: it should be the path of a .json file, such as"
                 f" {scene.name}{SUFFIX}"
             )
-    found, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
-    found.save(path)
-    bare = {
+    fields = make_passive_fields(scene)
+    path = fields_path(scene) if out is None else Path(out)
+    fields.save(path)
+    without_fields = {
         "type": "statics_based",
         "strains": list(scene.strain.free),
         "borders": list(scene.strain.borders),
     }
-    print(
-        "written:"
-        f" {path}\n\n{report(scene, found, coordinate_count(scene.replace({'strain': bare})))}"
-    )
-    if settings.within is not None:
-        count = found.needed(settings.within, USUAL)
-        file = "" if out is None else f', file = "{path.name}"'
-        entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
-        if count is None:
-            print("\nno number of fields is enough")
-        else:
-            print(f"\nIn the scene, under [strain]: {entry}")
+    bare_count = coordinate_count(scene.replace({"strain": without_fields}))
+    print(f"written: {path}\n\n{report(scene, fields, bare_count)}")
+    if settings.within is None:
+        return
+
+    count = fields.needed(settings.within, USUAL)
+    if count is None:
+        print("\nno number of fields is enough")
+        return
+    file = "" if out is None else f', file = "{path.name}"'
+    entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
+    print(f"\nIn the scene, under [strain]: {entry}")
 
 
 def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
@@ -75,14 +77,8 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
-        rows.append(
-            (
-                str(bare + count),
-                str(count),
-                f"{fields.singular_values[count - 1]:.2g}" if count else "-",
-                *errors,
-            )
-        )
+        singular_value = f"{fields.singular_values[count - 1]:.2g}" if count else "-"
+        rows.append((str(bare + count), str(count), singular_value, *errors))
     intro = (
         f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a"
         " converged reference on other motions."

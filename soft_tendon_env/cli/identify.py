@@ -56,11 +56,18 @@ class Identify(ArmSettings):
 def run(settings: Identify) -> None:
     """Identify, print and write."""
     with mistakes():
-        scene, out = settings.changed_scene(), writable_folder(Path(settings.out))
-        options = {
-            name: getattr(settings, name) for name in ("held_out", "fit_to", "fidelity", "noise")
-        }
-        found = identify(scene, settings.data, settings.markers, settings.parameters, **options)
-    print(summary(found))
-    for path in save_estimate(found, out):
+        scene = settings.changed_scene()
+        out = writable_folder(Path(settings.out))
+        estimate = identify(
+            scene,
+            settings.data,
+            settings.markers,
+            settings.parameters,
+            held_out=settings.held_out,
+            fit_to=settings.fit_to,
+            fidelity=settings.fidelity,
+            noise=settings.noise,
+        )
+    print(summary(estimate))
+    for path in save_estimate(estimate, out):
         print(f"written: {path}")

@@ -50,11 +50,14 @@ COMMANDS: dict[str, str] = {
         " whose kernels it compiles"
     ),
 }
+"""What every command does, by its name."""
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
 STOPPED = "stopped: the same command goes on from what is kept"
+"""What to say after Ctrl-C."""
 Run = TypeVar("Run", bound=Callable[[Sequence[str]], None])
 _own: dict[str, Callable[[Sequence[str]], None]] = {}
+"""Functions of the commands that users register, by name."""
 
 
 def register_command(name: str, description: str) -> Callable[[Run], Run]:
@@ -64,7 +67,8 @@ def register_command(name: str, description: str) -> Callable[[Run], Run]:
         raise ValueError(f"there is a command {name!r} already: choose another name")
 
     def add(run: Run) -> Run:
-        COMMANDS[name], _own[name] = description, run
+        COMMANDS[name] = description
+        _own[name] = run
         return run
 
     return add
@@ -73,20 +77,26 @@ def register_command(name: str, description: str) -> Callable[[Run], Run]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; `arguments`: of the process by default. Ends the process with status 2 on
     mistakes, 1 where it cannot go on."""
-    given, imported = list(sys.argv[1:] if arguments is None else arguments), list[str]()
-    while given[:1] == [IMPORT]:
-        imported, given = [*imported, *given[1:2]], given[2:]
-    name, *rest = given or [""]
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    modules = list[str]()
+    while words[:1] == [IMPORT]:
+        modules += words[1:2]
+        words = words[2:]
+    name, *rest = words or [""]
     try:
-        import_modules(imported)
+        import_modules(modules)  # which may register a command of this name
         if name not in (*COMMANDS, "", "-h", "--help", "--version"):
             raise ValueError(f"{name!r} is no command: {not_among(name, COMMANDS)}")
     except ValueError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         sys.exit(2)
+    if name == "--version":
+        print(importlib.metadata.version("soft_tendon_env"))
+        sys.exit(0)
     if name not in COMMANDS:
-        print(importlib.metadata.version("soft_tendon_env") if name == "--version" else usage())
+        print(usage())
         sys.exit(0 if name else 2)
+    # Not above: they take longer to import than to print the usage.
     from soft_tendon_env.cli.errors import exit_in_one_line
 
     if name in _own:

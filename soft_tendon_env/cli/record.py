@@ -31,21 +31,26 @@ class Record(EpisodeSettings):
 
 def run(settings: Record) -> None:
     """Record and print."""
-    task, out = settings.task, Path(settings.out)
+    task = settings.task
+    out = Path(settings.out)
     with mistakes():
         require("recording")
-        arms = comparison.shared_arms(settings, task, agents_of(task, settings.policies))
-        players = {
-            name: comparison.make_cell(settings, settings.seeds, task, name, arm).open()
-            for name, arm in arms.items()
-        }
+        policies = agents_of(task, settings.policies)
+        players = {}
+        for name, arm in comparison.shared_arms(settings, task, policies).items():
+            cell = comparison.make_cell(settings, settings.seeds, task, name, arm)
+            players[name] = cell.open()
         file = recording.RerunFile(out)
+    seeds = ", ".join(map(str, settings.seeds))
     print(
-        f"{task}, episodes of {settings.seconds:g} s from seeds"
-        f" {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n"
+        f"{task}, episodes of {settings.seconds:g} s from seeds {seeds}; {provenance.machine()}\n"
     )
     with file:
         recorded = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
-    summaries = {policy: summarise(of_policy) for policy, of_policy in recorded.scores.items()}
-    models = {policy: model_in_the_loop(PolicyName.parse(policy, task)) for policy in summaries}
-    print(f"{tables.summary_table('policy', summaries, models)}\n\n{comparison.opening_hint(out)}")
+    summaries = {}
+    models = {}
+    for policy, of_policy in recorded.scores.items():
+        summaries[policy] = summarise(of_policy)
+        models[policy] = model_in_the_loop(PolicyName.parse(policy, task))
+    table = tables.summary_table("policy", summaries, models)
+    print(f"{table}\n\n{comparison.opening_hint(out)}")

@@ -10,7 +10,8 @@ from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.tools.configuration import Configuration
 
-LONGEST = 10.0  # [s] of all motions
+LONGEST = 10.0
+"""Duration [s] of all motions."""
 
 
 class ReproducePaper(Configuration):
@@ -35,7 +36,8 @@ def run(settings: ReproducePaper) -> None:
         require("pictures")
         if settings.write_docs is not None and settings.seconds < LONGEST:
             raise ValueError(f"--write-docs needs all {LONGEST:g} seconds")
-        page, out = Page(settings.write_docs, ["figures"]), writable_folder(Path(settings.out))
+        page = Page(settings.write_docs, ["figures"])
+        out = writable_folder(Path(settings.out))
     from soft_tendon_env.paper.reproduce import document, reproduce
 
     results = reproduce(settings.seconds, out)

@@ -84,33 +84,40 @@ class Run(EpisodeSettings):
 
 def run(settings: Run) -> None:
     """Run, print and write. Raises UserError where the robot was stopped before the end."""
-    out, task = Path(settings.out), settings.task
+    out = Path(settings.out)
+    task = settings.task
     with mistakes(), ExitStack() as on_error:
         check_log(out)
-        require(*["recording"] if settings.record else [])
+        if settings.record:
+            require("recording")
         steps = episode_steps(settings.seconds, settings.skip, settings.options)
-        named = PolicyName.parse(settings.policy, task)
-        options = named.options(settings.options)
+        name = PolicyName.parse(settings.policy, task)
+        options = name.options(settings.options)
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
-        policy = named.load(env)
+        policy = name.load(env)
         rehearse(policy, env, settings.seed)
-        of_arm = {
-            name: options[name]
-            for name in OF_ARM
-            if name in options and settings.robot == SIMULATED
-        }
-        robot = load_robot(settings.robot, {**of_arm, **parsed_changes(settings.robot_options)})
+
+        robot_options = dict[str, Any]()
+        if settings.robot == SIMULATED:  # it has the arm of the environment
+            robot_options |= {key: options[key] for key in OF_ARM if key in options}
+        robot_options |= parsed_changes(settings.robot_options)
+        robot = load_robot(settings.robot, robot_options)
         on_error.callback(robot.close)
-        limits = {
-            name: getattr(settings, name) for name in ("rate", "settle", "rest_speed", "patience")
-        }
-        real: gym.Env[Any, Any] = RobotEnv(env, robot, log=settings.out, **limits)
+        real: gym.Env[Any, Any] = RobotEnv(
+            env,
+            robot,
+            log=settings.out,
+            rate=settings.rate,
+            settle=settings.settle,
+            rest_speed=settings.rest_speed,
+            patience=settings.patience,
+        )
+        # From here the environment closes the robot.
         on_error.pop_all()
         on_error.callback(real.close)
         if settings.record:
-            real = RecordRollout(
-                real, settings.record, flush_period=None
-            )  # writing meanwhile would take longer than a period
+            # Writing meanwhile would take longer than a period.
+            real = RecordRollout(real, settings.record, flush_period=None)
         on_error.pop_all()
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     try:
@@ -118,20 +125,20 @@ def run(settings: Run) -> None:
     finally:  # also after Ctrl-C
         if out.exists():
             print(f"written: {out}")
-        if stop := real.get_wrapper_attr("stopped"):
-            let_go = (
-                "slack"
-                if stop.slack
-                else f"not slack, the robot does not answer: {stop.failures[-1]}"
-            )
-            print(f"{stop.cause}: tendons {let_go} after {1e3 * stop.seconds:.0f} ms\n")
-    for name, values in report.errors.items():
-        if (counted := values[round(settings.skip / episodes_of(real).period) :]).size:
-            unit = error_unit(name)
-            print(
-                f"{unit.label}: {unit.text(root_mean_square(counted))} (root mean square, as"
-                " measured)"
-            )
+        stop = real.get_wrapper_attr("stopped")
+        if stop:
+            tendons = "slack"
+            if not stop.slack:
+                tendons = f"not slack, the robot does not answer: {stop.failures[-1]}"
+            print(f"{stop.cause}: tendons {tendons} after {1e3 * stop.seconds:.0f} ms\n")
+
+    skipped_periods = round(settings.skip / episodes_of(real).period)
+    for error, values in report.errors.items():
+        counted = values[skipped_periods:]
+        if counted.size:
+            unit = error_unit(error)
+            text = unit.text(root_mean_square(counted))
+            print(f"{unit.label}: {text} (root mean square, as measured)")
     print(report.timing)
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")

@@ -32,12 +32,8 @@ def run(settings: Scenes) -> None:
         print(markdown_table(("scene", "tendons", "coordinates", "what it is"), rows))
         return
     with mistakes():
-        load_scene(settings.name)
-        print(
-            read_text(
-                Path(settings.name)
-                if settings.name.endswith(".toml")
-                else SHIPPED / f"{settings.name}.toml"
-            ),
-            end="",
-        )
+        load_scene(settings.name)  # whose error says what is wrong with the file
+        path = SHIPPED / f"{settings.name}.toml"
+        if settings.name.endswith(".toml"):
+            path = Path(settings.name)
+        print(read_text(path), end="")

@@ -61,25 +61,22 @@ def run(settings: Train) -> None:
     """Train, and say what is done."""
     with ExitStack() as stack:
         with mistakes():
-            if settings.engine == "sb3" and (
-                given := {"runners", "cluster"} & settings.model_fields_set
-            ):
-                raise ValueError(
-                    "\n".join(f"--{name} is for --engine rllib" for name in sorted(given))
-                )
+            of_rllib = sorted({"runners", "cluster"} & settings.model_fields_set)
+            if settings.engine == "sb3" and of_rllib:
+                lines = [f"--{name} is for --engine rllib" for name in of_rllib]
+                raise ValueError("\n".join(lines))
             require("agents" if settings.engine == "sb3" else "rllib")
             from soft_tendon_env.learning.monitor import TrainingCallback
             from soft_tendon_env.learning.train import checkpoint_to_resume, learn, model_of
 
             path = find_config(settings.config)
-            training = read_training(
-                path, settings.set, **({} if settings.seed is None else {"seed": settings.seed})
-            )
-            folder = (
-                Path("out", "runs", path.stem, f"seed_{training.seed}")
-                if settings.out is None
-                else Path(settings.out)
-            )
+            changes = {}
+            if settings.seed is not None:
+                changes["seed"] = settings.seed
+            training = read_training(path, settings.set, **changes)
+            folder = Path("out", "runs", path.stem, f"seed_{training.seed}")
+            if settings.out is not None:
+                folder = Path(settings.out)
             checkpoint = checkpoint_to_resume(folder, training, settings.resume, settings.engine)
             if settings.engine == "sb3":
                 model = model_of(training, checkpoint)
@@ -92,7 +89,10 @@ def run(settings: Train) -> None:
         )
         if settings.resume and checkpoint is None:
             print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
-        learn(model, callback) if settings.engine == "sb3" else learning.learn()
+        if settings.engine == "sb3":
+            learn(model, callback)
+        else:
+            learning.learn()
 
 
 def rllib_training(

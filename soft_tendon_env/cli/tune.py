@@ -9,7 +9,8 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import config_names, find_config
 from soft_tendon_env.tools.configuration import Configuration
 
-SEARCH = "tune_"  # beginning of the names of searches in configs/
+SEARCH = "tune_"
+"""Beginning of the names of searches in configs/."""
 
 
 class Tune(Configuration):
@@ -42,17 +43,22 @@ class Tune(Configuration):
 def run(settings: Tune) -> None:
     """Search, print and write."""
     with mistakes():
-        require("tuning", *(["rllib"] if settings.cluster else []))
+        extras = ["tuning"]
+        if settings.cluster:
+            extras.append("rllib")
+        require(*extras)
         from soft_tendon_env.tuning import study
         from soft_tendon_env.tuning.search import read_search
 
         path = find_config(settings.config, SEARCH)
-        search = read_search(
-            path, settings.set, **({} if settings.trials is None else {"trials": settings.trials})
-        )
-        folder = writable_folder(
-            Path("out", "tune", path.stem) if settings.out is None else Path(settings.out)
-        )
+        changes = {}
+        if settings.trials is not None:
+            changes["trials"] = settings.trials
+        search = read_search(path, settings.set, **changes)
+        folder = Path("out", "tune", path.stem)
+        if settings.out is not None:
+            folder = Path(settings.out)
+        folder = writable_folder(folder)
         study.open_study(search, folder)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():
