@@ -2,7 +2,6 @@
 their Jacobians."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -19,6 +18,7 @@ from soft_tendon_env.control.rigid_motions import (
 )
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 

@@ -1,7 +1,6 @@
 """Actuators: actions to commands by scaling, limits, gain and offset errors, and delay."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 MOST_LATENCY = 1_000

@@ -7,7 +7,6 @@ on nothing else: the same for one row and for many, bit for bit. Read `begin` an
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -55,6 +54,7 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 MANY = 16

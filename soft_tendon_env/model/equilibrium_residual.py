@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.mechanics.workspace import Workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import nearest_limit
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 # relative size of S - S^T above which loads have no potential; differences that S comes from leave

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +31,7 @@ from soft_tendon_env.scene.parameters import scene_parameters, scene_with_number
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 # relative size of the last Newton correction at which a strain counts as found: round-off

@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +20,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_type
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 MOST_COMMANDED, SAME_TENSION = (

@@ -25,6 +25,7 @@ from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
 MATERIAL = ("young_modulus", "density", "damping")  # of a segment
@@ -55,7 +56,7 @@ class PassiveFields:
     # [m] largest of the tip, by kind of motion, for each of the numbers of fields in "fields"
     errors: Mapping[str, tuple[float, ...]]
 
-    @functools.cached_property
+    @cached_property
     def digest(self) -> str:
         """16 hex digits of the numbers that they are made of."""
         numbers = json.dumps([self.borders.tolist(), self.coefficients.tolist()])

@@ -9,6 +9,7 @@ the dotted key, the value and what is allowed.
 import difflib
 import os
 import re
+import threading
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
@@ -19,8 +20,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from soft_tendon_env.tools.files import read_bytes
+from soft_tendon_env.tools.forks import hold_over_forks
 
 Key = tuple[str | int, ...]
+_validating = threading.RLock()
+# pydantic has locks of its own, which a child must not find locked
+hold_over_forks(_validating)
 
 POSITION = re.compile(r"\[(\d+|\*)\]")
 """A position in an array in brackets, `[3]`, or `[*]` for every one."""
@@ -69,7 +74,8 @@ class Configuration(BaseModel):
     def __init__(self, /, **values: Any):
         frozen = {name: _freeze(value) for name, value in values.items()}
         try:
-            super().__init__(**frozen)
+            with _validating:
+                super().__init__(**frozen)
         except ValidationError as error:
             problems = list[Problem]()
             for details in error.errors():

@@ -3,8 +3,8 @@ child needs.
 
 A child has the thread that forked, alone. What another thread had locked at that moment stays
 locked in the child, which then waits forever, without a word. Of the locks that somebody who loads
-an environment takes, Python mends none: those of modules that are being imported, and those that
-the compiler registers with `hold_over_forks`.
+an environment takes, Python mends none: those of modules that are being imported, those that are
+registered with `hold_over_forks`, and those of cached properties.
 """
 
 # These two, and logging with them, have handlers of forks of their own. Those that are registered
@@ -12,12 +12,14 @@ the compiler registers with `hold_over_forks`.
 # wait Python would call the second half alone.
 import concurrent.futures.thread  # noqa: F401
 import contextlib
+import functools
 import importlib
 import os
 import sys
 import threading
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import filelock  # noqa: F401
 
@@ -46,6 +48,17 @@ PATIENCE = 60.0
 thread that forks."""
 PAUSE = 0.005
 """Time [s] between two looks at the imports."""
+
+Value = TypeVar("Value")
+
+
+def cached_property(function: Callable[[Any], Value]) -> functools.cached_property[Value]:
+    """`functools.cached_property` as it is from Python 3.12 on: without the lock of Python 3.11,
+    which a thread would hold while it builds a model."""
+    attribute = functools.cached_property(function)
+    attribute.lock = contextlib.nullcontext()  # type: ignore[attr-defined, unused-ignore]
+    return attribute
+
 
 _locks: list[contextlib.AbstractContextManager[Any]] = []
 _thread = threading.local()

@@ -1,6 +1,5 @@
 """Target that follows a path from a CSV file."""
 
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +16,7 @@ from soft_tendon_env.envs.targets import (
 )
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import UNIT, Array
 
