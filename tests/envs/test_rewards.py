@@ -13,7 +13,7 @@ from soft_tendon_env.envs import (
     register_reward_term,
 )
 from soft_tendon_env.envs.kernels import closeness
-from soft_tendon_env.envs.tracking import OWN_TERMS, goal_reward
+from soft_tendon_env.envs.tracking import goal_reward
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
