@@ -66,12 +66,11 @@ EVERYTHING = {
 @functools.cache
 def _build(name, changes):
     name, _, order = name.partition(" moments 0-")
-    passive = (
-        {"strain.passive": [{"strains": STRAINS[:3], "order": int(order), "span": "rod"}]}
-        if order
-        else {}
-    )
-    return build_model(load_scene(name).replace({**passive, **json.loads(changes)}))
+    scene = load_scene(name)
+    if order:
+        moments = {"strains": STRAINS[:3], "order": int(order), "span": "rod"}
+        scene = scene.replace({"strain.passive": [moments]})
+    return build_model(scene.replace(json.loads(changes)))
 
 
 @pytest.fixture(scope="session")
@@ -159,15 +158,15 @@ def everything():
 
 def _same(a, b):
     if isinstance(a, dict):
-        return (
-            isinstance(b, dict) and a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
-        )
+        have_same_keys = isinstance(b, dict) and a.keys() == b.keys()
+        return have_same_keys and all(_same(a[key], b[key]) for key in a)
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, np.ndarray) and a.dtype == object:
         return isinstance(b, np.ndarray) and _same(a.tolist(), b.tolist())
     if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+        are_alike = a.dtype == b.dtype and a.shape == b.shape
+        return are_alike and a.tobytes() == b.tobytes()
     return type(a) is type(b) and bool(np.all(a == b))
 
 
