@@ -67,7 +67,7 @@ def test_every_name_is_one_of_three(here, text, kind, known):
         (
             "run/model.zip",
             (
-                r"policy is 'run/model.zip': a file of .* mine:agent:\s.*\s+def agent.env.: return"
+                r"(?s)policy is 'run/model.zip': a file of .* mine:agent:\s.*\s+def agent.env.: return"
                 r" PPO.load.'run/model.zip'"
             ),
         ),
