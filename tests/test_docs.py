@@ -169,7 +169,9 @@ def check_options(line: str, words: list[str], script: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))]
+    "page",
+    [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))],
+    ids=name_of,
 )
 def test_commands_exist(page):
     for line in command_lines(page.read_text(encoding="utf-8")):
@@ -187,7 +189,7 @@ def test_files_that_pages_show_are_examples_that_run():
             )
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere_and_configurations_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):

@@ -169,7 +169,9 @@ TRIED = [
 ]
 
 
-@pytest.mark.parametrize("page, tried", TRIED)
+@pytest.mark.parametrize(
+    "page, tried", TRIED, ids=lambda value: name(value) if isinstance(value, Path) else None
+)
 def test_what_a_page_says_is_refused_is_refused(page, tried, capsys):
     if tried.startswith("tests/"):
         file, _, test = tried.partition("::")

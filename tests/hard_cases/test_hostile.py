@@ -193,7 +193,7 @@ BEYOND = {
 }
 
 
-@pytest.mark.parametrize("changes, message", BEYOND.values())
+@pytest.mark.parametrize("changes, message", BEYOND.values(), ids=BEYOND)
 def test_more_than_can_be_computed(changes, message):
     """Steps of a nanosecond, 10^9 Hz, 10^15 turns, tensions that grow by exp(300): hours, gigabytes
     or overflow. Expected: soon one line with the number and what is allowed."""

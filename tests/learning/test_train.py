@@ -316,7 +316,11 @@ def test_arguments_go_before_the_file(table, tmp_path):
     )
 
 
-@pytest.mark.parametrize("path", [config.find_config(name) for name in config.config_names()])
+@pytest.mark.parametrize(
+    "path",
+    [config.find_config(name) for name in config.config_names()],
+    ids=lambda path: path.stem,
+)
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem

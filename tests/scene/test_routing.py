@@ -35,7 +35,7 @@ def evaluate(routing, arc_length):
     return routing.offset_and_slope(arc_length, radius, -0.02 + 0.02 * arc_length, ENDS)
 
 
-@pytest.mark.parametrize("routing", ROUTINGS.values())
+@pytest.mark.parametrize("routing", ROUTINGS.values(), ids=ROUTINGS)
 def test_slope_is_the_derivative_of_the_offset(routing):
     x, h = np.linspace(0.11, 0.49, 41), 1e-6
     offset, slope = evaluate(routing, x)
