@@ -44,12 +44,14 @@ def run(settings: Tune) -> None:
     with mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
         from soft_tendon_env.tuning import study
-        from soft_tendon_env.tuning.search import read_search
+        from soft_tendon_env.tuning.search import TrainingSearch, read_search
 
         path = find_config(settings.config, SEARCH)
         search = read_search(
             path, settings.set, **({} if settings.trials is None else {"trials": settings.trials})
         )
+        if isinstance(search, TrainingSearch):
+            require("agents")
         folder = writable_folder(
             Path("out", "tune", path.stem) if settings.out is None else Path(settings.out)
         )
