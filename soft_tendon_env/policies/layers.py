@@ -17,7 +17,7 @@ class Linear(NamedTuple):
     bias: Array | None = None  # (outputs,)
 
     def __call__(self, values: Array) -> Array:
-        product = values @ self.weight.T
+        product = np.dot(values, self.weight.T)  # for one row quicker than matmul
         return product if self.bias is None else product + self.bias
 
 

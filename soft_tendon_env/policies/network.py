@@ -111,7 +111,7 @@ class PolicyNetwork:
         if self.squashes:
             action = low + 0.5 * (np.tanh(mean) + 1.0) * (high - low)
         else:
-            action = np.clip(mean, low, high)
+            action = np.minimum(np.maximum(mean, low), high)  # quicker than clip for one row
         return action if many else action[0]
 
 
