@@ -22,22 +22,23 @@ class TensorNetwork(torch.nn.Module):
 
     def __init__(self, network: PolicyNetwork) -> None:
         super().__init__()
+        actor = network.actor
         self.memory = network.memory
-        self._squashes = network.squashes
-        self._fine = network.fine
+        self._squashes = actor.squashes
+        self._fine = actor.fine
         self._keys: list[str] = []
         if isinstance(network.observations, gym.spaces.Dict):
             self._keys = [*network.observations.spaces]
-        self.body = tensor_layers(network.body)
-        self.head = tensor_layers(network.head)
-        if network.gates is not None:
-            self.gate = tensor_layer(network.gates.gate)
-            self.candidate = tensor_layer(network.gates.candidate)
+        self.body = tensor_layers(actor.body)
+        self.head = tensor_layers(actor.head)
+        if actor.gates is not None:
+            self.gate = tensor_layer(actor.gates.gate)
+            self.candidate = tensor_layer(actor.gates.candidate)
         self._posture: int | None = None
-        if network.gains is not None:
-            self._posture = network.gains.posture
-            self.way = tensor_layer(network.gains.way)
-            self.gain = tensor_layer(network.gains.gain)
+        if actor.gains is not None:
+            self._posture = actor.gains.posture
+            self.way = tensor_layer(actor.gains.way)
+            self.gain = tensor_layer(actor.gains.gain)
 
     def forward(
         self, observation: torch.Tensor | Mapping[str, torch.Tensor], memory: torch.Tensor | None

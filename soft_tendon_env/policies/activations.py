@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.special import erf, expit
 
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Single
 
 # Klambauer et al., Self-normalizing neural networks, NeurIPS 2017, equation 14
 SELU_ALPHA = np.float32(1.6732632423543772)
@@ -15,22 +15,22 @@ LEAKY_SLOPE = np.float32(0.01)  # of torch.nn.LeakyReLU
 SQRT_HALF = np.float32(np.sqrt(0.5))
 
 
-def _elu(values: Array) -> Array:
+def _elu(values: Single) -> Single:
     # exp is five times quicker than expm1 here, and as exact to 1e-7 absolutely
     below = np.exp(np.minimum(values, 0.0)) - np.float32(1.0)
     return np.maximum(values, 0.0) + below
 
 
-def _selu(values: Array) -> Array:
+def _selu(values: Single) -> Single:
     below = np.exp(np.minimum(values, 0.0)) - np.float32(1.0)
     return SELU_SCALE * (np.maximum(values, 0.0) + SELU_ALPHA * below)
 
 
-def _softplus(values: Array) -> Array:
+def _softplus(values: Single) -> Single:
     return np.logaddexp(values, np.float32(0.0))
 
 
-ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {
+ACTIVATIONS: Mapping[str, Callable[[Single], Single]] = {
     "ELU": _elu,
     "GELU": lambda values: np.float32(0.5) * values * (1.0 + erf(SQRT_HALF * values)),
     "Hardtanh": lambda values: np.clip(values, -1.0, 1.0),
@@ -43,7 +43,7 @@ ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {
     "SiLU": lambda values: values * expit(values),
     "Sigmoid": expit,
     "Softplus": _softplus,
-    "Softsign": lambda values: values / (1.0 + np.abs(values)),
+    "Softsign": lambda values: values / (np.float32(1.0) + np.abs(values)),
     "Tanh": np.tanh,
 }
 """Activation functions of float32 arrays, which they leave in single precision."""

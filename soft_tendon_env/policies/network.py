@@ -5,67 +5,29 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.policies.layers import Feedforward, Gains, Gates
+from soft_tendon_env.policies.layers import Actor
 from soft_tendon_env.policies.protocol import LostState
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Single
 
 
 class PolicyNetwork:
     """Policy network in NumPy with Stable-Baselines3's `predict`, for one observation or many.
 
     Attributes:
-        body: layers up to the latent values.
-        head: layers from there to the mean action.
-        gates: the memory, None: there is none.
-        gains: gains by the way to the target, None: there are none.
-        fine: factor of small entries that layers see besides as tanh(fine x); 0: they do not.
-        squashes: actions are tanh of the mean, scaled to the bounds of the action space.
+        actor: layers from observations to mean actions.
+        observations: space of what it observes.
     """
 
-    def __init__(
-        self,
-        observations: gym.Space[Any],
-        actions: gym.spaces.Box,
-        body: Feedforward,
-        head: Feedforward,
-        squashes: bool = False,
-        gates: Gates | None = None,
-        gains: Gains | None = None,
-        fine: float = 0.0,
-    ) -> None:
+    def __init__(self, actor: Actor, observations: gym.Space[Any], actions: gym.spaces.Box) -> None:
+        self.actor = actor
         self.observations = observations
-        self.actions = actions
-        self.body = body
-        self.head = head
-        self.squashes = squashes
-        self.gates = gates
-        self.gains = gains
-        self.fine = fine
+        self._bounds = (actions.low.astype(np.float32), actions.high.astype(np.float32))
         self._lost = LostState("what the policy remembers")
 
     @property
     def memory(self) -> int:
         """Size of what it remembers from one control period to the next."""
-        return 0 if self.gates is None else self.gates.size
-
-    def act(self, plain: Array, memory: Array) -> tuple[Array, Array]:
-        """Mean actions (rows, n_a) before bounds and squashing, and the next memory, of entries of
-        observations (rows, n) and the memory (rows, size)."""
-        seen = self._finer(plain)
-        if self.gates is not None:
-            memory = self.gates(seen, memory)
-            seen = np.concatenate([seen, memory], axis=1)
-        latent = self.body(seen)
-        mean = self.head(latent)
-        if self.gains is not None:
-            away = self._finer(plain[:, self.gains.posture :])
-            mean = mean + self.gains(latent, away)
-        return mean, memory
-
-    def _finer(self, values: Array) -> Array:
-        if not self.fine:
-            return values
-        return np.concatenate([values, np.tanh(np.float32(self.fine) * values)], axis=1)
+        return 0 if self.actor.gates is None else self.actor.gates.size
 
     def predict(
         self,
@@ -90,8 +52,9 @@ class PolicyNetwork:
             ValueError: an observation or a state has another shape.
         """
         plain, many = flatten(observation, self.observations)
-        if self.gates is None:
-            return self._bounded(self.act(plain, plain[:, :0])[0], many), state
+        if not self.memory:
+            mean, _ = self.actor(plain, plain[:, :0])
+            return self._bounded(mean, many), state
         self._lost.notice(state is None and not np.any(episode_start))
         shape = (len(plain), self.memory)
         memory = np.zeros(shape, np.float32) if state is None else np.asarray(state, np.float32)
@@ -103,19 +66,20 @@ class PolicyNetwork:
         if episode_start is not None:
             begins = np.atleast_1d(episode_start).astype(bool)
             memory = np.where(begins[:, None], np.float32(0.0), memory)
-        mean, memory = self.act(plain, memory)
+        mean, memory = self.actor(plain, memory)
         return self._bounded(mean, many), memory
 
-    def _bounded(self, mean: Array, many: bool) -> Array:
-        low, high = self.actions.low, self.actions.high
-        if self.squashes:
-            action = low + 0.5 * (np.tanh(mean) + 1.0) * (high - low)
+    def _bounded(self, mean: Single, many: bool) -> Single:
+        low, high = self._bounds
+        if self.actor.squashes:
+            share = np.float32(0.5) * (np.tanh(mean) + np.float32(1.0))
+            action = low + share * (high - low)
         else:
             action = np.minimum(np.maximum(mean, low), high)  # quicker than clip for one row
         return action if many else action[0]
 
 
-def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Array, bool]:
+def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
     """Entries (rows, n) of one observation or many of a Box or a Dict of them, in the order of
     keys, as float32, and whether they are many.
 
@@ -132,7 +96,7 @@ def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Array, bool]:
     return np.concatenate(parts, axis=1), many
 
 
-def _rows(name: str, values: Any, space: gym.Space[Any]) -> tuple[Array, bool]:
+def _rows(name: str, values: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
     if isinstance(values, tuple):
         raise ValueError(f"{name} is a tuple: `reset` returns an observation and its info")
     array = np.asarray(values, dtype=np.float32)

@@ -4,6 +4,7 @@ precision, in an .npz file that is read without unpickling.
 What a training needs besides is not among them: critics, exploration, optimisers.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from soft_tendon_env.policies.architecture import Architecture, check_sizes
 from soft_tendon_env.policies.layers import (
     Activation,
+    Actor,
     Clip,
     Feedforward,
     Gains,
@@ -24,7 +26,7 @@ from soft_tendon_env.policies.layers import (
 )
 from soft_tendon_env.policies.network import PolicyNetwork
 from soft_tendon_env.tools.files import read_arrays
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Single
 
 WEIGHTS = "weights.npz"
 LEARNING_ALONE = (
@@ -39,7 +41,7 @@ LEARNING_ALONE = (
 COUNTER = ".steps"  # end of the names of counters of batch renormalisation, which trainings read
 
 
-def acting_arrays(state: Mapping[str, Any]) -> dict[str, Array]:
+def acting_arrays(state: Mapping[str, Any]) -> dict[str, Single]:
     """Arrays (float32) of a state dictionary of PyTorch that actions depend on, by their names."""
     arrays = {}
     for name, tensor in state.items():
@@ -48,7 +50,7 @@ def acting_arrays(state: Mapping[str, Any]) -> dict[str, Array]:
     return arrays
 
 
-def read_weights(path: Path) -> dict[str, Array]:
+def read_weights(path: Path) -> dict[str, Single]:
     """Arrays by name of an .npz file, without unpickling. Raises ValueError, OSError."""
     arrays = read_arrays(path, "weights alone")
     for name, array in arrays.items():
@@ -61,7 +63,7 @@ def read_weights(path: Path) -> dict[str, Array]:
 
 def build_network(
     architecture: Architecture,
-    arrays: Mapping[str, Array],
+    arrays: Mapping[str, Single],
     observations: gym.Space[Any],
     actions: gym.Space[Any],
 ) -> PolicyNetwork:
@@ -83,14 +85,10 @@ def build_network(
     parts = {"": observations}
     if isinstance(observations, gym.spaces.Dict):
         parts = dict(observations.spaces)
-    for space in (*parts.values(), actions):
-        if not isinstance(space, gym.spaces.Box):
-            raise ValueError(f"the environment has the space {space}: it should be a Box")
-    inputs = sum(int(np.prod(space.shape)) for space in parts.values())
-    loader = _Loader(architecture, arrays, inputs, actions.shape[0])
-    network = PolicyNetwork(
-        observations,
-        actions,
+    inputs = sum(math.prod(_box(space).shape) for space in parts.values())
+    bounds = _box(actions)
+    loader = _Loader(architecture, arrays, inputs, bounds.shape[0])
+    actor = Actor(
         gates=loader.gates(),
         body=loader.body(),
         head=loader.head(),
@@ -99,7 +97,13 @@ def build_network(
         fine=architecture.fine,
     )
     loader.check_all_taken()
-    return network
+    return PolicyNetwork(actor, observations, bounds)
+
+
+def _box(space: gym.Space[Any]) -> gym.spaces.Box:
+    if not isinstance(space, gym.spaces.Box):
+        raise ValueError(f"the environment has the space {space}: it should be a Box")
+    return space
 
 
 class _Loader:
@@ -107,7 +111,7 @@ class _Loader:
     needed. Methods raise ValueError."""
 
     def __init__(
-        self, architecture: Architecture, arrays: Mapping[str, Array], inputs: int, outputs: int
+        self, architecture: Architecture, arrays: Mapping[str, Single], inputs: int, outputs: int
     ) -> None:
         check_sizes(architecture.memory, architecture.posture, inputs)
         self._architecture = architecture
@@ -166,7 +170,7 @@ class _Loader:
             names = ", ".join(self._left)
             raise ValueError(f"{names} should not be there: no layer of this network has them")
 
-    def _take(self, name: str, *shape: int) -> Array:
+    def _take(self, name: str, *shape: int) -> Single:
         if name not in self._left:
             raise ValueError(f"{name} is missing, which should be of shape {shape}")
         array = self._left.pop(name)

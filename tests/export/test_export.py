@@ -132,7 +132,7 @@ def test_agents_that_ship(folder, tmp_path):
 
 def test_another_policy_is_told_apart(exported):
     env, agent, path = exported(action="tension")
-    agent.network.head.layers[0].bias[:] += 0.01
+    agent.network.actor.head.layers[0].bias[:] += 0.01
     _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)
     assert of_range == pytest.approx(0.005, rel=1e-3) and difference == pytest.approx(
         0.005 * np.ptp(env.unwrapped.episodes.limits[0])

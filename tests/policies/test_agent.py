@@ -124,9 +124,7 @@ def test_objects_among_an_agents_arrays_are_not_unpickled(tmp_path, trained):
 def test_weights_of_an_earlier_version_are_named(tmp_path, trained):
     folder = write_agent(tmp_path / "agent", *trained)
     (folder / WEIGHTS).rename(folder / "weights.pt")
-    with pytest.raises(
-        FileNotFoundError, match="weights.pt is of an earlier version"
-    ):
+    with pytest.raises(FileNotFoundError, match="weights.pt is of an earlier version"):
         agent.load_agent(str(folder), make())
 
 

@@ -96,6 +96,6 @@ def test_where_nothing_is_away_from_rest_only_layers_without_gains_act():
     after = build_network(architecture, more, *SPACES)
     at_rest = np.array([[0.3, -0.2, 0.0, 0.0, 0.0, 0.0]], dtype=np.float32)
     memory = np.zeros((1, 5), dtype=np.float32)
-    np.testing.assert_array_equal(before.act(at_rest, memory)[0], after.act(at_rest, memory)[0])
+    np.testing.assert_array_equal(before.actor(at_rest, memory)[0], after.actor(at_rest, memory)[0])
     moved = at_rest + np.float32(0.1)
-    assert not np.allclose(before.act(moved, memory)[0], after.act(moved, memory)[0])
+    assert not np.allclose(before.actor(moved, memory)[0], after.actor(moved, memory)[0])
