@@ -110,9 +110,8 @@ def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
     in_wheel, notes = benchmark("ppo", "apg", scene="paper", regimes=("state",)).cells()
     assert {label.seed for label in in_wheel} == {None}
     (note,) = notes
-    assert note.startswith(
-        "ppo, apg: a wheel has one seed of the training, the others are in agents"
-    )
+    assert note.startswith("ppo, apg: a wheel has one seed of the training")
+    assert "agents/trained of the repository; clone it" in note
 
 
 @pytest.mark.cases(
