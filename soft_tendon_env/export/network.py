@@ -55,9 +55,11 @@ class TensorNetwork(torch.nn.Module):
             plain = observation
         seen = self._finer(plain)
         if memory is not None:
-            share = torch.sigmoid(self.gate(torch.cat([seen, memory], dim=1)))
+            before = torch.cat([seen, memory], dim=1)
+            share = torch.sigmoid(self.gate(before))
             recalled = torch.cat([seen, share * memory], dim=1)
-            memory = memory + share * (torch.tanh(self.candidate(recalled)) - memory)
+            candidate = torch.tanh(self.candidate(recalled))
+            memory = memory + share * (candidate - memory)
             seen = torch.cat([seen, memory], dim=1)
         latent = self.body(seen)
         mean = self.head(latent)
@@ -69,7 +71,8 @@ class TensorNetwork(torch.nn.Module):
     def _finer(self, values: torch.Tensor) -> torch.Tensor:
         if not self._fine:
             return values
-        return torch.cat([values, torch.tanh(self._fine * values)], dim=1)
+        fine = torch.tanh(self._fine * values)
+        return torch.cat([values, fine], dim=1)
 
 
 class TensorRenormalisation(torch.nn.Module):

@@ -89,6 +89,7 @@ def read_architecture(kind: Kind, arguments: Mapping[str, Any]) -> Architecture:
     activation = activation_name(arguments.get("activation_fn", usual))
     explores_by_state = bool(arguments.get("use_sde", False))
     if is_on_policy:
+        # exploration by state changes no mean here, but without it nothing is squashed
         squashes = bool(arguments.get("squash_output", False))
         if squashes and not explores_by_state:
             raise ValueError("squash_output is true, which needs use_sde = true")
@@ -98,6 +99,7 @@ def read_architecture(kind: Kind, arguments: Mapping[str, Any]) -> Architecture:
         return Architecture(
             kind, hidden, activation, squashes, memory=memory, fine=fine, posture=posture
         )
+    # actors of off-policy algorithms always squash, and bound the mean where they explore by state
     clip_mean = float(arguments.get("clip_mean", CLIP_MEAN))
     epsilon = None
     if kind == "CrossQ" and arguments.get("batch_norm", True):

@@ -124,6 +124,7 @@ class Actor:
         observations (rows, n) and the memory (rows, size)."""
         seen = self._finer(plain)
         if self.gates is not None:
+            # the action follows what is remembered now, this period's observation included
             memory = self.gates(seen, memory)
             seen = np.concatenate([seen, memory], axis=1)
         latent = self.body(seen)
@@ -136,4 +137,5 @@ class Actor:
     def _finer(self, values: Single) -> Single:
         if not self.fine:
             return values
-        return np.concatenate([values, np.tanh(np.float32(self.fine) * values)], axis=1)
+        fine = np.tanh(np.float32(self.fine) * values)
+        return np.concatenate([values, fine], axis=1)

@@ -9,6 +9,10 @@ from soft_tendon_env.policies.layers import Actor
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.tools.types import Single
 
+NONE = np.float32(0.0)  # constants in single precision, so that actions stay in it
+HALF = np.float32(0.5)
+ONE = np.float32(1.0)
+
 
 class PolicyNetwork:
     """Policy network in NumPy with Stable-Baselines3's `predict`, for one observation or many.
@@ -53,29 +57,42 @@ class PolicyNetwork:
         """
         plain, many = flatten(observation, self.observations)
         if not self.memory:
-            mean, _ = self.actor(plain, plain[:, :0])
+            nothing = plain[:, :0]
+            mean, _ = self.actor(plain, nothing)
             return self._bounded(mean, many), state
-        self._lost.notice(state is None and not np.any(episode_start))
-        shape = (len(plain), self.memory)
-        memory = np.zeros(shape, np.float32) if state is None else np.asarray(state, np.float32)
+        is_first = bool(np.any(episode_start))
+        self._lost.notice(state is None and not is_first)
+        memory = self._read_memory(state, len(plain))
+        if is_first:
+            begins = np.atleast_1d(episode_start).astype(bool)
+            memory = np.where(begins[:, None], NONE, memory)
+        mean, memory = self.actor(plain, memory)
+        return self._bounded(mean, many), memory
+
+    def _read_memory(self, state: Any, rows: int) -> Single:
+        """The memory (rows, size) of a state, zeros for None."""
+        shape = (rows, self.memory)
+        if state is None:
+            return np.zeros(shape, np.float32)
+        memory = np.asarray(state, np.float32)
+        # a state of other rows would be broadcast without a word
         if memory.shape != shape:
             raise ValueError(
                 f"state should be what predict gave for these rows, of shape {shape}, not"
                 f" {memory.shape}"
             )
-        if episode_start is not None:
-            begins = np.atleast_1d(episode_start).astype(bool)
-            memory = np.where(begins[:, None], np.float32(0.0), memory)
-        mean, memory = self.actor(plain, memory)
-        return self._bounded(mean, many), memory
+        return memory
 
     def _bounded(self, mean: Single, many: bool) -> Single:
+        """Actions (rows, n_a) within the action space, (n_a,) of a single row."""
         low, high = self._bounds
         if self.actor.squashes:
-            share = np.float32(0.5) * (np.tanh(mean) + np.float32(1.0))
+            share = HALF * (np.tanh(mean) + ONE)
             action = low + share * (high - low)
         else:
-            action = np.minimum(np.maximum(mean, low), high)  # quicker than clip for one row
+            # for one row quicker than clip
+            above = np.maximum(mean, low)
+            action = np.minimum(above, high)
         return action if many else action[0]
 
 
@@ -99,10 +116,13 @@ def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
 def _rows(name: str, values: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
     if isinstance(values, tuple):
         raise ValueError(f"{name} is a tuple: `reset` returns an observation and its info")
-    array = np.asarray(values, dtype=np.float32)
     shape = space.shape
-    if array.shape == shape:
+    array = np.asarray(values, dtype=np.float32)
+    is_one = array.shape == shape
+    if is_one:
         return array.reshape(1, -1), False
-    if array.shape[1:] != shape:
+    of_row = array.shape[1:]
+    if of_row != shape:
         raise ValueError(f"{name} has the shape {array.shape}: it should be {shape}, or rows of it")
-    return array.reshape(len(array), -1), True
+    count = len(array)
+    return array.reshape(count, -1), True

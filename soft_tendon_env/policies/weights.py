@@ -120,7 +120,8 @@ class _Loader:
         copies = 2 if architecture.fine else 1  # entries, and their fine copies
         self._seen = copies * inputs + architecture.memory
         self._away = copies * (inputs - architecture.posture)
-        self._sizes = (self._seen, *architecture.hidden)
+        self._latent = architecture.hidden[-1] if architecture.hidden else self._seen
+        self._is_on_policy = architecture.kind in ("PPO", "APG")
 
     def gates(self) -> Gates | None:
         size = self._architecture.memory
@@ -131,38 +132,46 @@ class _Loader:
 
     def body(self) -> Feedforward:
         """Hidden layers, with batch renormalisation before each and after the last."""
-        is_on_policy = self._architecture.kind in ("PPO", "APG")
-        name = "mlp_extractor.policy_net" if is_on_policy else "actor.latent_pi"
+        name = "mlp_extractor.policy_net" if self._is_on_policy else "actor.latent_pi"
+        activation = Activation(self._architecture.activation)
         renormalises = self._architecture.renorm_epsilon is not None
         layers: list[Layer] = []
-        for inputs, outputs in zip(self._sizes[:-1], self._sizes[1:], strict=True):
+        inputs = self._seen
+        for outputs in self._architecture.hidden:
             # names of tensors have the place of the layer among all layers
             if renormalises:
-                layers.append(self._renormalisation(f"{name}.{len(layers)}", inputs))
-            layers.append(self._linear(f"{name}.{len(layers)}", inputs, outputs))
-            layers.append(Activation(self._architecture.activation))
+                place = f"{name}.{len(layers)}"
+                layers.append(self._renormalisation(place, inputs))
+            place = f"{name}.{len(layers)}"
+            layers.append(self._linear(place, inputs, outputs))
+            layers.append(activation)
+            inputs = outputs
         if layers and renormalises:
-            layers.append(self._renormalisation(f"{name}.{len(layers)}", self._sizes[-1]))
+            place = f"{name}.{len(layers)}"
+            layers.append(self._renormalisation(place, inputs))
         return Feedforward(tuple(layers))
 
     def head(self) -> Feedforward:
         """From the latent values to the mean action."""
-        latent = self._sizes[-1]
-        if self._architecture.kind in ("PPO", "APG"):
-            return Feedforward((self._linear("action_net", latent, self._outputs),))
         bound = self._architecture.clip_mean
+        if self._is_on_policy:
+            name = "action_net"
+        elif bound is None:
+            name = "actor.mu"
+        else:
+            # Stable-Baselines3 wraps this layer with the bound, which changes its name
+            name = "actor.mu.0"
+        mean = self._linear(name, self._latent, self._outputs)
         if bound is None:
-            return Feedforward((self._linear("actor.mu", latent, self._outputs),))
-        # Stable-Baselines3 wraps this layer with the bound, which changes its name
-        return Feedforward((self._linear("actor.mu.0", latent, self._outputs), Clip(bound)))
+            return Feedforward((mean,))
+        return Feedforward((mean, Clip(bound)))
 
     def gains(self) -> Gains | None:
         posture = self._architecture.posture
         if not posture:
             return None
-        latent = self._sizes[-1]
-        way = self._take("way.weight", latent, self._away)
-        gain = self._take("gain.weight", self._outputs, latent)
+        way = self._take("way.weight", self._latent, self._away)
+        gain = self._take("gain.weight", self._outputs, self._latent)
         return Gains(posture, Linear(way), Linear(gain))
 
     def check_all_taken(self) -> None:
