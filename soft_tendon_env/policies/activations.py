@@ -21,6 +21,12 @@ def _elu(values: Single) -> Single:
     return np.maximum(values, 0.0) + below
 
 
+def _gelu(values: Single) -> Single:
+    share = 1.0 + erf(SQRT_HALF * values)
+    half: Single = np.float32(0.5) * values
+    return half * share
+
+
 def _selu(values: Single) -> Single:
     below = np.exp(np.minimum(values, 0.0)) - np.float32(1.0)
     return SELU_SCALE * (np.maximum(values, 0.0) + SELU_ALPHA * below)
@@ -30,9 +36,14 @@ def _softplus(values: Single) -> Single:
     return np.logaddexp(values, np.float32(0.0))
 
 
+def _softsign(values: Single) -> Single:
+    size: Single = np.add(np.abs(values), np.float32(1.0))
+    return values / size
+
+
 ACTIVATIONS: Mapping[str, Callable[[Single], Single]] = {
     "ELU": _elu,
-    "GELU": lambda values: np.float32(0.5) * values * (1.0 + erf(SQRT_HALF * values)),
+    "GELU": _gelu,
     "Hardtanh": lambda values: np.clip(values, -1.0, 1.0),
     "Identity": lambda values: values,
     "LeakyReLU": lambda values: np.where(values > 0.0, values, LEAKY_SLOPE * values),
@@ -43,7 +54,7 @@ ACTIVATIONS: Mapping[str, Callable[[Single], Single]] = {
     "SiLU": lambda values: values * expit(values),
     "Sigmoid": expit,
     "Softplus": _softplus,
-    "Softsign": lambda values: values / (np.float32(1.0) + np.abs(values)),
+    "Softsign": _softsign,
     "Tanh": np.tanh,
 }
 """Activation functions of float32 arrays, which they leave in single precision."""
