@@ -37,7 +37,7 @@ RENORM_EPSILON = 0.001  # default of what batch renormalisation adds to variance
 
 @dataclass(frozen=True)
 class Architecture:
-    """What a policy network is like.
+    """Architecture of a policy network: its layers, and how its actions are bounded.
 
     Attributes:
         kind: of the network, see `algorithms.network_kind`.
