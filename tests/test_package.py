@@ -148,7 +148,7 @@ def test_all_that_ships_is_in_the_wheel(unpacked):
     trained = ROOT / "agents" / "trained"
     for path in (
         trained / "agents.toml",
-        *(path for path in trained.glob("*/*/*") if path.is_file()),
+        *(path for path in trained.glob("*/*/*") if path.suffix in (".json", ".npz")),
     ):
         assert f"soft_tendon_env/policies/trained/{path.relative_to(trained).as_posix()}" in names
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
@@ -156,7 +156,9 @@ def test_all_that_ships_is_in_the_wheel(unpacked):
     assert not [
         name
         for name in names
-        if name.startswith(("tests", "agents", "benchmarks")) or name.endswith((".pkl", ".zip"))
+        if name.startswith(("tests", "agents", "benchmarks"))
+        or name.endswith((".pkl", ".zip", ".pt"))
+        or "/seed_" in name
     ]
 
 

@@ -77,7 +77,7 @@ def run(settings: Demo) -> None:
     """Run all policies, print and write."""
     out, known = Path(settings.out), CONTROLLERS[TASK]
     with mistakes():
-        require("agents", "pictures", "recording")
+        require("pictures", "recording")
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")

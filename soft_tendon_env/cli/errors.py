@@ -28,7 +28,7 @@ EXTRAS = {  # modules by the extra that installs them
     "recording": ("rerun", "pyarrow"),
     "pictures": ("matplotlib",),
     "tuning": ("optuna",),
-    "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime"),
+    "export": ("torch", "onnx", "onnxruntime"),
     "robots": ("dynamixel_sdk",),
     "rllib": ("ray", "tree", "stable_baselines3"),
 }

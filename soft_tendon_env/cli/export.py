@@ -16,7 +16,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.policies.agent import find_agent, is_agent, load_agent, read_config, shipped
-from soft_tendon_env.policies.network import WEIGHTS
+from soft_tendon_env.policies.weights import WEIGHTS
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.tools.configuration import Configuration

@@ -48,13 +48,15 @@ def run(settings: Tune) -> None:
             extras.append("rllib")
         require(*extras)
         from soft_tendon_env.tuning import study
-        from soft_tendon_env.tuning.search import read_search
+        from soft_tendon_env.tuning.search import TrainingSearch, read_search
 
         path = find_config(settings.config, SEARCH)
         changes = {}
         if settings.trials is not None:
             changes["trials"] = settings.trials
         search = read_search(path, settings.set, **changes)
+        if isinstance(search, TrainingSearch):
+            require("agents")
         folder = Path("out", "tune", path.stem)
         if settings.out is not None:
             folder = Path(settings.out)

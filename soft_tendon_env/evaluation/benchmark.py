@@ -24,7 +24,7 @@ from soft_tendon_env.evaluation.settings import (
 )
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
 from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
-from soft_tendon_env.policies.agent import INTERFACE
+from soft_tendon_env.policies.agent import INTERFACE, lacks_seeds
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
@@ -113,16 +113,25 @@ class Benchmark(Workers):
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
         """All that is to be played; and a line for every policy that is left out, since its files
-        are missing or no regime suffices for it. Raises ValueError where nobody is left."""
+        are missing or no regime suffices for it, and one for those of which a wheel has one seed.
+        Raises ValueError where nobody is left."""
         cells = dict[Label, Cell]()
         notes = list[str]()
+        of_one_seed = list[str]()
         for entrant in self.entrants:
             try:
                 cells |= dict(self._cells_of(entrant))
+                if lacks_seeds(entrant.policy, self.task):
+                    of_one_seed.append(entrant.name)
             except (ValueError, OSError) as error:
                 notes.append(f"{entrant.name} is left out: {error}")
         if not cells:
             raise ValueError(f"nobody can play: {'; '.join(notes)}")
+        if of_one_seed:
+            notes.append(
+                f"{', '.join(of_one_seed)}: a wheel has one seed of the training, the others are in"
+                " agents/trained of the repository; clone it and run the same command there"
+            )
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:

@@ -30,8 +30,10 @@ from soft_tendon_env.envs.observation import Observed, RestValues
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.play import play_steps
+from soft_tendon_env.export.network import TensorNetwork
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
+from soft_tendon_env.policies.network import PolicyNetwork
 from soft_tendon_env.policies.normalization import BOX, Normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.types import Array
@@ -122,12 +124,10 @@ class _ControlPeriod(torch.nn.Module):
         self, episodes: Episodes, agent: NetworkPolicy, integral: IntegralPolicy | None
     ) -> None:
         super().__init__()
-        self.network, self.agent, self.episodes, self.integral = (
-            getattr(agent.network, "policy", agent.network),
-            agent,
-            episodes,
-            integral,
-        )
+        self.network = TensorNetwork(agent.network)
+        self.agent = agent
+        self.episodes = episodes
+        self.integral = integral
         self.observation, self.scale = (
             TensorObservation(episodes, torch.float32),
             TensorActuation(episodes.actuation).scale,
@@ -156,8 +156,8 @@ class _ControlPeriod(torch.nn.Module):
             )
             self.way, self.shift = as_tensors(way, moved)
             states["integral"] = torch.zeros(len(moved))
-        if size := getattr(self.network, "memory", 0):
-            states["memory"] = torch.zeros(size)
+        if self.network.memory:
+            states["memory"] = torch.zeros(self.network.memory)
         measured = dict(
             zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True)
         )
@@ -212,10 +212,8 @@ class _ControlPeriod(torch.nn.Module):
                 mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
                 parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
         seen, memory = parts.get(BOX, parts), given.get("memory")
-        if memory is None:
-            action = self.network._predict(seen, deterministic=True)
-        else:
-            action, remembered = self.network.act(seen, memory.float())
+        action, remembered = self.network(seen, None if memory is None else memory.float())
+        if memory is not None:
             memory = remembered.double()
         action = action.clamp(-1.0, 1.0).double()
         sent = torch.minimum(
@@ -231,18 +229,21 @@ def export_agent(
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its
     environment.
 
-    origin: what its metadata should say besides. Raises ValueError for other policies, recurrent
-    networks and observation groups in NumPy, ConfigurationError naming those of contact, TypeError
+    origin: what its metadata should say besides. Raises ValueError for other policies and
+    observation groups in NumPy, ConfigurationError naming those of contact, TypeError
     for environments of other packages."""
     episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (
         (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
     )
-    known = isinstance(agent, NetworkPolicy) and isinstance(agent.normalise, Normalization | None)
-    if not isinstance(agent, NetworkPolicy) or not known or hasattr(agent.network, "lstm_actor"):
+    known = (
+        isinstance(agent, NetworkPolicy)
+        and isinstance(agent.network, PolicyNetwork)
+        and isinstance(agent.normalise, Normalization | None)
+    )
+    if not isinstance(agent, NetworkPolicy) or not known:
         raise ValueError(
-            "policy should be a trained agent without recurrence, as load_agent gives it, not"
-            f" {type(agent).__name__}"
+            f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}"
         )
     module = _ControlPeriod(episodes, agent, integral).eval()
     options: dict[str, Any] = {

@@ -23,7 +23,7 @@ from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.envs.environments import TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.learning.algorithm import ActorAlgorithm
-from soft_tendon_env.policies.recurrent import RecurrentPolicy
+from soft_tendon_env.learning.recurrent import RecurrentPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 SQUARES: Mapping[str, Callable[[Trajectories, float, float], torch.Tensor]] = {

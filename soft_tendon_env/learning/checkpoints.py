@@ -1,9 +1,9 @@
 """Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that
 a killed training can go on.
 
-A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`,
-`statistics.npz` and `config.json`, which has the digests of the other files. What a training goes
-on from has the other files too, which are unpickled then, and only then.
+A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling:
+`weights.npz`, `statistics.npz` and `config.json`, which has the digests of the other files. What a
+training goes on from has the other files too, which are unpickled then, and only then.
 """
 
 import pickle

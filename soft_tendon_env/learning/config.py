@@ -14,7 +14,7 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
-from soft_tendon_env.policies.network import ALGORITHMS
+from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from soft_tendon_env.policies.network import algorithm_class
+from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import Problem, not_among, shown
 
 APG, DAGGER = "APG", "DAgger"
@@ -52,11 +52,18 @@ RANGES: Mapping[str, tuple[float, float]] = {
 def training_class(algorithm: str) -> Any:
     """Class of an algorithm of ALGORITHMS or MODULES to train with. Raises ModuleNotFoundError
     without Stable-Baselines3."""
-    return (
-        getattr(importlib.import_module(MODULES[algorithm]), algorithm)
-        if algorithm in MODULES
-        else algorithm_class(algorithm)
-    )
+    if algorithm in MODULES:
+        return getattr(importlib.import_module(MODULES[algorithm]), algorithm)
+    registered = ALGORITHMS[algorithm]
+    if not isinstance(registered, str):
+        return registered
+    try:
+        module = importlib.import_module(registered)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"'
+        ) from error
+    return getattr(module, algorithm)
 
 
 def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:

@@ -26,9 +26,10 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.learning.checkpoints import config_record, replace_checkpoint
 from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import TrainingMonitor
+from soft_tendon_env.learning.networks import new_network
 from soft_tendon_env.policies.agent import save_agent
-from soft_tendon_env.policies.network import algorithm_class, new_network
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 COUNTERPARTS = {
@@ -97,7 +98,7 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     """RLlib's view of a training. Raises ConfigurationError for what RLlib has no counterpart of,
     so that a file never says one thing and trains another, and where the arms cannot be shared out
     among the runners (0: the process that learns has them)."""
-    arguments = inspect.signature(algorithm_class("PPO").__init__).parameters
+    arguments = inspect.signature(training_class("PPO").__init__).parameters
     value = {
         name: argument.default for name, argument in arguments.items()
     } | training.hyperparameters

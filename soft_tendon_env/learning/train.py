@@ -35,9 +35,10 @@ from soft_tendon_env.learning.checkpoints import (
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import TrainingCallback, Watch
+from soft_tendon_env.learning.networks import policy_arguments
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 from soft_tendon_env.policies.agent import CONFIG
-from soft_tendon_env.policies.network import policy_arguments
+from soft_tendon_env.policies.algorithms import network_kind
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -131,6 +132,7 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
+    network_kind(training.algorithm)  # raises where its agents could not act later
     env, normalise, kind = (
         make_training_env(training),
         training.normalise,

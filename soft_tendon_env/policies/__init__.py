@@ -2,6 +2,7 @@
 Stable-Baselines3's `predict`."""
 
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
+from soft_tendon_env.policies.algorithms import register_algorithm
 from soft_tendon_env.policies.controller_policy import (
     ControllerPolicy,
     make_policy,
@@ -9,7 +10,6 @@ from soft_tendon_env.policies.controller_policy import (
 )
 from soft_tendon_env.policies.estimators import ESTIMATORS, EstimatorEntry
 from soft_tendon_env.policies.names import PolicyName, load_policy, policy_options
-from soft_tendon_env.policies.network import register_algorithm
 from soft_tendon_env.policies.protocol import Policy
 
 __all__ = [

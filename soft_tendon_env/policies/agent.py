@@ -1,9 +1,9 @@
 """Trained agents as policies: their files, network, normalisation of observations and integral
 action.
 
-An agent's folder has `weights.pt`, the tensors of its network; `statistics.npz`, mean and variance
+An agent's folder has `weights.npz`, the arrays of its network; `statistics.npz`, mean and variance
 by which it sees observations, absent where it sees them as they are; and `config.json`, which says
-all else, see `AgentConfig`.
+all else, see `AgentConfig`. It acts by NumPy alone.
 """
 
 import warnings
@@ -19,14 +19,10 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import given_scene, resolved_scene
+from soft_tendon_env.policies.algorithms import ALGORITHMS, OF_PACKAGE, network_kind
+from soft_tendon_env.policies.architecture import read_architecture
 from soft_tendon_env.policies.integral import IntegralPolicy
-from soft_tendon_env.policies.network import (
-    ALGORITHMS,
-    OF_PACKAGE,
-    WEIGHTS,
-    new_network,
-    read_weights,
-)
+from soft_tendon_env.policies.network import PolicyNetwork
 from soft_tendon_env.policies.normalization import (
     STATISTICS,
     Normalization,
@@ -34,12 +30,15 @@ from soft_tendon_env.policies.normalization import (
     save_normalization,
 )
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, build_network, read_weights
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
+from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
+OLD_WEIGHTS = "weights.pt"  # tensors of agents up to version 0.3
 # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
 AGENT = "agent"
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
@@ -165,12 +164,30 @@ def shipped_as(name: str, task: str) -> str:
     )
 
 
+def lacks_seeds(name: str, task: str) -> bool:
+    """Whether an agent that ships was trained with several seeds, of which only one is here, as in
+    a wheel. Raises ValueError, FileNotFoundError as `shipped_as`."""
+    if not is_shipped(name):
+        return False
+    folder_name = shipped_as(name, task)
+    several = read_toml(trained_folder() / "agents.toml")["several_seeds"]
+    if folder_name not in several.get(task, ()):
+        return False
+    return not any((trained_folder() / folder_name / task).glob("seed_*"))
+
+
 def find_agent(name: str, task: str) -> Path:
     """Folder of an agent by its name: one of `shipped` for the task, or a folder. Raises
     ValueError, FileNotFoundError."""
     folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
     if not (folder / WEIGHTS).is_file():
-        raise FileNotFoundError(f"{name}: there is no file {folder / WEIGHTS}")
+        text = f"{name}: there is no file {folder / WEIGHTS}"
+        if (folder / OLD_WEIGHTS).is_file():
+            text += (
+                f"; {OLD_WEIGHTS} is of an earlier version: `save_agent` writes the former from the"
+                " model of the training"
+            )
+        raise FileNotFoundError(text)
     return folder
 
 
@@ -184,8 +201,8 @@ class TrainingWarning(UserWarning):
 
 
 class NetworkPolicy:
-    """Model or policy network of Stable-Baselines3 that sees observations normalised by the
-    statistics of its training."""
+    """Policy network, or another object with Stable-Baselines3's `predict`, that sees observations
+    normalised by the statistics of its training."""
 
     def __init__(self, model: Any, normalise: Callable[[Any], Any] | None = None) -> None:
         self.network, self.normalise = model, normalise
@@ -210,8 +227,6 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     another task or preset than in its training. Raises TypeError for environments of other
     packages, ValueError, also for another arm or control period, OSError, ModuleNotFoundError.
     """
-    import torch
-
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
@@ -227,32 +242,8 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
         if rows
         else (env.observation_space, env.action_space)
     )
-    torch.set_num_threads(
-        1
-    )  # faster for one observation, and what other threads do does not matter
-    weights, normalization = read_weights(folder / WEIGHTS), None
-    try:
-        sde = {"use_sde": True} if config.hyperparameters.get("use_sde") else {}
-        network = new_network(
-            config.algorithm,
-            {**(config.hyperparameters.get("policy_kwargs") or {}), **sde},
-            *spaces,
-        )
-        network.load_state_dict(weights)
-    except (
-        AssertionError,
-        AttributeError,
-        MemoryError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-        KeyError,
-    ) as error:
-        text = (
-            f"the weights are not of a {config.algorithm} policy for this environment:"
-            f" {' '.join(str(error).split())[:200]}"
-        )
-        raise ValueError(f"{folder / WEIGHTS}: {text}") from error
+    network = load_network(folder, config, *spaces)
+    normalization = None
     if (folder / STATISTICS).exists():
         normalization = read_normalization(folder / STATISTICS, spaces[0])
     elif config.normalise.get("observations"):
@@ -263,6 +254,25 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     return acting_policy(NetworkPolicy(network, normalization), env, config.integral_time)
 
 
+def load_network(
+    folder: Path, config: AgentConfig, observations: gym.Space[Any], actions: gym.Space[Any]
+) -> PolicyNetwork:
+    """Policy network of the agent in a folder, for the spaces of an environment. Raises ValueError,
+    OSError."""
+    arrays = read_weights(folder / WEIGHTS)
+    arguments = dict(config.hyperparameters.get("policy_kwargs") or {})
+    if config.hyperparameters.get("use_sde"):
+        arguments["use_sde"] = True
+    try:
+        architecture = read_architecture(network_kind(config.algorithm), arguments)
+        return build_network(architecture, arrays, observations, actions)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{folder / WEIGHTS}: the weights are not of a {config.algorithm} policy for this"
+            f" environment: {describe(error)}"
+        ) from error
+
+
 def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Policy:
     """Policy of an agent in its environment, with integral action for an integral_time [s]. Raises
     ValueError as IntegralPolicy does."""
@@ -271,10 +281,17 @@ def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Polic
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
     """Write an agent's weights and statistics into a folder, for a config.json that says the rest.
-    Raises OSError, RuntimeError."""
-    import torch
 
-    torch.save(dict(network.state_dict()), folder / WEIGHTS)
+    Args:
+        folder: that is there.
+        network: policy of Stable-Baselines3, `model.policy`; its tensors that actions depend on are
+            written.
+        normalization: of its observations, see `normalization_of`; None: there is none.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    np.savez_compressed(folder / WEIGHTS, allow_pickle=False, **acting_arrays(network.state_dict()))
     if normalization is not None:
         save_normalization(folder / STATISTICS, normalization)
 

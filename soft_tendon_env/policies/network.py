@@ -1,110 +1,128 @@
-"""Policy networks of Stable-Baselines3, from files of weights without unpickling."""
+"""Policy network in NumPy: the mean action of a trained agent, without PyTorch."""
 
-import importlib
-import inspect
-import io
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
-from soft_tendon_env.tools.messages import first_line
+from soft_tendon_env.policies.layers import Actor
+from soft_tendon_env.policies.protocol import LostState
+from soft_tendon_env.tools.types import Single
 
-WEIGHTS = "weights.pt"
-ALGORITHMS: dict[str, Any] = {
-    "PPO": "stable_baselines3",
-    "SAC": "stable_baselines3",
-    "TQC": "sb3_contrib",
-    "CrossQ": "sb3_contrib",
-}
-"""Algorithms of other packages to train with, by name: the module that has it, or the class that
-was registered."""
-OF_PACKAGE = {"APG": "PPO", "DAgger": "PPO"}
-"""Algorithms of this package (learning.hyperparameters.MODULES), and the one of Stable-Baselines3
-whose policy networks they train."""
-RECURRENT = ("APG",)  # algorithms whose policies are those of recurrent.py
-OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
-Algorithm = TypeVar("Algorithm", bound=type)
+NONE = np.float32(0.0)  # constants in single precision, so that actions stay in it
+HALF = np.float32(0.5)
+ONE = np.float32(1.0)
 
 
-def register_algorithm(algorithm: Algorithm) -> Algorithm:
-    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's
-    `BaseAlgorithm`, by its class's name."""
-    ALGORITHMS[algorithm.__name__] = algorithm
-    return algorithm
+class PolicyNetwork:
+    """Policy network in NumPy with Stable-Baselines3's `predict`, for one observation or many.
 
+    Attributes:
+        actor: layers from observations to mean actions.
+        observations: space of what it observes.
+    """
 
-def algorithm_class(algorithm: str) -> Any:
-    """Class of an algorithm: registered, or in Stable-Baselines3. Raises ModuleNotFoundError."""
-    found = ALGORITHMS[algorithm]
-    try:
-        return (
-            getattr(importlib.import_module(found), algorithm) if isinstance(found, str) else found
-        )
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"'
-        ) from error
+    def __init__(self, actor: Actor, observations: gym.Space[Any], actions: gym.spaces.Box) -> None:
+        self.actor = actor
+        self.observations = observations
+        self._bounds = (actions.low.astype(np.float32), actions.high.astype(np.float32))
+        self._lost = LostState("what the policy remembers")
 
+    @property
+    def memory(self) -> int:
+        """Size of what it remembers from one control period to the next."""
+        return 0 if self.actor.gates is None else self.actor.gates.size
 
-def new_network(
-    algorithm: str,
-    arguments: Mapping[str, Any],
-    observations: gym.Space[Any],
-    actions: gym.Space[Any],
-) -> Any:
-    """A policy network that has learned nothing. arguments: of the policy, see `policy_arguments`.
-    Raises ValueError for others."""
-    if algorithm in RECURRENT:
-        kind = importlib.import_module("soft_tendon_env.policies.recurrent").RecurrentPolicy
-    else:
-        aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
-        kind = aliases[
-            "MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"
-        ]
-    given = policy_arguments(
-        {key: value for key, value in arguments.items() if key not in OF_TRAINING}
-    )
-    known = inspect.signature(kind.__init__).parameters
-    if unknown := given.keys() - known.keys():
-        raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
-    return kind(
-        observations,
-        actions,
-        **({"lr_schedule": lambda _: 0.0} if "lr_schedule" in known else {}),
-        **given,
-    )
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        """Mean actions of one observation or many, and the memory to give back.
 
+        Args:
+            observation: of the space that the network was built for, or rows of them.
+            state: memory (rows, size) that the last call gave; None: an episode begins.
+            episode_start: (rows,) where an episode begins, whose memory is zero.
+            deterministic: is taken as True: the noise of a training is no part of an agent.
 
-def policy_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of a policy of plain ones: `activation_fn` is the class of that name in torch.nn.
-    Raises ValueError."""
-    import torch
+        Returns:
+            Actions (n_a,) or (rows, n_a) within the action space, and the next memory; the state as
+            it is where the network has no memory.
 
-    found = dict(given)
-    if "activation_fn" in found:
-        kind = getattr(torch.nn, str(found["activation_fn"]), None)
-        if not (isinstance(kind, type) and issubclass(kind, torch.nn.Module)):
+        Raises:
+            ValueError: an observation or a state has another shape.
+        """
+        plain, many = flatten(observation, self.observations)
+        if not self.memory:
+            nothing = plain[:, :0]
+            mean, _ = self.actor(plain, nothing)
+            return self._bounded(mean, many), state
+        is_first = bool(np.any(episode_start))
+        self._lost.notice(state is None and not is_first)
+        memory = self._read_memory(state, len(plain))
+        if is_first:
+            begins = np.atleast_1d(episode_start).astype(bool)
+            memory = np.where(begins[:, None], NONE, memory)
+        mean, memory = self.actor(plain, memory)
+        return self._bounded(mean, many), memory
+
+    def _read_memory(self, state: Any, rows: int) -> Single:
+        """The memory (rows, size) of a state, zeros for None."""
+        shape = (rows, self.memory)
+        if state is None:
+            return np.zeros(shape, np.float32)
+        memory = np.asarray(state, np.float32)
+        # a state of other rows would be broadcast without a word
+        if memory.shape != shape:
             raise ValueError(
-                f"activation_fn is {found['activation_fn']!r}: it should be the name of an"
-                " activation function in torch.nn"
+                f"state should be what predict gave for these rows, of shape {shape}, not"
+                f" {memory.shape}"
             )
-        found["activation_fn"] = kind
-    return found
+        return memory
+
+    def _bounded(self, mean: Single, many: bool) -> Single:
+        """Actions (rows, n_a) within the action space, (n_a,) of a single row."""
+        low, high = self._bounds
+        if self.actor.squashes:
+            share = HALF * (np.tanh(mean) + ONE)
+            action = low + share * (high - low)
+        else:
+            # for one row quicker than clip
+            above = np.maximum(mean, low)
+            action = np.minimum(above, high)
+        return action if many else action[0]
 
 
-def read_weights(path: Path) -> dict[str, Any]:
-    """Tensors by name, with PyTorch's loader that builds nothing else. Raises ValueError."""
-    import torch
+def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
+    """Entries (rows, n) of one observation or many of a Box or a Dict of them, in the order of
+    keys, as float32, and whether they are many.
 
-    try:
-        weights = torch.load(io.BytesIO(path.read_bytes()), map_location="cpu", weights_only=True)
-        finite = all(bool(torch.isfinite(tensor).all()) for tensor in weights.values())
-    except Exception as error:  # whatever it meets in a damaged file
-        raise ValueError(
-            f"{path} holds no weights alone, or was cut or damaged: {first_line(error)}"
-        ) from error
-    if not finite:
-        raise ValueError(f"{path} has weights that are not finite")
-    return dict(weights)
+    Raises:
+        ValueError: a shape is not the space's, or that of rows of it.
+    """
+    if not isinstance(space, gym.spaces.Dict):
+        return _rows("observation", observation, space)
+    parts = []
+    many = False
+    for key, part in space.spaces.items():
+        rows, many = _rows(f"observation[{key!r}]", observation[key], part)
+        parts.append(rows)
+    return np.concatenate(parts, axis=1), many
+
+
+def _rows(name: str, values: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
+    if isinstance(values, tuple):
+        raise ValueError(f"{name} is a tuple: `reset` returns an observation and its info")
+    shape = space.shape
+    array = np.asarray(values, dtype=np.float32)
+    is_one = array.shape == shape
+    if is_one:
+        return array.reshape(1, -1), False
+    of_row = array.shape[1:]
+    if of_row != shape:
+        raise ValueError(f"{name} has the shape {array.shape}: it should be {shape}, or rows of it")
+    count = len(array)
+    return array.reshape(count, -1), True

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
 Array = NDArray[np.float64]  # of numbers; its shape stands beside it
+Single = NDArray[np.float32]  # numbers of policy networks, in single precision
 
 LEAST = 1e-20
 """Smallest size of a quantity in SI units, but zero: those of all arms, from cells to ships, are

@@ -77,7 +77,7 @@ QUICK = [
     (
         ("train", "{config}", "--seed", "3"),
         ["PPO on TipPose, 128 steps, seed 3"],
-        ["runs/small/seed_3/best/weights.pt"],
+        ["runs/small/seed_3/best/weights.npz"],
     ),
     pytest.param(
         ("demo", "--episodes", "1", "--seconds", "0.2"),

@@ -187,7 +187,7 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
 
 
 @pytest.mark.parametrize(
-    "arguments, missing", [("train ppo_tip_pose", "agents"), ("demo", "agents,pictures,recording")]
+    "arguments, missing", [("train ppo_tip_pose", "agents"), ("demo", "pictures,recording")]
 )
 def test_missing_extras_come_with_the_command_that_installs_them(
     refused, monkeypatch, arguments, missing
@@ -201,7 +201,7 @@ def test_missing_extras_come_with_the_command_that_installs_them(
     "place, name, arguments",
     [
         ("last", "model.zip", "train {config} --resume --set steps=256 --out {run}"),
-        ("best", "weights.pt", "evaluate {run}/best --episodes 1 --out {run}/out"),
+        ("best", "weights.npz", "evaluate {run}/best --episodes 1 --out {run}/out"),
         ("best", "config.json", "record {run}/best --out {run}/out/a.rrd"),
     ],
 )

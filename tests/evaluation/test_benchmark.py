@@ -16,6 +16,7 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import trained_alike
+from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent import find_agent
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -98,6 +99,19 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
     (tmp_path / "seed_2").rename(tmp_path / "seed_0")
     with pytest.raises(ValueError, match="seed_0 has the seed of the agent beside it"):
         trained_alike(PolicyName.parse(str(tmp_path), "Reach"))
+
+
+def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
+    in_clone, notes = benchmark("ppo", scene="paper", regimes=("state",)).cells()
+    assert len({label.seed for label in in_clone}) == 5 and not notes
+    shipped = agent.trained_folder()
+    shutil.copytree(shipped, tmp_path / "trained", ignore=shutil.ignore_patterns("seed_*"))
+    monkeypatch.setattr(agent, "trained_folder", lambda: tmp_path / "trained")
+    in_wheel, notes = benchmark("ppo", "apg", scene="paper", regimes=("state",)).cells()
+    assert {label.seed for label in in_wheel} == {None}
+    (note,) = notes
+    assert note.startswith("ppo, apg: a wheel has one seed of the training")
+    assert "agents/trained of the repository; clone it" in note
 
 
 @pytest.mark.parametrize(

@@ -11,21 +11,25 @@ import pytest
 onnxruntime = pytest.importorskip("onnxruntime")
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
+pytest.importorskip("stable_baselines3")
 
 from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.envs.observation import GROUPS, Group  # noqa: E402
 from soft_tendon_env.export.agent import compare, export_agent, pose_logarithm  # noqa: E402
+from soft_tendon_env.learning.networks import new_network  # noqa: E402
 from soft_tendon_env.mechanics.motion import pose_errors as kernels  # noqa: E402
 from soft_tendon_env.policies import load_agent, make_policy, policy_options  # noqa: E402
 from soft_tendon_env.policies.agent import NetworkPolicy  # noqa: E402
+from soft_tendon_env.policies.algorithms import network_kind  # noqa: E402
+from soft_tendon_env.policies.architecture import read_architecture  # noqa: E402
 from soft_tendon_env.policies.integral import IntegralPolicy  # noqa: E402
-from soft_tendon_env.policies.network import new_network  # noqa: E402
 from soft_tendon_env.policies.normalization import Moments, Normalization  # noqa: E402
+from soft_tendon_env.policies.weights import acting_arrays, build_network  # noqa: E402
 from soft_tendon_env.tools.configuration import ConfigurationError  # noqa: E402
 
 TRAINED = sorted(
     path.parent
-    for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.pt")
+    for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.npz")
 )
 MEASURABLE = {"observation": "measurable", "sensors": 2, "action": "tension"}
 INCREMENTS = {
@@ -78,15 +82,17 @@ def exported(tmp_path):
     ):
         env = gym.make(IDS[task], **{"scene": "three_tendon", "fidelity": "fast", **options})
         torch.manual_seed(0)
-        network = new_network(
-            algorithm,
-            {"net_arch": [16, 16], **(policy or {})},
+        arguments = {"net_arch": [16, 16], **(policy or {})}
+        trained = new_network(algorithm, arguments, env.observation_space, env.action_space)
+        with torch.no_grad():
+            for parameter in trained.parameters():
+                parameter += 0.1 * torch.randn_like(parameter)
+        network = build_network(
+            read_architecture(network_kind(algorithm), arguments),
+            acting_arrays(trained.state_dict()),
             env.observation_space,
             env.action_space,
         )
-        with torch.no_grad():
-            for parameter in network.parameters():
-                parameter += 0.1 * torch.randn_like(parameter)
         spaces = env.observation_space.spaces if task == "Reach" else {"": env.observation_space}
         draw = np.random.default_rng(0)
         moments = {
@@ -126,12 +132,10 @@ def test_agents_that_ship(folder, tmp_path):
 
 def test_another_policy_is_told_apart(exported):
     env, agent, path = exported(action="tension")
-    with torch.no_grad():
-        agent.network.action_net.bias += 0.01
+    agent.network.actor.head.layers[0].bias[:] += 0.01
     _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)
-    assert of_range == pytest.approx(0.005, rel=1e-3) and difference == pytest.approx(
-        0.005 * np.ptp(env.unwrapped.episodes.limits[0])
-    )
+    assert of_range == pytest.approx(0.005, rel=1e-3)
+    assert difference == pytest.approx(of_range * np.ptp(env.unwrapped.episodes.limits[0]))
 
 
 def test_it_remembers_and_says_what_goes_in(exported):

@@ -119,7 +119,7 @@ def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(
         assert (config["engine"], config["runners"]) == (
             "rllib",
             runners,
-        ) and "weights.pt" in config["files"]
+        ) and "weights.npz" in config["files"]
         assert (tmp_path / name / "rllib").is_dir() == (name == "last"), (
             "which a training goes on from"
         )

@@ -55,7 +55,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
     assert all(np.isfinite([*row.values()]).all() for row in rows)
     for name in ("best", "last"):
         files = {path.name for path in (tmp_path / name).iterdir()}
-        assert {"weights.pt", "config.json"} <= files
+        assert {"weights.npz", "config.json"} <= files
         assert ("statistics.npz" in files) == chosen.normalise.observations
         assert ({"model.zip", "environment.pkl"} <= files) == (name == "last"), (
             "which a training goes on from"

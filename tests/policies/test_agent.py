@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import sb3_contrib
 import stable_baselines3
-import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -19,6 +18,7 @@ from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent import OF_TRAINING, AgentConfig, read_config
 from soft_tendon_env.policies.names import load_policy
 from soft_tendon_env.policies.normalization import normalization_of
+from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, read_weights
 from soft_tendon_env.scene.file import load_scene
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -49,7 +49,9 @@ def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
         str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env
     )
     action, _ = loaded.predict(observation, None, np.ones(1, bool), deterministic=True)
-    np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
+    np.testing.assert_allclose(
+        action, trained.predict(observation, deterministic=True)[0], atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("task", ["TipPose", "Reach"])
@@ -67,8 +69,10 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
     config = {"algorithm": "SAC", "normalise": {"observations": True}}
     folder = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
     action, _ = agent.load_agent(str(folder), env).predict(observation)
-    np.testing.assert_array_equal(
-        action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0]
+    np.testing.assert_allclose(
+        action,
+        trained.predict(statistics.normalize_obs(observation), deterministic=True)[0],
+        atol=1e-5,
     )
     (folder / "statistics.npz").unlink()
     with pytest.raises(
@@ -98,7 +102,7 @@ class Malice:
         return os.mkdir, (self.folder,)
 
 
-@pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
+@pytest.mark.parametrize("name", ["weights.npz", "statistics.npz", "config.json"])
 def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
@@ -108,13 +112,36 @@ def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name
     assert not ran.exists() and len(str(error.value).splitlines()) == 1
 
 
+def test_objects_among_an_agents_arrays_are_not_unpickled(tmp_path, trained):
+    folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
+    weights = {**read_weights(folder / WEIGHTS), BIAS: np.array([Malice(ran)])}
+    np.savez(folder / WEIGHTS, **weights)
+    with pytest.raises(ValueError, match="weights.npz holds no weights alone"):
+        agent.load_agent(str(folder), make())
+    assert not ran.exists()
+
+
+def test_weights_of_an_earlier_version_are_named(tmp_path, trained):
+    folder = write_agent(tmp_path / "agent", *trained)
+    (folder / WEIGHTS).rename(folder / "weights.pt")
+    with pytest.raises(FileNotFoundError, match="weights.pt is of an earlier version"):
+        agent.load_agent(str(folder), make())
+
+
 BIAS = "action_net.bias"
 
 
 def weights(change):
-    return lambda folder, network, normalization: torch.save(
-        change(dict(network.state_dict())), folder / "weights.pt"
-    )
+    def write(folder, network, normalization):
+        changed = change(acting_arrays(network.state_dict()))
+        np.savez(folder / "weights.npz", **changed)
+
+    return write
+
+
+def one_array(folder, network, normalization):
+    with open(folder / "weights.npz", "wb") as file:
+        np.save(file, np.zeros(3))
 
 
 def arrays(**changes):
@@ -147,14 +174,27 @@ def table(**changes):
     "spoil, said",
     [
         (
-            weights(lambda found: {**found, BIAS: torch.nan * found[BIAS]}),
-            "weights.pt has weights that are not finite",
+            weights(lambda found: {**found, BIAS: np.float32(np.nan) * found[BIAS]}),
+            f"weights.npz has weights that are not finite, in {BIAS}",
         ),
         (
             weights(lambda found: found.pop(BIAS) is None or found),
-            "weights.pt: the weights are not of a PPO policy for this env.*action_net",
+            f"weights.npz: the weights are not of a PPO policy for this env.*: {BIAS} is missing,"
+            r" which should be of shape \(3,\)",
         ),
-        (weights(list), "weights.pt holds no weights alone"),
+        (
+            weights(lambda found: {**found, BIAS: found[BIAS][:2]}),
+            rf"not of a PPO policy .*: {BIAS} is of shape \(2,\): it should be \(3,\)",
+        ),
+        (
+            weights(lambda found: {**found, BIAS: found[BIAS].astype(float)}),
+            f"weights.npz: {BIAS} is of type float64: it should be float32",
+        ),
+        (
+            weights(lambda found: {**found, "lstm.weight": found[BIAS]}),
+            "not of a PPO policy .*: lstm.weight should not be there",
+        ),
+        (one_array, "weights.npz holds no weights alone"),
         (
             arrays(mean=np.zeros(3), variance=np.ones(3)),
             r"statistics.npz is of observations \(3,\), this environment has",
@@ -167,7 +207,7 @@ def table(**changes):
             table(algorithm="PPOO"),
             "config.json: algorithm is 'PPOO': it should be an algorithm: did you mean 'PPO'",
         ),
-        (table(algorithm="SAC"), "weights.pt: the weights are not of a SAC policy"),
+        (table(algorithm="SAC"), "weights.npz: the weights are not of a SAC policy"),
         (table(residual="tracking"), "config.json: residual is an unknown key"),
         (
             table(hyperparameters={"policy_kwargs": {"net_archs": [7]}}),
@@ -176,6 +216,14 @@ def table(**changes):
         (
             table(hyperparameters={"policy_kwargs": {"activation_fn": "os.system"}}),
             "activation_fn is 'os.system'",
+        ),
+        (
+            table(hyperparameters={"policy_kwargs": {"features_extractor_class": "Mine"}}),
+            "features_extractor_class is 'Mine': layers of one's own cannot act here",
+        ),
+        (
+            table(hyperparameters={"policy_kwargs": {"net_arch": [64, "64"]}}),
+            "net_arch is .*: it should be the units of hidden layers",
         ),
     ],
 )

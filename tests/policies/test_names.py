@@ -14,7 +14,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("agent_1", "run/best", "seeds/seed_0", "ppo/seed_0", "tracking"):
         (tmp_path / folder).mkdir(parents=True)
-    for file in ("agent_1/weights.pt", "run/config.json", "run/best/weights.pt"):
+    for file in ("agent_1/weights.npz", "run/config.json", "run/best/weights.npz"):
         (tmp_path / file).touch()
     (tmp_path / "best.toml").write_text(
         'policy = "adaptive:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" ='

@@ -5,19 +5,35 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
-
-from soft_tendon_env.policies.network import new_network  # noqa: E402
+from soft_tendon_env.policies.architecture import read_architecture
+from soft_tendon_env.policies.weights import build_network
 
 SPACES = gym.spaces.Box(-1.0, 1.0, (6,), np.float32), gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+SIZES = {"net_arch": [16], "memory": 5, "fine": 10.0, "posture": 2}
+SEEN = 2 * 6 + 5  # entries, their fine copies and the memory
+SHAPES = {
+    "gate.weight": (5, SEEN),
+    "gate.bias": (5,),
+    "candidate.weight": (5, SEEN),
+    "candidate.bias": (5,),
+    "mlp_extractor.policy_net.0.weight": (16, SEEN),
+    "mlp_extractor.policy_net.0.bias": (16,),
+    "way.weight": (16, 2 * (6 - 2)),
+    "gain.weight": (2, 16),
+    "action_net.weight": (2, 16),
+    "action_net.bias": (2,),
+}
 BEGINS, GOES_ON = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
+
+
+def draw_arrays():
+    draw = np.random.default_rng(0)
+    return {name: draw.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in SHAPES.items()}
 
 
 @pytest.fixture(scope="module")
 def policy():
-    torch.manual_seed(0)
-    return new_network("APG", {"net_arch": [16], "memory": 5, "fine": 10.0, "posture": 2}, *SPACES)
+    return build_network(read_architecture("APG", SIZES), draw_arrays(), *SPACES)
 
 
 @pytest.fixture(scope="module")
@@ -68,17 +84,18 @@ def test_sizes_that_cannot_be_are_refused(given):
         ValueError,
         match="they should be at least 0, and posture less than the size of an observation, 6",
     ):
-        new_network("APG", given, *SPACES)
+        build_network(read_architecture("APG", given), {}, *SPACES)
 
 
-def test_where_nothing_is_away_from_rest_only_layers_without_gains_act(policy):
+def test_where_nothing_is_away_from_rest_only_layers_without_gains_act():
     """Gains by which the way to the target is multiplied add nothing where there is none."""
-    at_rest = torch.tensor([[0.3, -0.2, 0.0, 0.0, 0.0, 0.0]])
-    with torch.no_grad():
-        before, _ = policy.act(at_rest, torch.zeros(1, 5))
-        policy.gain.weight += 1.0
-        after, _ = policy.act(at_rest, torch.zeros(1, 5))
-        moved, _ = policy.act(at_rest + 0.1, torch.zeros(1, 5))
-        policy.gain.weight -= 1.0
-        unmoved, _ = policy.act(at_rest + 0.1, torch.zeros(1, 5))
-    assert torch.equal(before, after) and not torch.allclose(moved, unmoved)
+    arrays = draw_arrays()
+    architecture = read_architecture("APG", SIZES)
+    before = build_network(architecture, arrays, *SPACES)
+    more = {**arrays, "gain.weight": arrays["gain.weight"] + np.float32(1.0)}
+    after = build_network(architecture, more, *SPACES)
+    at_rest = np.array([[0.3, -0.2, 0.0, 0.0, 0.0, 0.0]], dtype=np.float32)
+    memory = np.zeros((1, 5), dtype=np.float32)
+    np.testing.assert_array_equal(before.actor(at_rest, memory)[0], after.actor(at_rest, memory)[0])
+    moved = at_rest + np.float32(0.1)
+    assert not np.allclose(before.actor(moved, memory)[0], after.actor(moved, memory)[0])

@@ -11,6 +11,7 @@ from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summaris
 from soft_tendon_env.evaluation.entrants import ALIKE, read_run
 from soft_tendon_env.policies import load_agent, policy_options
 from soft_tendon_env.policies.agent import shipped_as
+from soft_tendon_env.tools.configuration import read_toml
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
@@ -20,7 +21,7 @@ BARS = {
 }
 SEEDS = sorted(TRAINED.glob("*/*/seed_*"))
 SHIPPED = sorted(
-    (path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt")
+    (path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.npz")
 )
 
 
@@ -56,5 +57,11 @@ def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
 def test_seeds_beside_an_agent_had_the_same_training(folder):
     one, other = (read_run(place) for place in (folder.parent, folder))
     assert {key: one[key] for key in ALIKE} == {key: other[key] for key in ALIKE}
-    assert (folder / "weights.pt").read_bytes() != (folder.parent / "weights.pt").read_bytes()
+    assert (folder / "weights.npz").read_bytes() != (folder.parent / "weights.npz").read_bytes()
     assert folder.name == f"seed_{other['seed']}" != f"seed_{one['seed']}"
+
+
+def test_agents_of_several_seeds_are_listed():
+    listed = read_toml(TRAINED / "agents.toml")["several_seeds"]
+    pairs = {(name, task) for task, names in listed.items() for name in names}
+    assert pairs == {(path.parts[-3], path.parts[-2]) for path in SEEDS}

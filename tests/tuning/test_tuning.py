@@ -190,7 +190,7 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
     else:
         assert (
             read_training(out / "best.toml").steps == 128
-            and (out / "trial_0" / "best" / "weights.pt").exists()
+            and (out / "trial_0" / "best" / "weights.npz").exists()
         )
         assert not (Path(out) / "trial_0" / "last").exists(), "nothing goes on from it"
 

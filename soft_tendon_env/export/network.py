@@ -1,0 +1,117 @@
+"""Policy networks of agents in PyTorch, which traces them: the same layers as in NumPy."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import torch
+
+from soft_tendon_env.policies.layers import (
+    Activation,
+    Clip,
+    Feedforward,
+    Layer,
+    Linear,
+    Renormalisation,
+)
+from soft_tendon_env.policies.network import PolicyNetwork
+
+
+class TensorNetwork(torch.nn.Module):
+    """Policy network in PyTorch that acts as one in NumPy, by the formulas of its methods."""
+
+    def __init__(self, network: PolicyNetwork) -> None:
+        super().__init__()
+        actor = network.actor
+        self.memory = network.memory
+        self._squashes = actor.squashes
+        self._fine = actor.fine
+        self._keys: list[str] = []
+        if isinstance(network.observations, gym.spaces.Dict):
+            self._keys = [*network.observations.spaces]
+        self.body = tensor_layers(actor.body)
+        self.head = tensor_layers(actor.head)
+        if actor.gates is not None:
+            self.gate = tensor_layer(actor.gates.gate)
+            self.candidate = tensor_layer(actor.gates.candidate)
+        self._posture: int | None = None
+        if actor.gains is not None:
+            self._posture = actor.gains.posture
+            self.way = tensor_layer(actor.gains.way)
+            self.gain = tensor_layer(actor.gains.gain)
+
+    def forward(
+        self, observation: torch.Tensor | Mapping[str, torch.Tensor], memory: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Actions (rows, n_a) before the bounds of the action space, and the next memory.
+
+        Args:
+            observation: rows (rows, n), or a table of them.
+            memory: (rows, size), None where there is none.
+        """
+        if isinstance(observation, Mapping):
+            plain = torch.cat([observation[key] for key in self._keys], dim=1)
+        else:
+            plain = observation
+        seen = self._finer(plain)
+        if memory is not None:
+            before = torch.cat([seen, memory], dim=1)
+            share = torch.sigmoid(self.gate(before))
+            recalled = torch.cat([seen, share * memory], dim=1)
+            candidate = torch.tanh(self.candidate(recalled))
+            memory = memory + share * (candidate - memory)
+            seen = torch.cat([seen, memory], dim=1)
+        latent = self.body(seen)
+        mean = self.head(latent)
+        if self._posture is not None:
+            away = self._finer(plain[:, self._posture :])
+            mean = mean + self.gain(latent * self.way(away))
+        return (torch.tanh(mean) if self._squashes else mean), memory
+
+    def _finer(self, values: torch.Tensor) -> torch.Tensor:
+        if not self._fine:
+            return values
+        fine = torch.tanh(self._fine * values)
+        return torch.cat([values, fine], dim=1)
+
+
+class TensorRenormalisation(torch.nn.Module):
+    """Batch renormalisation with running statistics, see `policies.layers.Renormalisation`."""
+
+    def __init__(self, layer: Renormalisation) -> None:
+        super().__init__()
+        self.mean = torch.as_tensor(layer.mean)
+        self.deviation = torch.as_tensor(layer.deviation)
+        self.scale = torch.as_tensor(layer.scale)
+        self.bias = torch.as_tensor(layer.bias)
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        return self.scale * ((values - self.mean) / self.deviation) + self.bias
+
+
+def tensor_layers(layers: Feedforward) -> torch.nn.Sequential:
+    """Layers one after the other in PyTorch."""
+    return torch.nn.Sequential(*(tensor_layer(layer) for layer in layers.layers))
+
+
+def tensor_layer(layer: Layer) -> torch.nn.Module:
+    """A layer in PyTorch."""
+    if isinstance(layer, Activation):
+        activation: Any = getattr(torch.nn, layer.name)
+        made: torch.nn.Module = activation()
+        return made
+    if isinstance(layer, Clip):
+        return torch.nn.Hardtanh(-layer.most, layer.most)
+    if isinstance(layer, Renormalisation):
+        return TensorRenormalisation(layer)
+    return _tensor_linear(layer)
+
+
+def _tensor_linear(layer: Linear) -> torch.nn.Linear:
+    outputs, inputs = layer.weight.shape
+    made = torch.nn.Linear(inputs, outputs, bias=layer.bias is not None)
+    with torch.no_grad():
+        made.weight.copy_(torch.as_tensor(layer.weight))
+        if layer.bias is not None:
+            made.bias.copy_(torch.as_tensor(layer.bias))
+    return made

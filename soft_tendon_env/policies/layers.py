@@ -1,0 +1,141 @@
+"""Layers of policy networks in NumPy: functions of rows of values in single precision."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import expit
+
+from soft_tendon_env.policies.activations import ACTIVATIONS
+from soft_tendon_env.tools.types import Single
+
+
+class Linear(NamedTuple):
+    """Affine layer."""
+
+    weight: Single  # (outputs, inputs)
+    bias: Single | None = None  # (outputs,)
+
+    def __call__(self, values: Single) -> Single:
+        product = np.dot(values, self.weight.T)  # for one row quicker than matmul
+        return product if self.bias is None else product + self.bias
+
+
+class Activation(NamedTuple):
+    """Activation function by its name in torch.nn, see `activations`."""
+
+    name: str
+
+    def __call__(self, values: Single) -> Single:
+        return ACTIVATIONS[self.name](values)
+
+
+class Renormalisation(NamedTuple):
+    """Batch renormalisation with running statistics: S. Ioffe, Batch renormalization, NeurIPS 2017,
+    as CrossQ acts by it."""
+
+    mean: Single  # (n,)
+    deviation: Single  # (n,)
+    scale: Single  # (n,)
+    bias: Single  # (n,)
+
+    def __call__(self, values: Single) -> Single:
+        return self.scale * ((values - self.mean) / self.deviation) + self.bias
+
+
+class Clip(NamedTuple):
+    """Bound on the magnitude of values."""
+
+    most: float
+
+    def __call__(self, values: Single) -> Single:
+        return np.clip(values, -self.most, self.most)
+
+
+Layer = Linear | Activation | Renormalisation | Clip
+
+
+@dataclass(frozen=True, eq=False)
+class Feedforward:
+    """Layers one after the other."""
+
+    layers: tuple[Layer, ...]
+
+    def __call__(self, values: Single) -> Single:
+        for layer in self.layers:
+            values = layer(values)
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class Gates:
+    """Memory of an episode: a minimal gated unit, see `learning.recurrent`."""
+
+    gate: Linear
+    candidate: Linear
+
+    @property
+    def size(self) -> int:
+        return len(self.gate.weight)
+
+    def __call__(self, seen: Single, memory: Single) -> Single:
+        """Next memory (rows, size), of what is seen (rows, n) and the memory."""
+        share = expit(self.gate(np.concatenate([seen, memory], axis=1)))
+        recalled = np.concatenate([seen, share * memory], axis=1)
+        candidate = np.tanh(self.candidate(recalled))
+        return memory + share * (candidate - memory)
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Part of the action that vanishes where the arm rests at its target: latent values times a
+    linear map of all entries but those of posture."""
+
+    posture: int  # number of first entries that are left out
+    way: Linear
+    gain: Linear
+
+    def __call__(self, latent: Single, away: Single) -> Single:
+        return self.gain(latent * self.way(away))
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """Layers of a policy network, from observations to mean actions.
+
+    Attributes:
+        body: layers up to the latent values.
+        head: layers from there to the mean action.
+        squashes: actions are tanh of the mean, scaled to the bounds of the action space.
+        gates: the memory; None: there is none.
+        gains: gains by the way to the target; None: there are none.
+        fine: factor of small entries that layers see besides as tanh(fine x); 0: they do not.
+    """
+
+    body: Feedforward
+    head: Feedforward
+    squashes: bool = False
+    gates: Gates | None = None
+    gains: Gains | None = None
+    fine: float = 0.0
+
+    def __call__(self, plain: Single, memory: Single) -> tuple[Single, Single]:
+        """Mean actions (rows, n_a) before bounds and squashing, and the next memory, of entries of
+        observations (rows, n) and the memory (rows, size)."""
+        seen = self._finer(plain)
+        if self.gates is not None:
+            # the action follows what is remembered now, this period's observation included
+            memory = self.gates(seen, memory)
+            seen = np.concatenate([seen, memory], axis=1)
+        latent = self.body(seen)
+        mean = self.head(latent)
+        if self.gains is not None:
+            away = self._finer(plain[:, self.gains.posture :])
+            mean = mean + self.gains(latent, away)
+        return mean, memory
+
+    def _finer(self, values: Single) -> Single:
+        if not self.fine:
+            return values
+        fine = np.tanh(np.float32(self.fine) * values)
+        return np.concatenate([values, fine], axis=1)
