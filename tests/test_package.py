@@ -146,11 +146,14 @@ def test_all_that_ships_is_in_the_wheel(unpacked):
     ):
         assert {f"{inside}/{path.name}" for path in (ROOT / folder).glob("*.toml")} <= names
     trained = ROOT / "agents" / "trained"
-    for path in (
-        trained / "agents.toml",
-        *(path for path in trained.glob("*/*/*") if path.suffix in (".json", ".npz")),
-    ):
-        assert f"soft_tendon_env/policies/trained/{path.relative_to(trained).as_posix()}" in names
+    table = tomllib.loads((trained / "agents.toml").read_text())
+    assert "soft_tendon_env/policies/trained/agents.toml" in names
+    for folder in trained.glob("*/*/"):
+        agent_name, task = folder.relative_to(trained).parts
+        in_wheel = agent_name not in table["repository_alone"][task]
+        for path in (folder / "config.json", folder / "weights.npz"):
+            place = path.relative_to(trained).as_posix()
+            assert (f"soft_tendon_env/policies/trained/{place}" in names) == in_wheel
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
     assert sources <= names and "soft_tendon_env/py.typed" in names
     assert not [

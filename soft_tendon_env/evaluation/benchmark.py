@@ -24,7 +24,7 @@ from soft_tendon_env.evaluation.settings import (
 )
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
 from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
-from soft_tendon_env.policies.agent import INTERFACE, lacks_seeds
+from soft_tendon_env.policies.agent import IN_REPOSITORY, INTERFACE, lacks_seeds
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
@@ -128,9 +128,9 @@ class Benchmark(Workers):
         if not cells:
             raise ValueError(f"nobody can play: {'; '.join(notes)}")
         if of_one_seed:
+            names = ", ".join(of_one_seed)
             notes.append(
-                f"{', '.join(of_one_seed)}: a wheel has one seed of the training, the others are in"
-                " agents/trained of the repository; clone it and run the same command there"
+                f"{names}: other seeds of the training are not in a wheel, {IN_REPOSITORY}"
             )
         return cells, notes
 

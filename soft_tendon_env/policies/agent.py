@@ -40,6 +40,9 @@ from soft_tendon_env.tools.types import Positive
 CONFIG = "config.json"
 OLD_WEIGHTS = "weights.pt"  # tensors of agents up to version 0.3
 # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
+IN_REPOSITORY = "but in agents/trained of the repository: clone it and run the same command there"
+"""Where the agents are that a wheel lacks, and what to do."""
+
 AGENT = "agent"
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
@@ -125,8 +128,14 @@ class AgentConfig(Configuration):
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the agents that ship: their folders', and `agent` for the best of a task."""
-    return AGENT, *sorted(path.name for path in trained_folder().iterdir() if path.is_dir())
+    """Names of the agents that ship, `agent` for the best of a task first.
+
+    They are those of their folders; a wheel lacks some folders, see agents.toml.
+    """
+    folders = {path.name for path in trained_folder().iterdir() if path.is_dir()}
+    for names in _agents_table()["repository_alone"].values():
+        folders.update(names)
+    return AGENT, *sorted(folders)
 
 
 def is_shipped(name: str) -> bool:
@@ -149,19 +158,29 @@ def trained_folder() -> Path:
     return shipped_folder("policies/trained", "agents/trained")
 
 
+def _agents_table() -> dict[str, Any]:
+    """agents.toml of the agents that ship. Raises ValueError, FileNotFoundError."""
+    return read_toml(trained_folder() / "agents.toml")
+
+
 def shipped_as(name: str, task: str) -> str:
-    """Name of the folder of an agent that ships for a task: what "agent" stands for. Raises
-    ValueError, FileNotFoundError for none."""
-    found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
-    if found in (
-        there := [
-            known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()
-        ]
-    ):
-        return str(found)
-    raise FileNotFoundError(
-        f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}"
-    )
+    """Name of the folder of an agent that ships for a task: what "agent" stands for.
+
+    Raises:
+        FileNotFoundError: there is no such agent for the task, or none in a wheel.
+        ValueError: agents.toml was damaged.
+    """
+    table = _agents_table()
+    folder_name = str(table.get(task)) if name == AGENT else name
+    of_task = [
+        known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()
+    ]
+    if folder_name in of_task:
+        return folder_name
+    text = f"the agent {name!r} does not ship for {task}; what does: {', '.join(of_task) or 'none'}"
+    if folder_name in table["repository_alone"].get(task, ()):
+        text = f"the agent {name!r} for {task} is not in a wheel, {IN_REPOSITORY}"
+    raise FileNotFoundError(text)
 
 
 def lacks_seeds(name: str, task: str) -> bool:
@@ -170,7 +189,7 @@ def lacks_seeds(name: str, task: str) -> bool:
     if not is_shipped(name):
         return False
     folder_name = shipped_as(name, task)
-    several = read_toml(trained_folder() / "agents.toml")["several_seeds"]
+    several = _agents_table()["several_seeds"]
     if folder_name not in several.get(task, ()):
         return False
     return not any((trained_folder() / folder_name / task).glob("seed_*"))

@@ -110,8 +110,14 @@ def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
     in_wheel, notes = benchmark("ppo", "apg", scene="paper", regimes=("state",)).cells()
     assert {label.seed for label in in_wheel} == {None}
     (note,) = notes
-    assert note.startswith("ppo, apg: a wheel has one seed of the training")
-    assert "agents/trained of the repository; clone it" in note
+    assert note.startswith("ppo, apg: other seeds of the training are not in a wheel")
+    assert "agents/trained of the repository: clone it" in note
+    shutil.rmtree(tmp_path / "trained" / "dagger" / "TipPose")
+    for name in ("apg_water", "apg_obstacles"):
+        shutil.rmtree(tmp_path / "trained" / name)
+    for name in ("dagger", "apg_water"):
+        with pytest.raises(FileNotFoundError, match=f"'{name}' for TipPose is not in a wheel, but"):
+            agent.find_agent(name, "TipPose")
 
 
 @pytest.mark.parametrize(
