@@ -65,7 +65,7 @@ MARGIN = 2.0
 """By how many times the error on these stays below what is asked for: other motions may be
 worse."""
 
-LARGER_LOADS_MARGIN = 1.5
+LARGER_LOADS_MARGIN = 1.25
 """As MARGIN, under loads larger than the scene's, which weaker ones are better than."""
 
 REFERENCE = 0.1
