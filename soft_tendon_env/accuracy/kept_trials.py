@@ -17,6 +17,7 @@ from filelock import FileLock
 from soft_tendon_env.accuracy import trial
 from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.loads import covers
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -77,7 +78,7 @@ def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
 def _reaches(choice: Choice, scene: Scene) -> bool:
     """Whether the loads that were tried include the scene's."""
     try:
-        return Effects(**(choice.loads or {})).includes(scene.effects)
+        return covers(Effects(**(choice.loads or {})), scene.effects)
     except ConfigurationError:  # of an effect that is not registered
         return False
 

@@ -66,7 +66,7 @@ MARGIN = 2.0
 worse."""
 
 LARGER_LOADS_MARGIN = 1.25
-"""As MARGIN, under loads larger than the scene's, which weaker ones are better than."""
+"""As MARGIN, under the largest loads: the error is smaller under weaker ones."""
 
 REFERENCE = 0.1
 """Error that is aimed at in full physics, as a share of what is asked for."""
@@ -82,6 +82,15 @@ MOST_LEVELS = 3
 
 OWN = 0
 """Case of loads that are the scene's own."""
+
+GREATEST = 1
+"""Case of the largest loads that a trial holds for."""
+
+WEAKER = 2
+"""Case of smaller loads."""
+
+TURNS = (OWN, GREATEST, OWN, WEAKER)
+"""Cases of the inputs, in turn: half of them have the scene's own loads."""
 
 LOOKED_AT = 5
 """Rows of tensions after which a motion ends that is too far from full physics already."""
@@ -196,23 +205,26 @@ class Trial:
         return self.missing + self.not_unique
 
     def _inputs(self) -> list[TrialInput]:
-        """Tests before anything is computed: equilibria, then motions, which take turns with the
-        cases of loads."""
+        """Tests before anything is computed: equilibria, then motions, each in turn with the cases
+        of loads."""
         low, high = tension_limits(self.scene)
-        draws = np.random.default_rng(SEED).random((RESTS, low.size))
-        tensions = [slack_tensions(self.scene), *(low + draws * (high - low))]
-        tensions += [motion_tensions(self.scene, kind, SEED, self._seconds()) for kind in USUAL]
-        ladders = [
-            Ladder(self.scene.replace({"effects": effects}), REFERENCE * self.unit)
-            for effects in self.cases
-        ]
-        tests = []
-        for place, table in enumerate(tensions):
-            # the first motion has the scene's own loads, as the slack arm
-            turn = place if table.ndim == 1 else place - RESTS - 1
-            case = turn % len(self.cases)
-            tests.append(TrialInput(ReferenceMotion(ladders[case], table), case))
-        return tests
+        shares = np.random.default_rng(SEED).random((RESTS, low.size))
+        rests = [slack_tensions(self.scene), *(low + shares * (high - low))]
+        duration = self._seconds()
+        motions = [motion_tensions(self.scene, kind, SEED, duration) for kind in USUAL]
+
+        ladders = []
+        for effects in self.cases:
+            loaded = self.scene.replace({"effects": effects})
+            ladders.append(Ladder(loaded, REFERENCE * self.unit))
+
+        inputs = []
+        for group in (rests, motions):
+            for place, tensions in enumerate(group):
+                case = TURNS[place % len(TURNS)] if len(self.cases) > 1 else OWN
+                motion = ReferenceMotion(ladders[case], tensions)
+                inputs.append(TrialInput(motion, case))
+        return inputs
 
     def _seconds(self) -> float:
         """Duration [s] of the motions."""
@@ -292,7 +304,8 @@ class Trial:
 
     def _enough(self, test: TrialInput) -> float:
         """Largest distance [m] of a tip that is near enough."""
-        return self.unit / (MARGIN if test.case == OWN else LARGER_LOADS_MARGIN)
+        margin = LARGER_LOADS_MARGIN if test.case == GREATEST else MARGIN
+        return self.unit / margin
 
     def _decide(self, reference: ReferenceMotion, path: Array | None, enough: float) -> None:
         """Refines a reference until it says whether a path is near `enough` [m], or to the end."""
@@ -394,7 +407,7 @@ def judged(
 
 def _with_inputs(choice: Choice, trial: Trial) -> Choice:
     """The choice with what it was tried on."""
-    largest = trial.cases[min(1, len(trial.cases) - 1)]
+    largest = trial.cases[GREATEST if len(trial.cases) > 1 else OWN]
     return choice._replace(
         missing=trial.missing,
         not_unique=trial.not_unique,

@@ -115,7 +115,7 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
 
 
 def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, monkeypatch):
-    """Whatever their directions: each is tried up to REACH times its size."""
+    """In their directions: each is tried up to REACH times its size."""
     tried = []
 
     def made(scene, asked):
@@ -129,11 +129,11 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
         ({}, 1),
         ({"effects.tip_load.mass": 0.024}, 1),
         ({"effects.tip_load.mass": 0.0}, 1),
-        ({"effects.gravity.acceleration": [0.0, -11.0, 0.0]}, 1),
-        ({"effects.tip_load.force": [0.1, 0.0, 0.07]}, 1),
+        ({"effects.gravity.acceleration": [0.0, 0.0, -11.0]}, 1),
+        ({"effects.tip_load.force": [0.0, 0.07, 0.0]}, 1),
         ({"effects.gravity": None}, 1),
         ({"effects.tip_load.mass": 0.026}, 2),
-        ({"effects.tip_load.force": [0.0, 0.2, 0.0]}, 3),
+        ({"effects.tip_load.force": [0.0, -0.1, 0.0]}, 3),
         ({"effects.fluid": {"density": 1000.0}}, 4),
         ({"effects.tip_load.mass": 0.02}, 1),
     ]
@@ -144,15 +144,15 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
 
 
 def test_a_trial_has_loads_up_to_its_range(monkeypatch):
-    """The scene's own, REACH times as large ones, and some in another direction up to that."""
+    """The scene's own, REACH times as large ones, and smaller ones."""
     monkeypatch.setattr(module, "SECONDS", 0.1)
     trial = Trial(ARM, 1e-2, REACH)
-    own, greatest, elsewhere = (np.array(case.gravity.acceleration) for case in trial.cases)
+    own, greatest, weaker = (np.array(case.gravity.acceleration) for case in trial.cases)
     np.testing.assert_allclose(greatest, REACH * own)
-    assert np.linalg.norm(elsewhere) <= np.linalg.norm(greatest)
+    assert 0.0 > weaker[2] > greatest[2]
     assert {test.case for test in trial.tests if test.reference.is_equilibrium} == {0, 1, 2}
-    assert {test.case for test in trial.tests if not test.reference.is_equilibrium} == {0, 1, 2}
-    for test in trial.tests[:3]:
+    assert {test.case for test in trial.tests if not test.reference.is_equilibrium} == {0, 1}
+    for test in trial.tests[:4]:
         loaded = build_model(trial.scene.replace({"effects": trial.cases[test.case]}))
         exact = reference_motions(loaded.scene, [test.tensions], 1e-2 * trial.unit).tips[0]
         assert distance(test.reference.tips, exact) <= test.reference.error
