@@ -166,6 +166,7 @@ class CaseModels:
         tips = test.reference.tips
         assert tips is not None  # of every test that is kept
 
+        # piece by piece, so that a motion which strays ends early; a state continues bit for bit
         pieces = []
         for begin in range(0, len(test.tensions), LOOKED_AT):
             rows = test.tensions[begin : begin + LOOKED_AT]
@@ -173,9 +174,11 @@ class CaseModels:
             if motion is None:
                 return None
             piece = motion.tip_pose[:, :3, 3]
-            if distance(piece, tips[begin : begin + len(piece)]) > hopeless:
+            end = begin + len(piece)
+            if distance(piece, tips[begin:end]) > hopeless:
                 return None
             state = motion.final
+            # a piece begins with the last sample of the one before
             pieces.append(piece[1:] if begin else piece)
         return np.concatenate(pieces)
 
@@ -252,6 +255,7 @@ class Trial:
             return
         self._refine([motion for motion in motions if not motion.is_equilibrium])
         self._refine(motions)
+        # finer where no model could be near enough to what is known so far
         for _ in range(FIRST_LEVELS, MOST_LEVELS):
             rough = [motion for motion in motions if not self._can_judge(motion)]
             if all(motion.tips is None for motion in rough) and len(rough) < len(motions):
@@ -309,11 +313,14 @@ class Trial:
 
     def _decide(self, reference: ReferenceMotion, path: Array | None, enough: float) -> None:
         """Refines a reference until it says whether a path is near `enough` [m], or to the end."""
-        while reference.depth < MOST_LEVELS and reference.error > REFERENCE * self.unit:
+        least = REFERENCE * self.unit
+        while reference.depth < MOST_LEVELS and reference.error > least:
             away = distance(path, reference.tips)
-            is_near = away + reference.error <= enough
-            is_far = away - reference.error > enough
-            if np.isfinite(enough) and (is_near or is_far):
+            error = reference.error
+            is_near = away + error <= enough
+            is_far = away - error > enough
+            is_clear = np.isfinite(enough) and (is_near or is_far)
+            if is_clear:
                 return
             reference.refine()
 
@@ -324,11 +331,15 @@ class Trial:
         ours = CaseModels(self, self.model(first))
         theirs = CaseModels(self, self.model(second))
         for test in tests[::EVERY]:
-            rest = static_equilibrium(ours.model(test.case), test.tensions)
+            model = ours.model(test.case)
+            rest = static_equilibrium(model, test.tensions)
             if not rest.converged:
                 continue
-            other = static_equilibrium(theirs.model(test.case), test.tensions, rest.q)
-            apart = np.linalg.norm(other.tip_pose[:3, 3] - rest.tip_pose[:3, 3])
+            # the coordinates are the same: Newton's method is there in a step or two
+            denser = theirs.model(test.case)
+            other = static_equilibrium(denser, test.tensions, rest.q)
+            moved = other.tip_pose - rest.tip_pose
+            apart = float(np.linalg.norm(moved[:3, 3]))
             if other.converged and apart > part * self.unit:
                 return False
         return True
@@ -381,6 +392,7 @@ def best_choice(trial: Trial, asked: Accuracy, progress: Progress) -> Choice:
         if choice is not None and np.isfinite(choice.error):
             return _with_inputs(choice, trial)
 
+    # nothing is near enough: the best of those with the most coordinates
     best = settled
     for table in tables[-RICHEST:]:
         choice = judged(trial, settled, table, is_bounded=False)
@@ -450,11 +462,17 @@ def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
     integrator = {"tolerance": asked.tolerance * rod_length(scene)}
     choice = Choice(rich, quadrature, integrator, 0, np.inf)
 
-    parts = (breakpoints(choice.applied_to(scene)).size - 1) / pieces  # of each piece
-    choice.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
+    # intervals of a part, while the rod is in parts
+    cut = breakpoints(choice.applied_to(scene)).size - 1
+    parts = cut / pieces  # of each piece
+    fewest = math.ceil(asked.least / parts)
+    choice.quadrature["least"] = max(fewest, RICH - 1)
     while choice.quadrature["least"] < MOST_INTERVALS:
         if trial.agree_at_rest(choice, choice.with_intervals(DENSER)):
             break
         choice = choice.with_intervals(MORE_INTERVALS)
-    choice.quadrature["least"] = math.ceil(parts * choice.quadrature["least"])
+
+    # as many of a piece of the bare rod
+    in_piece = parts * choice.quadrature["least"]
+    choice.quadrature["least"] = math.ceil(in_piece)
     return choice

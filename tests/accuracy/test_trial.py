@@ -13,7 +13,7 @@ from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
 from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions, tension_limits
 from soft_tendon_env.accuracy.kept_trials import choose, trial_digest
-from soft_tendon_env.accuracy.loads import REACH, load_cases, reaches
+from soft_tendon_env.accuracy.loads import REACH, covers, load_cases, reaches, scaled_effects
 from soft_tendon_env.accuracy.progress import Progress
 from soft_tendon_env.accuracy.reference import (
     Ladder,
@@ -24,6 +24,7 @@ from soft_tendon_env.accuracy.reference import (
 )
 from soft_tendon_env.accuracy.trial import Trial, settle
 from soft_tendon_env.compiler.compilation import cache_folder
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
@@ -84,6 +85,29 @@ def test_presets_keep_their_error_at_rest_and_in_motion(changes):
         )
         assert errors[-1] <= 1.5 * PRESETS[preset].share, preset
     assert errors[2] < errors[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [STOCKY, TWO], ids=["stocky", "two pieces"])
+@pytest.mark.parametrize("preset", ["fast", "standard"])
+def test_presets_keep_their_error_under_all_loads_of_the_range(changes, preset):
+    """None above what it says, under loads from a third of the scene's to the largest ones."""
+    scene = ARM.replace({**changes, "effects.tip_load.mass": 0.01})
+    choice = module.search(scene, PRESETS[preset])
+    inputs = [
+        *np.random.default_rng(8).uniform(*tension_limits(scene), (8, 3)),
+        *(motion_tensions(scene, kind, 71, 1.0) for kind in USUAL),
+    ]
+    for factor in (0.33, 1.0, REACH):
+        loaded = scene.replace({"effects": scaled_effects(scene.effects, factor)})
+        assert covers(Effects(**choice.loads), loaded.effects)
+        exact = reference_motions(loaded, inputs, 2e-5 * rod_length(scene)).tips
+        model = build_model(choice.applied_to(loaded))
+        errors = [
+            distance(tip_path(model, tensions), tips)
+            for tensions, tips in zip(inputs, exact, strict=True)
+        ]
+        assert max(errors) <= PRESETS[preset].share * rod_length(scene), factor
 
 
 def chosen_under(effects, coordinates=3, error=0.0):
