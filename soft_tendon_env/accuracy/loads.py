@@ -24,7 +24,8 @@ def has_strengths(effects: Effects) -> bool:
     """Whether any effect has a size that is not zero."""
     for effect in effects.chosen().values():
         for key in effect.strengths:
-            if np.any(getattr(effect, key)):
+            strength = getattr(effect, key)
+            if np.any(strength):
                 return True
     return False
 

@@ -186,27 +186,36 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     samples = len(q)
 
     # strain xi = xi* + Phi q of every sample, angular and linear components
-    columns = make_workspace(model.arm).Phi.reshape(model.coordinate_count, -1)
-    change = np.einsum("sj,jpc->spc", q, grid.unpacked(columns))
-    strain = change + grid.unpacked(model.arm.rod.reference_strain)
+    packed = make_workspace(model.arm).Phi
+    packed = packed.reshape(model.coordinate_count, -1)
+    fields = grid.unpacked(packed)
+    change = np.einsum("sj,jpc->spc", q, fields)
+    reference = grid.unpacked(model.arm.rod.reference_strain)
+    strain = change + reference
     k, p = np.split(strain, 2, axis=-1)
 
     # what the tensions make, Phi_a(xi), in the norm of the compliance
     geometry = tendon_geometry(scene, grid)[:, grid.real]
     geometry = geometry.reshape(model.tendon_count, -1, 5)
     elasticity, root = energy_norm(scene, grid)
-    actuation = actuation_columns(geometry, k[:, None], p[:, None]) * root
+    columns = actuation_columns(geometry, k[:, None], p[:, None])
+    actuation = columns * root
     actuation = actuation.reshape(samples, model.tendon_count, -1)
 
     # what is left of Sigma (xi - xi*) beside that
-    wrench = (change * elasticity * root).reshape(samples, -1)
+    wrench = change * elasticity * root
+    wrench = wrench.reshape(samples, -1)
     residual = np.empty_like(wrench)
-    for sample, basis, rest in zip(wrench, actuation, residual, strict=True):
-        tau = np.linalg.lstsq(basis.T, sample, rcond=DEPENDENT)[0]
-        rest[:] = sample - basis.T @ tau
+    for row, sample in enumerate(wrench):
+        basis = actuation[row].T
+        tau, *_ = np.linalg.lstsq(basis, sample, rcond=DEPENDENT)
+        residual[row] = sample - basis @ tau
 
+    # back from the norm; strains that the rod has not stay zero
     exists = root > 0.0
-    return residual.reshape(strain.shape) / np.where(exists, root, 1.0) * exists
+    divisor = np.where(exists, root, 1.0)
+    residual = residual.reshape(strain.shape)
+    return residual / divisor * exists
 
 
 def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
@@ -214,9 +223,11 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     0 where the rod has no such strain."""
     places = grid.points[grid.real].ravel()
     elasticity = screw_matrices(scene, places)[0]
-    exists = np.array([strain in scene.strain.free for strain in STRAINS], dtype=float)
-    weight = grid.weights[grid.real].ravel()[:, None]
-    return elasticity, np.sqrt(exists / elasticity * weight)
+    free = [strain in scene.strain.free for strain in STRAINS]
+    exists = np.array(free, dtype=float)
+    weight = grid.weights[grid.real].ravel()
+    compliance = exists / elasticity
+    return elasticity, np.sqrt(compliance * weight[:, None])
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
@@ -225,18 +236,26 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     measured = []
     for measure, share in make_measures(scene, grid):
         values = samples @ measure.T
-        measured.append(np.sqrt(share) * values / np.linalg.norm(values))
-    left, sizes, _ = np.linalg.svd(np.concatenate(measured, axis=1), full_matrices=False)
+        size = np.linalg.norm(values)
+        measured.append(np.sqrt(share) * values / size)
+    matrix = np.concatenate(measured, axis=1)
+    left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
 
-    above_noise = int(np.count_nonzero(sizes > NOISE * sizes[0]))
+    # the leading ones
+    is_seen = sizes > NOISE * sizes[0]
+    above_noise = int(np.count_nonzero(is_seen))
     count = min(MOST_SNAPSHOT_FIELDS, above_noise)
-    fields = left[:, :count].T @ samples
+    weights = left[:, :count].T
+    fields = weights @ samples
 
     # of unit energy
     _, root = energy_norm(scene, grid)
-    energy = np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
-    fields = (fields / energy).reshape(count, -1, 6)
-    return fit_polynomials(fields, scene, grid), sizes[:count] / sizes[0]
+    scaled = fields * root.ravel()
+    energy = np.linalg.norm(scaled, axis=1, keepdims=True)
+    fields = fields / energy
+    fields = fields.reshape(count, -1, 6)
+    coefficients = fit_polynomials(fields, scene, grid)
+    return coefficients, sizes[:count] / sizes[0]
 
 
 def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
@@ -248,7 +267,8 @@ def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
 
     # integral from the base to each point, with half of the weight of the point itself
     before = (places[:, None] > places) * weight
-    reach = before + 0.5 * np.diag(weight)
+    half = 0.5 * np.diag(weight)
+    reach = before + half
     lever = reach @ reach
     size = len(reach)
 
@@ -265,8 +285,10 @@ def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     compliance = (root > 0.0) / elasticity
     density = np.sqrt(weight)[:, None, None, None]
     shape = (3 * size, 6 * size)
-    displacement = (moved * compliance * density).reshape(shape)
-    rotation = (turned * compliance * density).reshape(shape)
+    displacement = moved * compliance * density
+    displacement = displacement.reshape(shape)
+    rotation = turned * compliance * density
+    rotation = rotation.reshape(shape)
     energy = np.diag(root.ravel())
     return (displacement, 1.0), (rotation, 1.0), (energy, ENERGY)
 
@@ -281,26 +303,34 @@ def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     coefficients = np.zeros((count, borders.size - 1, 6, orders))
     for piece, (a, b) in enumerate(itertools.pairwise(borders)):
         inside = (places > a) & (places < b)
-        place = 2 * (places[inside] - a) / (b - a) - 1  # -1 to 1 along the piece
+        from_base = places[inside] - a
+        place = 2 * from_base / (b - a) - 1  # -1 to 1 along the piece
         basis = legendre.legvander(place, SNAPSHOT_ORDER)
-        values = np.moveaxis(fields[:, inside], 1, 0)
+
+        # least squares for every field and component at once
+        values = fields[:, inside]
+        values = np.moveaxis(values, 1, 0)
         values = values.reshape(len(basis), -1)
-        solution = np.linalg.lstsq(basis, values, rcond=None)[0]
+        solution, *_ = np.linalg.lstsq(basis, values, rcond=None)
         solution = solution.reshape(orders, count, 6)
         coefficients[:, piece] = np.moveaxis(solution, 0, -1)
 
+    # the sign that makes the largest coefficient positive
     flat = coefficients.reshape(count, -1)
-    place_of_largest = np.abs(flat).argmax(axis=1)
-    largest = flat[np.arange(count), place_of_largest]
+    column = np.abs(flat).argmax(axis=1)
+    row = np.arange(count)
+    largest = flat[row, column]
     largest = largest[:, None, None, None]
-    return rounded(coefficients * np.sign(largest), np.abs(largest))
+    positive = coefficients * np.sign(largest)
+    return rounded(positive, np.abs(largest))
 
 
 def rounded(values: Array, largest: Array) -> Array:
     """Values with as many decimals as leave DIGITS digits of the largest one."""
-    exponent = np.floor(np.log10(largest)) + 1 - DIGITS
-    unit = 10.0**exponent
-    return np.asarray(np.round(values / unit) * unit)
+    leading = np.floor(np.log10(largest))
+    unit = 10.0 ** (leading + 1 - DIGITS)
+    whole = np.round(values / unit)
+    return np.asarray(whole * unit)
 
 
 def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
@@ -329,6 +359,8 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
         results = run_all(largest, counts, processors(), label, unit="model", threads=True)
 
     errors_of = {"fields": tuple(map(float, counts))}
-    for kind, errors in zip(USUAL, np.array(results).T.tolist(), strict=True):
-        errors_of[kind] = tuple(errors)
+    table = np.array(results)
+    for column, kind in enumerate(USUAL):
+        errors = table[:, column]
+        errors_of[kind] = tuple(errors.tolist())
     return errors_of

@@ -58,6 +58,9 @@ PARTS_COST = 1.0
 UNDAMPED_COST = 3.0
 """As PARTS_COST, of an arm whose damping leaves it short steps."""
 
+UNDAMPED_COLUMNS = 2
+"""Columns of extrapolation that an arm with so little damping is left with."""
+
 RESTS = 16
 """Equilibria under random tensions, besides the slack arm's."""
 
@@ -212,7 +215,8 @@ class Trial:
         of loads."""
         low, high = tension_limits(self.scene)
         shares = np.random.default_rng(SEED).random((RESTS, low.size))
-        rests = [slack_tensions(self.scene), *(low + shares * (high - low))]
+        drawn = low + shares * (high - low)
+        rests = [slack_tensions(self.scene), *drawn]
         duration = self._seconds()
         motions = [motion_tensions(self.scene, kind, SEED, duration) for kind in USUAL]
 
@@ -221,10 +225,11 @@ class Trial:
             loaded = self.scene.replace({"effects": effects})
             ladders.append(Ladder(loaded, REFERENCE * self.unit))
 
+        turns = TURNS if len(self.cases) > 1 else (OWN,)
         inputs = []
         for group in (rests, motions):
             for place, tensions in enumerate(group):
-                case = TURNS[place % len(TURNS)] if len(self.cases) > 1 else OWN
+                case = turns[place % len(turns)]
                 motion = ReferenceMotion(ladders[case], tensions)
                 inputs.append(TrialInput(motion, case))
         return inputs
@@ -234,8 +239,8 @@ class Trial:
         factor = 1.0
         if part_borders(self.scene):
             factor += PARTS_COST
-        is_damped = extrapolation_columns(self.scene.replace({"integrator": {}})) > 2
-        if not is_damped:
+        free_steps = self.scene.replace({"integrator": {}})
+        if extrapolation_columns(free_steps) <= UNDAMPED_COLUMNS:
             factor += UNDAMPED_COST
         return SECONDS / factor
 
