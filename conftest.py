@@ -22,7 +22,7 @@ signal.signal(
 
 import numba  # noqa: E402
 
-from soft_tendon_env.accuracy import trial  # noqa: E402
+from soft_tendon_env.accuracy import candidates, trial  # noqa: E402
 from soft_tendon_env.compiler import compilation  # noqa: E402
 
 BUDGET = 1.0
@@ -67,7 +67,7 @@ def search(scene, asked, made=trial.search):
     """A trial of an arm, whose time is counted; with interpreted kernels, for which it takes
     minutes, a few moments that nobody tried."""
     moments = {
-        **trial.bare_rod(scene),
+        **candidates.bare_rod(scene),
         "passive": [{"strains": [scene.strain.free[0]], "order": 1, "span": "rod"}],
     }
     if numba.config.DISABLE_JIT:

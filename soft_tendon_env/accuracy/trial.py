@@ -7,12 +7,12 @@ limits. The arm is without obstacles, and without what lies between commands and
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from soft_tendon_env.accuracy.candidates import ANGULAR, bare_rod, known_fields, strain_tables
+from soft_tendon_env.accuracy.candidates import known_fields, strain_tables
+from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.input_motions import (
     USUAL,
@@ -27,19 +27,13 @@ from soft_tendon_env.accuracy.reference import (
     ReferenceMotion,
     distance,
     refine_once,
-    start_at_rest,
-    tip_path,
-    trajectory,
 )
-from soft_tendon_env.model.coordinates import coordinate_count
+from soft_tendon_env.accuracy.settling import settle
 from soft_tendon_env.model.full_physics import part_borders
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import (
-    MOST_INTERVALS,
     Scene,
-    breakpoints,
     extrapolation_columns,
     rod_length,
 )
@@ -95,95 +89,14 @@ WEAKER = 2
 TURNS = (OWN, GREATEST, OWN, WEAKER)
 """Cases of the inputs, in turn: half of them have the scene's own loads."""
 
-LOOKED_AT = 5
-"""Rows of tensions after which a motion ends that is too far from full physics already."""
-
-FEW = 3
-"""Order of the moments that time steps are settled with."""
-
-RICH = 5
-"""Order of the explicit strain that the quadrature is settled with, on a rod of one piece."""
-
 SETTLED = 0.15
 """Share of what is asked for by which finer steps or intervals may change the tip."""
 
 EVERY = 3
-"""Of so many inputs one is looked at when steps and quadrature are settled."""
-
-DENSER = 2.0
-"""Factor of the intervals that a quadrature is compared with."""
-
-MORE_INTERVALS = 1.3
-"""Factor of its intervals where these change the tip."""
-
-FINER_STEPS = 10.0
-"""Factor of the time steps' tolerance that steps are compared with: its inverse."""
-
-TIGHTER = 5.0
-"""Factor by which the tolerance is reduced where these change the tip."""
-
-MOST_TIGHTENED = 5
-"""How often it is, at most."""
+"""One of so many inputs is looked at when steps and quadrature are settled."""
 
 RICHEST = 3
 """Candidates with the most coordinates, of which the best is taken where none is near enough."""
-
-
-class TrialInput(NamedTuple):
-    """One input of a trial."""
-
-    reference: ReferenceMotion
-    case: int  # of the loads
-
-    @property
-    def tensions(self) -> Array:
-        """(rows, n_a) [N] of a motion, (n_a,) of an equilibrium."""
-        return self.reference.tensions
-
-
-class CaseModels:
-    """A model under the loads of each case, and where its motions start."""
-
-    def __init__(self, trial: Trial, model: Model) -> None:
-        self._trial = trial
-        self._models = {0: model}
-        self._starts: dict[int, State | None] = {}
-
-    def model(self, case: int) -> Model:
-        """The model under the loads of a case."""
-        if case not in self._models:
-            own = self._models[0]
-            loaded = own.scene.replace({"effects": self._trial.cases[case]})
-            self._models[case] = own.with_scene(loaded)
-        return self._models[case]
-
-    def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
-        """Positions of the tip in a test, see `tip_path`; None where it has none, or is farther
-        from the reference than `hopeless` [m] at a time."""
-        model = self.model(test.case)
-        if test.reference.is_equilibrium:
-            return tip_path(model, test.tensions)
-        if test.case not in self._starts:
-            self._starts[test.case] = start_at_rest(model)
-        state = self._starts[test.case]
-        tips = test.reference.tips
-        assert tips is not None  # of every test that is kept
-
-        # piece by piece, so that a motion which strays ends early; a state continues bit for bit
-        pieces = []
-        for begin in range(0, len(test.tensions), LOOKED_AT):
-            rows = test.tensions[begin : begin + LOOKED_AT]
-            motion = None if state is None else trajectory(model, rows, state)
-            if motion is None:
-                return None
-            piece = motion.tip_pose[:, :3, 3]
-            end = begin + len(piece)
-            if distance(piece, tips[begin:end]) > hopeless:
-                return None
-            state = motion.final
-            # a piece begins with the last sample of the one before
-            pieces.append(piece[1:] if begin else piece)
-        return np.concatenate(pieces)
 
 
 class Trial:
@@ -291,7 +204,7 @@ class Trial:
     def distance(self, model: Model, is_bounded: bool = False) -> float:
         """Bound of the tip's distance [m] from full physics, whose own uncertainty counts;
         is_bounded: inf where it is more than that, and too much for what is asked for."""
-        models = CaseModels(self, model)
+        models = CaseModels(self.cases, model)
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
             enough = self._enough(test) if is_bounded else np.inf
@@ -333,8 +246,8 @@ class Trial:
         """Whether the tips of two models with the same coordinates are apart by a part of what is
         asked for at most, at some rests."""
         tests = [test for test in self.tests if test.reference.is_equilibrium]
-        ours = CaseModels(self, self.model(first))
-        theirs = CaseModels(self, self.model(second))
+        ours = CaseModels(self.cases, self.model(first))
+        theirs = CaseModels(self.cases, self.model(second))
         for test in tests[::EVERY]:
             model = ours.model(test.case)
             rest = static_equilibrium(model, test.tensions)
@@ -352,8 +265,8 @@ class Trial:
     def agree_in_motion(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """As `agree_at_rest`, in some motions, of models with any coordinates."""
         tests = [test for test in self.tests if not test.reference.is_equilibrium]
-        ours = CaseModels(self, self.model(first))
-        theirs = CaseModels(self, self.model(second))
+        ours = CaseModels(self.cases, self.model(first))
+        theirs = CaseModels(self.cases, self.model(second))
         for test in tests[::EVERY]:
             path = ours.path(test)
             other = theirs.path(test)
@@ -431,53 +344,3 @@ def _with_inputs(choice: Choice, trial: Trial) -> Choice:
         inputs=trial.inputs,
         loads=largest.model_dump(mode="json"),
     )
-
-
-def settle(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice with few moments whose intervals and time steps are so fine that finer ones hardly
-    move the tip."""
-    scene = trial.scene
-    free = list(scene.strain.free)
-    choice = settled_quadrature(trial, asked)
-
-    angular = [strain for strain in ANGULAR if strain in free]
-    moments = {"strains": angular or free, "order": FEW, "span": "rod"}
-    choice = choice.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
-    for _ in range(MOST_TIGHTENED):
-        if trial.agree_in_motion(choice, choice.with_finer_steps(FINER_STEPS)):
-            break
-        choice = choice.with_finer_steps(TIGHTER)
-    count = coordinate_count(choice.applied_to(scene))
-    return choice._replace(coordinates=count)
-
-
-def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice of explicit strain whose intervals, per piece of the bare rod, are so many that more
-    hardly move the tip."""
-    scene = trial.scene
-    pieces = breakpoints(scene).size - 1
-    order = max(1, RICH - 2 * int(math.log2(pieces)))  # less on many pieces
-    modes = {"strains": list(scene.strain.free), "order": order, "span": "piece"}
-    rich = {
-        "type": "explicit",
-        "modes": [modes],
-        "borders": [*scene.strain.borders, *part_borders(scene)],
-    }
-    quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
-    integrator = {"tolerance": asked.tolerance * rod_length(scene)}
-    choice = Choice(rich, quadrature, integrator, 0, np.inf)
-
-    # intervals of a part, while the rod is in parts
-    cut = breakpoints(choice.applied_to(scene)).size - 1
-    parts = cut / pieces  # of each piece
-    fewest = math.ceil(asked.least / parts)
-    choice.quadrature["least"] = max(fewest, RICH - 1)
-    while choice.quadrature["least"] < MOST_INTERVALS:
-        if trial.agree_at_rest(choice, choice.with_intervals(DENSER)):
-            break
-        choice = choice.with_intervals(MORE_INTERVALS)
-
-    # as many of a piece of the bare rod
-    in_piece = parts * choice.quadrature["least"]
-    choice.quadrature["least"] = math.ceil(in_piece)
-    return choice

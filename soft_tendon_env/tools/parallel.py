@@ -75,8 +75,9 @@ def run_all(
         if cluster is None
         else _on_cluster(jobs, workers, cluster)
     )
+    is_hidden = QUIET or label is None
     with (
-        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET or label is None) as bar,
+        tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=is_hidden) as bar,
         contextlib.closing(found),
     ):
         for place, result in found:

@@ -9,6 +9,7 @@ import pytest
 from soft_tendon_env.accuracy import kept_trials
 from soft_tendon_env.accuracy import trial as module
 from soft_tendon_env.accuracy.candidates import bare_rod, strain_tables
+from soft_tendon_env.accuracy.case_models import CaseModels
 from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
 from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions, tension_limits
@@ -22,7 +23,8 @@ from soft_tendon_env.accuracy.reference import (
     reference_motions,
     tip_path,
 )
-from soft_tendon_env.accuracy.trial import Trial, settle
+from soft_tendon_env.accuracy.settling import settle
+from soft_tendon_env.accuracy.trial import Trial
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
@@ -364,7 +366,7 @@ def test_a_motion_ends_where_it_is_too_far(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.4)
     trial = Trial(ARM, 1e-2)
     model = build_model(ARM.replace({"strain.passive": []}))
-    models = module.CaseModels(trial, model)
+    models = CaseModels(trial.cases, model)
     (test, *_) = [test for test in trial.tests if not test.reference.is_equilibrium]
     path = models.path(test)
     np.testing.assert_array_equal(path, tip_path(model, test.tensions))

@@ -7,9 +7,9 @@ import gymnasium as gym
 import numpy as np
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.candidates import known_fields, snapshots
 from soft_tendon_env.accuracy.fidelity import PRESETS as PARTS_OF
 from soft_tendon_env.accuracy.input_motions import USUAL as USUAL_MOTIONS
-from soft_tendon_env.accuracy.candidates import known_fields, snapshots
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.scene.scene import rod_length
