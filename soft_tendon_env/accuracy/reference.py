@@ -36,6 +36,10 @@ STEPS = (5e-2, 1e-2, 2e-3)
 """Tolerance of time steps at each level, as a share of that of the motions; the last one holds for
 the levels that follow."""
 
+REST_ROWS = 10
+"""Rows of a motion that take as long as an equilibrium, as measured on
+benchmarks/own_arms.py: for the time to go alone."""
+
 FINEST_STEPS = 10.0
 """Least tolerance of time steps, in units of the least that the integrator takes."""
 
@@ -204,8 +208,8 @@ class ReferenceMotion:
 
     def size_at(self, depth: int) -> float:
         """Expected cost of a level, in units that are the same for all inputs."""
-        samples = 1 if self.is_equilibrium else len(self.tensions)
-        return samples * self.ladder.rung(depth).model.coordinate_count ** 2.0
+        rows = REST_ROWS if self.is_equilibrium else len(self.tensions)
+        return rows * self.ladder.rung(depth).model.coordinate_count ** 2.0
 
     def refine(self) -> None:
         """Computes the next level; the change bounds the error."""
