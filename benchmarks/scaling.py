@@ -8,6 +8,8 @@ section of docs/appendix/speed.md.
   turns, in which all sizes are measured one after the other.
 - Exponents: the slope p of log(cost) against log(size), cost ~ size^p.
 - Memory: allocated by Python and NumPy after twenty steps, per row.
+- First step: of a scene of one's own, in a new process, after `soft-tendon demo` has compiled its
+  kernels into a new cache; the first process makes the trial of the arm, the second finds it.
 - Cores: predicted. Python and NumPy take a + b per row on one thread, the compiled part c per row,
   which threads share, at least eight rows each; a, b and c are measured on one thread. Rates of
   processes are predicted to add up, since they share memory bandwidth alone.
@@ -18,6 +20,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -37,10 +40,12 @@ from _results import (
     write_csv,
     write_picture,
 )
+from own_arms import ARMS
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.model.model import model_on
+from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.scene import scene_to_dict
 
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -78,6 +83,17 @@ kept = kept, run(many)
 print((tracemalloc.get_traced_memory()[0] - before) / many)
 """
 
+FIRST_STEP = """
+import sys, time
+import gymnasium as gym
+import soft_tendon_env
+env = gym.make("TendonRod-TipPose-v0", scene=sys.argv[1])
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(time.process_time())
+"""
+OWN_ARM = "payload"  # of benchmarks/own_arms.py
+
 
 class Family(NamedTuple):
     """Arms of which one size grows."""
@@ -112,7 +128,12 @@ def main() -> None:
     for folder in folders(arguments):
         write_csv(folder / "scaling.csv", HEADER, rows)
         draw(rows, folder / "scaling.png")
-    tables = (growth_table(rows), memory_table(quick), cores_table(shares))
+    tables = (
+        growth_table(rows),
+        memory_table(quick),
+        first_step_table(quick),
+        cores_table(shares),
+    )
     write_block(arguments, APPENDIX / "speed.md", "scaling", "\n\n".join(tables))
 
 
@@ -382,6 +403,32 @@ def memory_table(quick: bool) -> str:
         ]
         rows.append((task, *(f"{json.loads(own) / 1024:.0f}" for own in grown)))
     return markdown_table(("task", *(f"{fidelity} [kB per row]" for fidelity in fidelities)), rows)
+
+
+def first_step_table(quick: bool) -> str:
+    """Time from the end of the demo to the first step of a scene of one's own, each in a process of
+    its own; quick: with the kernels and trials that are in the user's cache."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "own_arm.toml"
+        save_scene(ste.Scene.parse({"name": "own_arm", **ARMS[OWN_ARM]}, "own_arm"), scene)
+        environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
+        if not quick:
+            environment["NUMBA_CACHE_DIR"] = folder
+            demo = [sys.executable, "-m", "soft_tendon_env", "demo", "--out", f"{folder}/demo"]
+            subprocess.run(demo, env=environment, check=True, capture_output=True)
+        for label in ("with its trial", "again"):
+            started = time.perf_counter()
+            process = subprocess.run(
+                [sys.executable, "-c", FIRST_STEP, str(scene)],
+                env=environment,
+                check=True,
+                capture_output=True,
+                text=True,
+            )
+            wall = time.perf_counter() - started
+            rows.append((label, f"{float(process.stdout):.1f}", f"{wall:.1f}"))
+    return markdown_table(("first step of an own arm", "CPU [s]", "wall [s]"), rows)
 
 
 def draw(rows: Sequence[tuple[str, ...]], path: Path) -> None:

@@ -66,22 +66,27 @@ def strain_tables(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[s
     A table is counted only when its turn may come, since that takes as long as to judge it: it has
     at least as many coordinates as fields, and more by the tensions that no field makes.
     """
-    waiting = [
-        (least_count(scene, table), False, place, table)
-        for place, table in enumerate(_every_table(scene, fields))
-    ]
-    heapq.heapify(waiting)  # by counts, bounds first; places differ, so that no tables are compared
+    tables = list(_every_table(scene, fields))
+    waiting = []
+    for place, table in enumerate(tables):
+        bound = least_count(scene, table)
+        waiting.append((bound, False, place))
+    heapq.heapify(waiting)  # by counts, bounds before exact ones
+
     while waiting:
-        bound, is_exact, place, table = heapq.heappop(waiting)
+        bound, is_exact, place = heapq.heappop(waiting)
+        table = tables[place]
         if is_exact:
             yield table
             continue
+        changed = scene.replace({"strain": table})
         try:
-            count = coordinate_count(scene.replace({"strain": table}))
+            count = coordinate_count(changed)
         except ConfigurationError:  # no independent coordinates
             continue
         if count:
-            heapq.heappush(waiting, (max(count, bound), True, place, table))
+            exact = max(count, bound)
+            heapq.heappush(waiting, (exact, True, place))
 
 
 def least_count(scene: Scene, strain: dict[str, Any]) -> int:
@@ -89,7 +94,8 @@ def least_count(scene: Scene, strain: dict[str, Any]) -> int:
     modes = strain.get("modes", strain.get("passive", []))
     if isinstance(modes, dict):
         return 0  # POD modes may depend on tensions
-    pieces = breakpoints(scene.replace({"strain": strain})).size - 1
+    changed = scene.replace({"strain": strain})
+    pieces = breakpoints(changed).size - 1
     count = 0
     for mode in modes:
         spans = pieces if mode["span"] == "piece" else 1
@@ -108,16 +114,19 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
             if count <= len(fields.coefficients):
                 yield snapshots(scene, fields, count)
 
+    # moments of the soft strains, then of all, that is with forces
     angular = [strain for strain in ANGULAR if strain in free]
     for strains in (angular, free):
         if not strains:
             continue
         for order in ROD_ORDERS:
-            yield rod | {"passive": [{"strains": strains, "order": order, "span": "rod"}]}
+            moments = {"strains": strains, "order": order, "span": "rod"}
+            yield rod | {"passive": [moments]}
         for order in PART_ORDERS:
             moments = {"strains": strains, "order": order, "span": "piece"}
             yield rod | {"passive": [moments]} | in_parts
 
+    # strain that no law ties to the tensions
     for order in EXPLICIT_ORDERS:
         modes = {"strains": free, "order": order, "span": "piece"}
         yield {"type": "explicit", "modes": [modes]} | in_parts

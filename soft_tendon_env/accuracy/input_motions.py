@@ -6,6 +6,7 @@ are tensions redrawn in 0 to 15 N every 100 ms, a walk in 0 to 20 N, sin² of ab
 N, tensions redrawn in 0 to 60 N every 20 ms, and a step to tensions within 20 N.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Literal, NamedTuple, get_args
 
@@ -38,23 +39,31 @@ DETUNED = 0.1
 
 
 def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    knots = random.random((-(-rows // REDRAWN_EVERY), slack.size))
-    return np.repeat(knots, REDRAWN_EVERY, axis=0)[:rows]
+    count = math.ceil(rows / REDRAWN_EVERY)
+    knots = random.random((count, slack.size))
+    table = np.repeat(knots, REDRAWN_EVERY, axis=0)
+    return table[:rows]
 
 
 def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    walk = [slack]
-    for change in random.uniform(-INCREMENT, INCREMENT, (rows, slack.size)):
-        walk.append(np.clip(walk[-1] + change, 0.0, 1.0))
-    return np.array(walk[1:])
+    changes = random.uniform(-INCREMENT, INCREMENT, (rows, slack.size))
+    walk = np.empty_like(changes)
+    share = slack
+    for row, change in enumerate(changes):
+        share = np.clip(share + change, 0.0, 1.0)
+        walk[row] = share
+    return walk
 
 
 def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    time = HOLD * (np.arange(rows) + 0.5)
+    middle = HOLD * (np.arange(rows) + 0.5)
     detuning = random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
-    angle = np.pi * FREQUENCY * detuning * time[:, None]
     highest = random.random(slack.size)
-    return np.asarray(slack + (highest - slack) * np.sin(angle) ** 2)
+    # sin² has twice the frequency of its sine
+    rate = np.pi * FREQUENCY * detuning
+    angle = middle[:, None] * rate
+    part = np.sin(angle) ** 2
+    return np.asarray(slack + (highest - slack) * part)
 
 
 def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
@@ -107,8 +116,13 @@ def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2
     least = slack + kind.band * (low - slack)
     greatest = slack + kind.band * (high - slack)
 
-    random = np.random.default_rng([seed, MOTIONS.index(motion)])
+    # each kind draws other numbers from the same seed
+    place = MOTIONS.index(motion)
+    random = np.random.default_rng([seed, place])
     rows = round(duration / HOLD)
-    start = (slack - least) / (greatest - least)
+
+    # a table of shares of the band
+    width = greatest - least
+    start = (slack - least) / width
     share = kind.table(random, rows, start)
-    return np.asarray(least + (greatest - least) * share)
+    return np.asarray(least + width * share)

@@ -17,6 +17,7 @@ from filelock import FileLock
 from soft_tendon_env.accuracy import trial
 from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.loads import covers
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -67,35 +68,46 @@ def kept_choice(folder: Path, key: str, scene: Scene) -> Choice | None:
 def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
     codes = effect_digests(scene.effects.everywhere())
     for path in sorted(folder.glob(f"{key}_*.json")):
-        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # damaged
+        try:
             record = read_json(path)
             tried = record.pop("codes")
-            if all(tried.get(name) == code for name, code in codes.items()):
-                yield Choice(**record)
+            choice = Choice(**record)
+        except (OSError, ValueError, TypeError, KeyError):  # damaged
+            continue
+        # an effect of the user's may have changed since
+        is_same_code = all(tried.get(name) == code for name, code in codes.items())
+        if is_same_code:
+            yield choice
 
 
 def _reaches(choice: Choice, scene: Scene) -> bool:
     """Whether the loads that were tried include the scene's."""
     try:
-        return Effects(**(choice.loads or {})).includes(scene.effects)
+        return covers(Effects(**(choice.loads or {})), scene.effects)
     except ConfigurationError:  # of an effect that is not registered
         return False
 
 
 def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
     """Writes a choice to the cache, if that can be written."""
+    # a file for each range of loads
     loads = json.dumps(choice.loads, sort_keys=True)
-    codes = effect_digests(scene.effects.everywhere())
     path = folder / f"{key}_{_digest_of(loads)}.json"
-    record = {**choice._asdict(), "codes": codes}
+
+    record = choice._asdict()
+    record["codes"] = effect_digests(scene.effects.everywhere())
+    text = json.dumps(record)
     with contextlib.suppress(OSError), replacing(path) as temporary:
-        temporary.write_text(json.dumps(record))
+        temporary.write_text(text)
 
 
 def effect_digests(effects: Effects) -> dict[str, str]:
     """Digests of the files that effects stand in, by name: they may be a user's own."""
-    files = {name: inspect.getfile(type(effect)) for name, effect in effects.chosen().items()}
-    return {name: digest(Path(file)) for name, file in files.items()}
+    digests = {}
+    for name, effect in effects.chosen().items():
+        file = inspect.getfile(type(effect))
+        digests[name] = digest(Path(file))
+    return digests
 
 
 @functools.cache

@@ -1,12 +1,14 @@
-"""Range of loads that a trial holds for: effects up to a multiple of those of a scene."""
+"""Range of loads that a trial holds for: effects from none up to a multiple of those of a scene, in
+their directions."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects import Effect, Effects
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -14,12 +16,17 @@ REACH = 1.25
 """Largest loads that a trial has, in units of those of the scene: a force that is changed in small
 steps does not begin a trial at each of them."""
 
+ROUNDING = 1e-9
+"""Relative size by which a load may exceed the largest one that was tried, and still be equal."""
+
 
 def has_strengths(effects: Effects) -> bool:
     """Whether any effect has a size that is not zero."""
     for effect in effects.chosen().values():
-        if any(np.any(getattr(effect, key)) for key in effect.strengths):
-            return True
+        for key in effect.strengths:
+            strength = getattr(effect, key)
+            if np.any(strength):
+                return True
     return False
 
 
@@ -28,21 +35,32 @@ def scaled_effects(effects: Effects, factor: float) -> Effects:
     cannot be that strong."""
     tables: dict[str, Any] = effects.model_dump()
     for name, effect in effects.chosen().items():
+        table = tables[name]
         for key in effect.strengths:
-            larger = factor * np.array(tables[name][key])
-            tables[name][key] = larger.tolist()
+            larger = factor * np.array(table[key])
+            table[key] = larger.tolist()
     return Effects(**tables)
+
+
+def weaker_effects(effects: Effects, random: np.random.Generator) -> Effects:
+    """Effects each of which has a random part of its strength, in the same directions."""
+    weaker = {}
+    for name, effect in effects.chosen().items():
+        alone = Effects(**{name: effect})
+        scaled = scaled_effects(alone, random.random())
+        weaker[name] = scaled.chosen()[name]
+    return Effects(**weaker)
 
 
 def load_cases(scene: Scene, reach: float, seed: int) -> list[Effects]:
     """Effects that the inputs of a trial take turns with: those of the scene, `reach` times as
-    strong ones, and those in random directions up to that. Raises ConfigurationError."""
+    strong ones, and weaker ones. Raises ConfigurationError."""
     own = scene.effects.everywhere()
     if reach == 1.0:
         return [own]
     greatest = scaled_effects(own, reach)
-    elsewhere = greatest.sample_smaller(np.random.default_rng(seed))
-    return [own, greatest, elsewhere]
+    weaker = weaker_effects(greatest, np.random.default_rng(seed))
+    return [own, greatest, weaker]
 
 
 def reaches(scene: Scene) -> tuple[float, ...]:
@@ -56,3 +74,32 @@ def reaches(scene: Scene) -> tuple[float, ...]:
     except ConfigurationError:
         return (1.0,)
     return (REACH, 1.0)
+
+
+def covers(tried: Effects, loads: Effects) -> bool:
+    """Whether effects are between none and those that were tried, in all that they have."""
+    greatest = tried.chosen()
+    for name, effect in loads.everywhere().chosen().items():
+        if name not in greatest or not _is_weaker(effect, greatest[name]):
+            return False
+    return True
+
+
+def _is_weaker(effect: Effect, greatest: Effect) -> bool:
+    largest = greatest.model_dump()
+    for key, value in effect.model_dump().items():
+        if key in effect.strengths:
+            if not _is_between(value, largest[key]):
+                return False
+        elif value != largest[key]:
+            return False
+    return True
+
+
+def _is_between(value: ArrayLike, largest: ArrayLike) -> bool:
+    """Whether every component is between zero and the largest one."""
+    part = np.array(value, dtype=float)
+    whole = np.array(largest, dtype=float)
+    is_same_side = part * whole >= 0.0
+    is_smaller = np.abs(part) <= (1.0 + ROUNDING) * np.abs(whole)
+    return bool(np.all(is_same_side & is_smaller))

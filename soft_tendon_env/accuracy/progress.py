@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from soft_tendon_env.tools.messages import QUIET
-
 REFERENCE_SHARE = 0.7
 """Share of a trial's time that the reference takes, as measured on the arms of
 benchmarks/own_arms.py."""
@@ -20,12 +18,11 @@ class Progress:
     """Bar of one trial, which SOFT_TENDON_ENV_QUIET=1 leaves out."""
 
     def __init__(self, name: str, shown: bool = True) -> None:
-        from tqdm import tqdm  # not for everyone who imports an environment
+        # tqdm is not for everyone who imports an environment
+        from soft_tendon_env.tools.progress import progress_bar
 
-        label = f"{name}, trial of its accuracy"
-        self._bar = tqdm(
-            total=1.0, desc=label, bar_format=LAYOUT, leave=False, disable=QUIET or not shown
-        )
+        label = f"{name}, trial of its accuracy" if shown else None
+        self._bar = progress_bar(1.0, label, "trial", LAYOUT)
         self._planned = 0.0
         self._done = 0.0
 

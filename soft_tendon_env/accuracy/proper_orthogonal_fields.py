@@ -9,10 +9,12 @@ make.
 """
 
 import hashlib
+import itertools
 import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,7 +29,7 @@ from soft_tendon_env.accuracy.reference import (
 )
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
-from soft_tendon_env.model.full_physics import LEVELS, full_physics
+from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
@@ -38,32 +40,54 @@ from soft_tendon_env.tools.files import new_data_folder
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 
-KINDS, TRAINED = (
-    USUAL,
-    (*USUAL, "wild"),
-)  # kinds of motions that fields are tested on, and that snapshots are taken of
-RUNS, FIRST_SEED = (
-    10,
-    1000,
-)  # motions of each kind that snapshots are taken of, and the first of their seeds
-WILD, ENERGY = (
-    0.2,
-    0.01,
-    # weights of samples of wild motions, and of energy beside displacements, which fix no field
-    # that moves nothing
-)
-# of the rod's length: full physics may change by so much at its next refinement, to take snapshots
-# of
+TRAINED: tuple[Motion, ...] = (*USUAL, "wild")
+"""Kinds of motions that snapshots are taken of; fields are tested on the usual ones."""
+
+RUNS = 10
+"""Motions of each kind that snapshots are taken of."""
+
+FIRST_SEED = 1000
+"""The first of their seeds."""
+
+SHORT = 0.5
+"""Duration [s] of the motions by which the level of full physics is chosen."""
+
+WILD = 0.2
+"""Weight of samples of wild motions."""
+
+ENERGY = 0.01
+"""Weight of energy beside displacements, which fix no field that moves nothing."""
+
 RESOLVED = 1e-3
-TESTS, COUNTS = (
-    2,
-    (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24),
-)  # motions of each usual kind, and numbers of fields, that are tested
-REFERENCE = 1e-4  # of the rod's length, error of the reference motions
-DIGITS, DEPENDENT = (
-    9,
-    1e-4,
-)  # of the coefficients; relative size of tensions' fields that count as combinations of others
+"""Share of the rod's length by which full physics, of which snapshots are taken, may change at its
+next refinement."""
+
+TESTS = 2
+"""Motions of each usual kind that fields are tested on."""
+
+COUNTS = (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
+"""Numbers of fields that are tested."""
+
+TEST_STEP = 0.005
+"""Integrator step [s] of these tests, whose error is far below that of the fields."""
+
+TEST_COLUMNS = 4
+"""Columns of extrapolation of these tests."""
+
+TEST_INTERVALS = 16
+"""Quadrature intervals per piece of these tests."""
+
+REFERENCE = 1e-4
+"""Error of the reference motions, as a share of the rod's length."""
+
+DIGITS = 9
+"""Digits of the coefficients."""
+
+DEPENDENT = 1e-4
+"""Relative size of tensions' fields that count as combinations of others."""
+
+NOISE = 1e-9
+"""Relative singular value below which a field is round-off."""
 
 
 def make_passive_fields(scene: Scene) -> PassiveFields:
@@ -80,7 +104,8 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
         "borders": list(scene.strain.borders),
     }
     bare = scene.replace({"effects": scene.effects.everywhere(), "strain": strain})
-    coefficients, singular_values = decompose(bare, *snapshots(bare))
+    samples, grid = snapshots(bare)
+    coefficients, singular_values = decompose(bare, samples, grid)
     limits = np.array([tendon.tension_limits for tendon in scene.tendons])
     made = PassiveFields(
         arm_of(bare),
@@ -102,140 +127,210 @@ def fields_path(scene: Scene) -> Path:
         [tendon.tension_limits for tendon in scene.tendons],
         scene.effects.everywhere().model_dump(mode="json"),
     ]
-    digest = hashlib.sha256(json.dumps(made_for, sort_keys=True).encode()).hexdigest()
+    text = json.dumps(made_for, sort_keys=True)
+    digest = hashlib.sha256(text.encode()).hexdigest()
     return new_data_folder("fields") / f"{digest[:16]}{SUFFIX}"
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
     """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and
     the grid of their points."""
-    trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
-    tolerance = RESOLVED * rod_length(scene)
-    level = reference_motions(scene, trial, tolerance).level
-    level = LEVELS[
-        LEVELS.index(level) - 1
-    ]  # the coarsest full physics whose motion the next one hardly changes
-    steps = step_tolerance(scene, level, tolerance)
+    level = snapshot_level(scene)
+    steps = step_tolerance(scene, level, RESOLVED * rod_length(scene))
 
-    def residuals(which: tuple[Motion, int]) -> Array | None:
-        kind, run = which
-        effects = (
-            scene.effects
-            if run % 2 == 0
-            else scene.effects.sample_smaller(np.random.default_rng([run, MOTIONS.index(kind)]))
-        )
-        model = full_physics(
-            scene.replace({"effects": effects.model_dump(mode="json", exclude_none=True)}),
-            level,
-            steps,
-        )
-        found = trajectory(model, motion_tensions(scene, kind, FIRST_SEED + run))
-        weight = WILD if kind == "wild" else 1.0
-        return (
-            None
-            if found is None
-            else weight * residual_wrenches(model, found.q[1:]).reshape(len(found.q) - 1, -1)
-        )
+    def residuals(run: Run) -> Array | None:
+        effects = scene.effects
+        if run.number % 2:  # half of the motions have other loads
+            random = np.random.default_rng([run.number, MOTIONS.index(run.kind)])
+            effects = effects.sample_smaller(random)
+        table = effects.model_dump(mode="json", exclude_none=True)
+        model = full_physics(scene.replace({"effects": table}), level, steps)
+        tensions = motion_tensions(scene, run.kind, FIRST_SEED + run.number)
+        motion = trajectory(model, tensions)
+        if motion is None:
+            return None
+        # the first sample is the same in all motions
+        wrenches = residual_wrenches(model, motion.q[1:])
+        weight = WILD if run.kind == "wild" else 1.0
+        return weight * wrenches.reshape(len(wrenches), -1)
 
-    runs = [(kind, run) for run in range(RUNS) for kind in TRAINED]
-    wrenches = run_all(
-        residuals, runs, processors(), "snapshots of full physics", unit="motion", threads=True
-    )
-    if not (found := [wrench for wrench in wrenches if wrench is not None]):
-        raise ConfigurationError(
-            [
-                Problem(
-                    (), "full physics diverges under every motion that passive fields are made from"
-                )
-            ]
-        )
-    return np.concatenate(found), full_physics(scene, level).grid
+    runs = [Run(kind, number) for number in range(RUNS) for kind in TRAINED]
+    label = f"{scene.name}: snapshots of full physics"
+    results = run_all(residuals, runs, processors(), label, unit="motion", threads=True)
+    wrenches = [wrench for wrench in results if wrench is not None]
+    if not wrenches:
+        text = "full physics diverges under every motion that passive fields are made from"
+        raise ConfigurationError([Problem((), text)])
+    return np.concatenate(wrenches), full_physics(scene, level).grid
+
+
+class Run(NamedTuple):
+    """A motion that snapshots are taken of."""
+
+    kind: Motion
+    number: int
+
+
+def snapshot_level(scene: Scene) -> Level:
+    """The coarsest full physics whose motion the next one hardly changes."""
+    trial = [motion_tensions(scene, kind, FIRST_SEED, SHORT) for kind in USUAL]
+    finer = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    return LEVELS[LEVELS.index(finer) - 1]
 
 
 def residual_wrenches(model: Model, q: Array) -> Array:
     """Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6), tau by least squares in
     the norm of the compliance."""
-    scene, grid = model.scene, model.grid
-    fields = grid.unpacked(make_workspace(model.arm).Phi.reshape(model.coordinate_count, -1))
-    strain = np.einsum("sj,jpc->spc", q, fields)
-    k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
-    geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)
+    scene = model.scene
+    grid = model.grid
+    samples = len(q)
+
+    # strain xi = xi* + Phi q of every sample, angular and linear components
+    packed = make_workspace(model.arm).Phi
+    packed = packed.reshape(model.coordinate_count, -1)
+    fields = grid.unpacked(packed)
+    change = np.einsum("sj,jpc->spc", q, fields)
+    reference = grid.unpacked(model.arm.rod.reference_strain)
+    strain = change + reference
+    k, p = np.split(strain, 2, axis=-1)
+
+    # what the tensions make, Phi_a(xi), in the norm of the compliance
+    geometry = tendon_geometry(scene, grid)[:, grid.real]
+    geometry = geometry.reshape(model.tendon_count, -1, 5)
     elasticity, root = energy_norm(scene, grid)
-    columns = (actuation_columns(geometry, k[:, None], p[:, None]) * root).reshape(
-        len(q), model.tendon_count, -1
-    )
-    wrench = (strain * elasticity * root).reshape(len(q), -1)
-    rest = [
-        sample - basis.T @ np.linalg.lstsq(basis.T, sample, rcond=DEPENDENT)[0]
-        for sample, basis in zip(wrench, columns, strict=True)
-    ]
+    columns = actuation_columns(geometry, k[:, None], p[:, None])
+    actuation = columns * root
+    actuation = actuation.reshape(samples, model.tendon_count, -1)
+
+    # what is left of Sigma (xi - xi*) beside that
+    wrench = change * elasticity * root
+    wrench = wrench.reshape(samples, -1)
+    residual = np.empty_like(wrench)
+    for row, sample in enumerate(wrench):
+        basis = actuation[row].T
+        tau, *_ = np.linalg.lstsq(basis, sample, rcond=DEPENDENT)
+        residual[row] = sample - basis @ tau
+
+    # back from the norm; strains that the rod has not stay zero
     exists = root > 0.0
-    return np.array(rest).reshape(strain.shape) / np.where(exists, root, 1.0) * exists
+    divisor = np.where(exists, root, 1.0)
+    residual = residual.reshape(strain.shape)
+    return residual / divisor * exists
 
 
 def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     """Sigma and the root of compliance times weight at the points, (points, 6) each; the latter is
     0 where the rod has no such strain."""
-    elasticity = screw_matrices(scene, grid.points[grid.real].ravel())[0]
-    exists = np.array([strain in scene.strain.free for strain in STRAINS], dtype=float)
-    return elasticity, np.sqrt(exists / elasticity * grid.weights[grid.real].ravel()[:, None])
+    places = grid.points[grid.real].ravel()
+    elasticity = screw_matrices(scene, places)[0]
+    free = [strain in scene.strain.free for strain in STRAINS]
+    exists = np.array(free, dtype=float)
+    weight = grid.weights[grid.real].ravel()
+    compliance = exists / elasticity
+    return elasticity, np.sqrt(compliance * weight[:, None])
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches (samples,
     6 points), and singular values."""
-    _, root = energy_norm(scene, grid)
-    measures = []
+    measured = []
     for measure, share in make_measures(scene, grid):
-        seen = samples @ measure.T
-        measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
-    left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
-    count = min(MOST_SNAPSHOT_FIELDS, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
-    fields = left[:, :count].T @ samples
-    fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
-    return fit_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
+        values = samples @ measure.T
+        size = np.linalg.norm(values)
+        measured.append(np.sqrt(share) * values / size)
+    matrix = np.concatenate(measured, axis=1)
+    left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
+
+    # the leading ones
+    is_seen = sizes > NOISE * sizes[0]
+    above_noise = int(np.count_nonzero(is_seen))
+    count = min(MOST_SNAPSHOT_FIELDS, above_noise)
+    weights = left[:, :count].T
+    fields = weights @ samples
+
+    # of unit energy
+    _, root = energy_norm(scene, grid)
+    scaled = fields * root.ravel()
+    energy = np.linalg.norm(scaled, axis=1, keepdims=True)
+    fields = fields / energy
+    fields = fields.reshape(count, -1, 6)
+    coefficients = fit_polynomials(fields, scene, grid)
+    return coefficients, sizes[:count] / sizes[0]
 
 
 def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements and
     rotations along the rod, and energy."""
-    places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
+    places = grid.points[grid.real].ravel()
+    weight = grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
-    reach = (places[:, None] > places) * weight + 0.5 * np.diag(
-        weight
-    )  # integral from the base to each point
-    size, lever, compliance = len(reach), reach @ reach, (root > 0.0) / elasticity
-    moved, turned = np.zeros((2, size, 3, size, 6))
+
+    # integral from the base to each point, with half of the weight of the point itself
+    before = (places[:, None] > places) * weight
+    half = 0.5 * np.diag(weight)
+    reach = before + half
+    lever = reach @ reach
+    size = len(reach)
+
+    # of a straight rod along x: rows are points and axes, columns points and strains
+    moved = np.zeros((size, 3, size, 6))
+    turned = np.zeros((size, 3, size, 6))
     for axis in range(3):
-        moved[:, axis, :, 3 + axis] = turned[:, axis, :, axis] = reach
-    moved[:, 1, :, 2] += lever
+        moved[:, axis, :, 3 + axis] = reach
+        turned[:, axis, :, axis] = reach
+    moved[:, 1, :, 2] += lever  # bending about z moves along y
     moved[:, 2, :, 1] -= lever
-    along = (
-        (motion * compliance * np.sqrt(weight)[:, None, None, None]).reshape(3 * size, 6 * size)
-        for motion in (moved, turned)
-    )
-    return *((motion, 1.0) for motion in along), (np.diag(root.ravel()), ENERGY)
+
+    # a wrench strains by the compliance, and each point counts by its weight
+    compliance = (root > 0.0) / elasticity
+    density = np.sqrt(weight)[:, None, None, None]
+    shape = (3 * size, 6 * size)
+    displacement = moved * compliance * density
+    displacement = displacement.reshape(shape)
+    rotation = turned * compliance * density
+    rotation = rotation.reshape(shape)
+    energy = np.diag(root.ravel())
+    return (displacement, 1.0), (rotation, 1.0), (energy, ENERGY)
 
 
 def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points,
     6); their largest one is positive."""
-    borders, places = breakpoints(scene), grid.points[grid.real].ravel()
-    found = np.zeros((len(fields), borders.size - 1, 6, SNAPSHOT_ORDER + 1))
-    for piece, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+    borders = breakpoints(scene)
+    places = grid.points[grid.real].ravel()
+    count = len(fields)
+    orders = SNAPSHOT_ORDER + 1
+    coefficients = np.zeros((count, borders.size - 1, 6, orders))
+    for piece, (a, b) in enumerate(itertools.pairwise(borders)):
         inside = (places > a) & (places < b)
-        basis = legendre.legvander(2 * (places[inside] - a) / (b - a) - 1, SNAPSHOT_ORDER)
-        values = np.moveaxis(fields[:, inside], 1, 0).reshape(inside.sum(), -1)
-        solution = np.linalg.lstsq(basis, values, rcond=None)[0].reshape(
-            SNAPSHOT_ORDER + 1, len(fields), 6
-        )
-        found[:, piece] = np.moveaxis(solution, 0, -1)
-    flat = found.reshape(len(found), -1)
-    largest = np.take_along_axis(flat, np.abs(flat).argmax(axis=1)[:, None], axis=1)[
-        :, :, None, None
-    ]
-    unit = 10.0 ** (np.floor(np.log10(np.abs(largest))) + 1 - DIGITS)
-    return np.asarray(np.round(found * np.sign(largest) / unit) * unit)
+        from_base = places[inside] - a
+        place = 2 * from_base / (b - a) - 1  # -1 to 1 along the piece
+        basis = legendre.legvander(place, SNAPSHOT_ORDER)
+
+        # least squares for every field and component at once
+        values = fields[:, inside]
+        values = np.moveaxis(values, 1, 0)
+        values = values.reshape(len(basis), -1)
+        solution, *_ = np.linalg.lstsq(basis, values, rcond=None)
+        solution = solution.reshape(orders, count, 6)
+        coefficients[:, piece] = np.moveaxis(solution, 0, -1)
+
+    # the sign that makes the largest coefficient positive
+    flat = coefficients.reshape(count, -1)
+    column = np.abs(flat).argmax(axis=1)
+    row = np.arange(count)
+    largest = flat[row, column]
+    largest = largest[:, None, None, None]
+    positive = coefficients * np.sign(largest)
+    return rounded(positive, np.abs(largest))
+
+
+def rounded(values: Array, largest: Array) -> Array:
+    """Values with as many decimals as leave DIGITS digits of the largest one."""
+    leading = np.floor(np.log10(largest))
+    unit = 10.0 ** (leading + 1 - DIGITS)
+    whole = np.round(values / unit)
+    return np.asarray(whole * unit)
 
 
 def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
@@ -245,28 +340,27 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
     exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips
     with tempfile.TemporaryDirectory() as folder:
-        fields.save(path := Path(folder) / "tested.json")
+        path = Path(folder) / "tested.json"
+        fields.save(path)
 
         def largest(count: int) -> Array:
-            passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
-            model = model_on(
-                scene.replace(
-                    {"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}
-                ),
-                16,
-            )
-            errors = [
-                distance(tip_path(model, tensions), tips)
-                for tensions, tips in zip(inputs, exact, strict=True)
-            ]
-            return np.array(errors).reshape(len(USUAL), TESTS).max(axis=1)
+            table = {"type": "snapshots", "fields": count, "file": str(path)}
+            changes = {
+                "strain.passive": table if count else [],
+                "integrator": {"step": TEST_STEP, "columns": TEST_COLUMNS},
+            }
+            model = model_on(scene.replace(changes), TEST_INTERVALS)
+            errors = np.empty(len(inputs))
+            for place, tensions in enumerate(inputs):
+                errors[place] = distance(tip_path(model, tensions), exact[place])
+            return errors.reshape(len(USUAL), TESTS).max(axis=1)
 
-        found = np.array(
-            run_all(
-                largest, counts, processors(), "tests of the fields", unit="model", threads=True
-            )
-        ).T.tolist()
-    return {
-        "fields": tuple(map(float, counts)),
-        **{kind: tuple(errors) for kind, errors in zip(USUAL, found, strict=True)},
-    }
+        label = f"{scene.name}: tests of the fields"
+        results = run_all(largest, counts, processors(), label, unit="model", threads=True)
+
+    errors_of = {"fields": tuple(map(float, counts))}
+    table = np.array(results)
+    for column, kind in enumerate(USUAL):
+        errors = table[:, column]
+        errors_of[kind] = tuple(errors.tolist())
+    return errors_of

@@ -36,6 +36,10 @@ STEPS = (5e-2, 1e-2, 2e-3)
 """Tolerance of time steps at each level, as a share of that of the motions; the last one holds for
 the levels that follow."""
 
+REST_ROWS = 10
+"""Rows of a motion that take as long as an equilibrium, as measured on
+benchmarks/own_arms.py: for the time to go alone."""
+
 FINEST_STEPS = 10.0
 """Least tolerance of time steps, in units of the least that the integrator takes."""
 
@@ -113,10 +117,14 @@ class Ladder:
     def rung(self, depth: int) -> Rung:
         """Full physics at the level LEVELS[depth]."""
         while len(self._rungs) <= depth:
-            level = LEVELS[len(self._rungs)]
+            # the next one starts its equilibria from those of the last
+            count = len(self._rungs)
+            coarser = self._rungs[-1] if count else None
+            level = LEVELS[count]
             steps = step_tolerance(self.scene, level, self.tolerance)
             model = full_physics(self.scene, level, steps)
-            self._rungs.append(Rung(model, steps, self._rungs[-1] if self._rungs else None))
+            rung = Rung(model, steps, coarser)
+            self._rungs.append(rung)
         return self._rungs[depth]
 
 
@@ -131,11 +139,11 @@ class Rung:
     @cached_property
     def start(self) -> State | None:
         """State at rest with slack tendons; None: there is none."""
-        if self.coarser is None:
-            return start_at_rest(self.model)
-        before = self.coarser.start
+        before = None if self.coarser is None else self.coarser.start
         if before is None:
             return start_at_rest(self.model)
+
+        # near that of the coarser level, else as a slowly loaded arm reaches it
         slack = slack_tensions(self.model.scene)
         q = self.rest(slack, before.q)
         if q is None:
@@ -145,18 +153,24 @@ class Rung:
     @cached_property
     def _projection(self) -> Array:
         """Pseudo-inverse (n, points 6) of the fields: coordinates whose strain is nearest."""
-        fields = make_workspace(self.model.arm).Phi
-        columns = self.model.grid.unpacked(fields.reshape(self.model.coordinate_count, -1))
-        return np.asarray(np.linalg.pinv(columns.reshape(len(columns), -1).T))
+        count = self.model.coordinate_count
+        packed = make_workspace(self.model.arm).Phi
+        packed = packed.reshape(count, -1)
+        fields = self.model.grid.unpacked(packed)
+        fields = fields.reshape(count, -1)
+        return np.asarray(np.linalg.pinv(fields.T))
 
     def nearest(self, coarse: Array) -> Array:
         """Coordinates (n,) whose strain is nearest to that of the coarser level's coordinates."""
         assert self.coarser is not None
         grid = self.model.grid
-        places = grid.points[grid.real].ravel()
-        strain = self.coarser.model.strain_at(coarse, places)[0]
-        change = strain - grid.unpacked(self.model.arm.rod.reference_strain)
-        return np.asarray(self._projection @ change.ravel())
+        places = grid.points[grid.real]
+        strain, _ = self.coarser.model.strain_at(coarse, places.ravel())
+        # fields make what differs from the strain of the stress-free rod
+        rod = self.model.arm.rod
+        reference = grid.unpacked(rod.reference_strain)
+        change = (strain - reference).ravel()
+        return np.asarray(self._projection @ change)
 
     def rest(self, tensions: Array, coarse: Array | None) -> Array | None:
         """Coordinates (n,) at rest under tensions (n_a,); None: the arm rests nowhere.
@@ -194,8 +208,8 @@ class ReferenceMotion:
 
     def size_at(self, depth: int) -> float:
         """Expected cost of a level, in units that are the same for all inputs."""
-        samples = 1 if self.is_equilibrium else len(self.tensions)
-        return samples * self.ladder.rung(depth).model.coordinate_count ** 2.0
+        rows = REST_ROWS if self.is_equilibrium else len(self.tensions)
+        return rows * self.ladder.rung(depth).model.coordinate_count ** 2.0
 
     def refine(self) -> None:
         """Computes the next level; the change bounds the error."""
@@ -204,9 +218,11 @@ class ReferenceMotion:
         self.tips = self._rest(rung) if self.is_equilibrium else self._motion(rung)
         self.depth += 1
 
+        # the first level has nothing that it could be compared with
         if before is None:
             self.error = np.inf
             return
+        # time steps may err alike at both levels; equilibria have none
         steps = 0.0 if self.is_equilibrium else rung.steps
         self.error = distance(self.tips, before) + steps
 
@@ -258,6 +274,7 @@ def reference_motions(
         unsettled = [
             motion for motion in unsettled if motion.tips is None or motion.error > tolerance
         ]
+        # what full physics has not at this level it has at no finer one, where others are settled
         is_hopeless = all(motion.tips is None for motion in unsettled)
         if is_hopeless and len(unsettled) < len(motions):
             break

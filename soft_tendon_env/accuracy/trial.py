@@ -7,12 +7,12 @@ limits. The arm is without obstacles, and without what lies between commands and
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from soft_tendon_env.accuracy.candidates import ANGULAR, bare_rod, known_fields, strain_tables
+from soft_tendon_env.accuracy.candidates import known_fields, strain_tables
+from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.input_motions import (
     USUAL,
@@ -27,19 +27,13 @@ from soft_tendon_env.accuracy.reference import (
     ReferenceMotion,
     distance,
     refine_once,
-    start_at_rest,
-    tip_path,
-    trajectory,
 )
-from soft_tendon_env.model.coordinates import coordinate_count
+from soft_tendon_env.accuracy.settling import settle
 from soft_tendon_env.model.full_physics import part_borders
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import (
-    MOST_INTERVALS,
     Scene,
-    breakpoints,
     extrapolation_columns,
     rod_length,
 )
@@ -58,6 +52,9 @@ PARTS_COST = 1.0
 UNDAMPED_COST = 3.0
 """As PARTS_COST, of an arm whose damping leaves it short steps."""
 
+UNDAMPED_COLUMNS = 2
+"""Columns of extrapolation that an arm with so little damping is left with."""
+
 RESTS = 16
 """Equilibria under random tensions, besides the slack arm's."""
 
@@ -65,8 +62,8 @@ MARGIN = 2.0
 """By how many times the error on these stays below what is asked for: other motions may be
 worse."""
 
-LARGER_LOADS_MARGIN = 1.5
-"""As MARGIN, under loads larger than the scene's, which weaker ones are better than."""
+LARGER_LOADS_MARGIN = 1.25
+"""As MARGIN, under the largest loads: the error is smaller under weaker ones."""
 
 REFERENCE = 0.1
 """Error that is aimed at in full physics, as a share of what is asked for."""
@@ -83,92 +80,23 @@ MOST_LEVELS = 3
 OWN = 0
 """Case of loads that are the scene's own."""
 
-LOOKED_AT = 5
-"""Rows of tensions after which a motion ends that is too far from full physics already."""
+GREATEST = 1
+"""Case of the largest loads that a trial holds for."""
 
-FEW = 3
-"""Order of the moments that time steps are settled with."""
+WEAKER = 2
+"""Case of smaller loads."""
 
-RICH = 5
-"""Order of the explicit strain that the quadrature is settled with, on a rod of one piece."""
+TURNS = (OWN, GREATEST, OWN, WEAKER)
+"""Cases of the inputs, in turn: half of them have the scene's own loads."""
 
 SETTLED = 0.15
 """Share of what is asked for by which finer steps or intervals may change the tip."""
 
 EVERY = 3
-"""Of so many inputs one is looked at when steps and quadrature are settled."""
-
-DENSER = 2.0
-"""Factor of the intervals that a quadrature is compared with."""
-
-MORE_INTERVALS = 1.3
-"""Factor of its intervals where these change the tip."""
-
-FINER_STEPS = 10.0
-"""Factor of the time steps' tolerance that steps are compared with: its inverse."""
-
-TIGHTER = 5.0
-"""Factor by which the tolerance is reduced where these change the tip."""
-
-MOST_TIGHTENED = 5
-"""How often it is, at most."""
+"""One of so many inputs is looked at when steps and quadrature are settled."""
 
 RICHEST = 3
 """Candidates with the most coordinates, of which the best is taken where none is near enough."""
-
-
-class TrialInput(NamedTuple):
-    """One input of a trial."""
-
-    reference: ReferenceMotion
-    case: int  # of the loads
-
-    @property
-    def tensions(self) -> Array:
-        """(rows, n_a) [N] of a motion, (n_a,) of an equilibrium."""
-        return self.reference.tensions
-
-
-class CaseModels:
-    """A model under the loads of each case, and where its motions start."""
-
-    def __init__(self, trial: Trial, model: Model) -> None:
-        self._trial = trial
-        self._models = {0: model}
-        self._starts: dict[int, State | None] = {}
-
-    def model(self, case: int) -> Model:
-        """The model under the loads of a case."""
-        if case not in self._models:
-            own = self._models[0]
-            loaded = own.scene.replace({"effects": self._trial.cases[case]})
-            self._models[case] = own.with_scene(loaded)
-        return self._models[case]
-
-    def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
-        """Positions of the tip in a test, see `tip_path`; None where it has none, or is farther
-        from the reference than `hopeless` [m] at a time."""
-        model = self.model(test.case)
-        if test.reference.is_equilibrium:
-            return tip_path(model, test.tensions)
-        if test.case not in self._starts:
-            self._starts[test.case] = start_at_rest(model)
-        state = self._starts[test.case]
-        tips = test.reference.tips
-        assert tips is not None  # of every test that is kept
-
-        pieces = []
-        for begin in range(0, len(test.tensions), LOOKED_AT):
-            rows = test.tensions[begin : begin + LOOKED_AT]
-            motion = None if state is None else trajectory(model, rows, state)
-            if motion is None:
-                return None
-            piece = motion.tip_pose[:, :3, 3]
-            if distance(piece, tips[begin : begin + len(piece)]) > hopeless:
-                return None
-            state = motion.final
-            pieces.append(piece[1:] if begin else piece)
-        return np.concatenate(pieces)
 
 
 class Trial:
@@ -196,31 +124,36 @@ class Trial:
         return self.missing + self.not_unique
 
     def _inputs(self) -> list[TrialInput]:
-        """Tests before anything is computed: equilibria, then motions, which take turns with the
-        cases of loads."""
+        """Tests before anything is computed: equilibria, then motions, each in turn with the cases
+        of loads."""
         low, high = tension_limits(self.scene)
-        draws = np.random.default_rng(SEED).random((RESTS, low.size))
-        tensions = [slack_tensions(self.scene), *(low + draws * (high - low))]
-        tensions += [motion_tensions(self.scene, kind, SEED, self._seconds()) for kind in USUAL]
-        ladders = [
-            Ladder(self.scene.replace({"effects": effects}), REFERENCE * self.unit)
-            for effects in self.cases
-        ]
-        tests = []
-        for place, table in enumerate(tensions):
-            # the first motion has the scene's own loads, as the slack arm
-            turn = place if table.ndim == 1 else place - RESTS - 1
-            case = turn % len(self.cases)
-            tests.append(TrialInput(ReferenceMotion(ladders[case], table), case))
-        return tests
+        shares = np.random.default_rng(SEED).random((RESTS, low.size))
+        drawn = low + shares * (high - low)
+        rests = [slack_tensions(self.scene), *drawn]
+        duration = self._seconds()
+        motions = [motion_tensions(self.scene, kind, SEED, duration) for kind in USUAL]
+
+        ladders = []
+        for effects in self.cases:
+            loaded = self.scene.replace({"effects": effects})
+            ladders.append(Ladder(loaded, REFERENCE * self.unit))
+
+        turns = TURNS if len(self.cases) > 1 else (OWN,)
+        inputs = []
+        for group in (rests, motions):
+            for place, tensions in enumerate(group):
+                case = turns[place % len(turns)]
+                motion = ReferenceMotion(ladders[case], tensions)
+                inputs.append(TrialInput(motion, case))
+        return inputs
 
     def _seconds(self) -> float:
         """Duration [s] of the motions."""
         factor = 1.0
         if part_borders(self.scene):
             factor += PARTS_COST
-        is_damped = extrapolation_columns(self.scene.replace({"integrator": {}})) > 2
-        if not is_damped:
+        free_steps = self.scene.replace({"integrator": {}})
+        if extrapolation_columns(free_steps) <= UNDAMPED_COLUMNS:
             factor += UNDAMPED_COST
         return SECONDS / factor
 
@@ -240,6 +173,7 @@ class Trial:
             return
         self._refine([motion for motion in motions if not motion.is_equilibrium])
         self._refine(motions)
+        # finer where no model could be near enough to what is known so far
         for _ in range(FIRST_LEVELS, MOST_LEVELS):
             rough = [motion for motion in motions if not self._can_judge(motion)]
             if all(motion.tips is None for motion in rough) and len(rough) < len(motions):
@@ -270,7 +204,7 @@ class Trial:
     def distance(self, model: Model, is_bounded: bool = False) -> float:
         """Bound of the tip's distance [m] from full physics, whose own uncertainty counts;
         is_bounded: inf where it is more than that, and too much for what is asked for."""
-        models = CaseModels(self, model)
+        models = CaseModels(self.cases, model)
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
             enough = self._enough(test) if is_bounded else np.inf
@@ -292,15 +226,19 @@ class Trial:
 
     def _enough(self, test: TrialInput) -> float:
         """Largest distance [m] of a tip that is near enough."""
-        return self.unit / (MARGIN if test.case == OWN else LARGER_LOADS_MARGIN)
+        margin = LARGER_LOADS_MARGIN if test.case == GREATEST else MARGIN
+        return self.unit / margin
 
     def _decide(self, reference: ReferenceMotion, path: Array | None, enough: float) -> None:
         """Refines a reference until it says whether a path is near `enough` [m], or to the end."""
-        while reference.depth < MOST_LEVELS and reference.error > REFERENCE * self.unit:
+        least = REFERENCE * self.unit
+        while reference.depth < MOST_LEVELS and reference.error > least:
             away = distance(path, reference.tips)
-            is_near = away + reference.error <= enough
-            is_far = away - reference.error > enough
-            if np.isfinite(enough) and (is_near or is_far):
+            error = reference.error
+            is_near = away + error <= enough
+            is_far = away - error > enough
+            is_clear = np.isfinite(enough) and (is_near or is_far)
+            if is_clear:
                 return
             reference.refine()
 
@@ -308,14 +246,18 @@ class Trial:
         """Whether the tips of two models with the same coordinates are apart by a part of what is
         asked for at most, at some rests."""
         tests = [test for test in self.tests if test.reference.is_equilibrium]
-        ours = CaseModels(self, self.model(first))
-        theirs = CaseModels(self, self.model(second))
+        ours = CaseModels(self.cases, self.model(first))
+        theirs = CaseModels(self.cases, self.model(second))
         for test in tests[::EVERY]:
-            rest = static_equilibrium(ours.model(test.case), test.tensions)
+            model = ours.model(test.case)
+            rest = static_equilibrium(model, test.tensions)
             if not rest.converged:
                 continue
-            other = static_equilibrium(theirs.model(test.case), test.tensions, rest.q)
-            apart = np.linalg.norm(other.tip_pose[:3, 3] - rest.tip_pose[:3, 3])
+            # the coordinates are the same: Newton's method is there in a step or two
+            denser = theirs.model(test.case)
+            other = static_equilibrium(denser, test.tensions, rest.q)
+            moved = other.tip_pose - rest.tip_pose
+            apart = float(np.linalg.norm(moved[:3, 3]))
             if other.converged and apart > part * self.unit:
                 return False
         return True
@@ -323,8 +265,8 @@ class Trial:
     def agree_in_motion(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """As `agree_at_rest`, in some motions, of models with any coordinates."""
         tests = [test for test in self.tests if not test.reference.is_equilibrium]
-        ours = CaseModels(self, self.model(first))
-        theirs = CaseModels(self, self.model(second))
+        ours = CaseModels(self.cases, self.model(first))
+        theirs = CaseModels(self.cases, self.model(second))
         for test in tests[::EVERY]:
             path = ours.path(test)
             other = theirs.path(test)
@@ -368,6 +310,7 @@ def best_choice(trial: Trial, asked: Accuracy, progress: Progress) -> Choice:
         if choice is not None and np.isfinite(choice.error):
             return _with_inputs(choice, trial)
 
+    # nothing is near enough: the best of those with the most coordinates
     best = settled
     for table in tables[-RICHEST:]:
         choice = judged(trial, settled, table, is_bounded=False)
@@ -394,54 +337,10 @@ def judged(
 
 def _with_inputs(choice: Choice, trial: Trial) -> Choice:
     """The choice with what it was tried on."""
-    largest = trial.cases[min(1, len(trial.cases) - 1)]
+    largest = trial.cases[GREATEST if len(trial.cases) > 1 else OWN]
     return choice._replace(
         missing=trial.missing,
         not_unique=trial.not_unique,
         inputs=trial.inputs,
         loads=largest.model_dump(mode="json"),
     )
-
-
-def settle(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice with few moments whose intervals and time steps are so fine that finer ones hardly
-    move the tip."""
-    scene = trial.scene
-    free = list(scene.strain.free)
-    choice = settled_quadrature(trial, asked)
-
-    angular = [strain for strain in ANGULAR if strain in free]
-    moments = {"strains": angular or free, "order": FEW, "span": "rod"}
-    choice = choice.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
-    for _ in range(MOST_TIGHTENED):
-        if trial.agree_in_motion(choice, choice.with_finer_steps(FINER_STEPS)):
-            break
-        choice = choice.with_finer_steps(TIGHTER)
-    count = coordinate_count(choice.applied_to(scene))
-    return choice._replace(coordinates=count)
-
-
-def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice of explicit strain whose intervals, per piece of the bare rod, are so many that more
-    hardly move the tip."""
-    scene = trial.scene
-    pieces = breakpoints(scene).size - 1
-    order = max(1, RICH - 2 * int(math.log2(pieces)))  # less on many pieces
-    modes = {"strains": list(scene.strain.free), "order": order, "span": "piece"}
-    rich = {
-        "type": "explicit",
-        "modes": [modes],
-        "borders": [*scene.strain.borders, *part_borders(scene)],
-    }
-    quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
-    integrator = {"tolerance": asked.tolerance * rod_length(scene)}
-    choice = Choice(rich, quadrature, integrator, 0, np.inf)
-
-    parts = (breakpoints(choice.applied_to(scene)).size - 1) / pieces  # of each piece
-    choice.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
-    while choice.quadrature["least"] < MOST_INTERVALS:
-        if trial.agree_at_rest(choice, choice.with_intervals(DENSER)):
-            break
-        choice = choice.with_intervals(MORE_INTERVALS)
-    choice.quadrature["least"] = math.ceil(parts * choice.quadrature["least"])
-    return choice

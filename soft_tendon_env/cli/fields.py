@@ -8,7 +8,6 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.accuracy.proper_orthogonal_fields import (
-    KINDS,
     fields_path,
     make_passive_fields,
 )
@@ -76,12 +75,12 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     """Table of the errors by number of fields; the arm has `bare` coordinates without any."""
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
-        errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
+        errors = [number(1e3 * fields.errors[kind][i]) for kind in USUAL]
         singular_value = f"{fields.singular_values[count - 1]:.2g}" if count else "-"
         rows.append((str(bare + count), str(count), singular_value, *errors))
     intro = (
         f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a"
         " converged reference on other motions."
     )
-    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in KINDS))
+    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in USUAL))
     return f"{intro}\n\n{markdown_table(header, rows)}"

@@ -8,10 +8,14 @@ from tqdm import tqdm
 
 from soft_tendon_env.tools.messages import QUIET
 
-MOST_LINES = 10  # that a bar prints where there is no terminal
+MOST_LINES = 10
+"""Lines that a bar prints at most where there is no terminal."""
+
 LINE = "{desc}: {percentage:.0f} %, {remaining_s:.0f} s to go"
-# [s] that must have passed before anything is printed: it leaves out tqdm's line for 0 %
+"""Layout of these lines, see `bar_format` of tqdm."""
+
 SHORTEST_DELAY = 1e-9
+"""Time [s] that must have passed before anything is printed: it leaves out tqdm's line for 0 %."""
 
 
 class ProgressLines(tqdm):
@@ -24,12 +28,15 @@ class ProgressLines(tqdm):
         return False
 
 
-def progress_bar(total: int, label: str | None, unit: str) -> "tqdm[Any]":
+def progress_bar(
+    total: float, label: str | None, unit: str, layout: str | None = None
+) -> "tqdm[Any]":
     """Progress bar on stderr, to be closed by its user, who calls `update`.
 
     Args:
         total: number of units that are to be done.
         label, unit: names of what is done, and of a part of it; without a label there is no bar.
+        layout: tqdm's `bar_format` on a terminal, by default its usual one.
 
     Returns:
         tqdm's bar on a terminal; elsewhere MOST_LINES lines at most, with percentage and seconds to
@@ -43,12 +50,12 @@ def progress_bar(total: int, label: str | None, unit: str) -> "tqdm[Any]":
         "disable": QUIET or label is None,
     }
     if sys.stderr is not None and sys.stderr.isatty():
-        return tqdm(**shared)
+        return tqdm(**shared, bar_format=layout)
     return ProgressLines(
         **shared,
         bar_format=LINE,
         delay=SHORTEST_DELAY,
-        miniters=math.ceil(total / MOST_LINES),
+        miniters=total / MOST_LINES,
         mininterval=0.0,
         maxinterval=math.inf,  # otherwise tqdm prints more often where units take long
     )

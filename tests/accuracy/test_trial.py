@@ -6,20 +6,27 @@ import json
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy import kept_trials
 from soft_tendon_env.accuracy import trial as module
+from soft_tendon_env.accuracy.candidates import bare_rod, strain_tables
+from soft_tendon_env.accuracy.case_models import CaseModels
+from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
-from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions
-from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
-from soft_tendon_env.accuracy.trial import (
-    Choice,
-    Trial,
-    bare_rod,
-    choose,
-    settle,
-    strain_tables,
-    trial_digest,
+from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions, tension_limits
+from soft_tendon_env.accuracy.kept_trials import choose, trial_digest
+from soft_tendon_env.accuracy.loads import REACH, covers, load_cases, reaches, scaled_effects
+from soft_tendon_env.accuracy.progress import Progress
+from soft_tendon_env.accuracy.reference import (
+    Ladder,
+    ReferenceMotion,
+    distance,
+    reference_motions,
+    tip_path,
 )
+from soft_tendon_env.accuracy.settling import settle
+from soft_tendon_env.accuracy.trial import Trial
 from soft_tendon_env.compiler.kept_code import cache_folder
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
@@ -82,24 +89,129 @@ def test_presets_keep_their_error_at_rest_and_in_motion(changes):
     assert errors[2] < errors[0]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [STOCKY, TWO], ids=["stocky", "two pieces"])
+@pytest.mark.parametrize("preset", ["fast", "standard"])
+def test_presets_keep_their_error_under_all_loads_of_the_range(changes, preset):
+    """None above what it says, under loads from a third of the scene's to the largest ones."""
+    scene = ARM.replace({**changes, "effects.tip_load.mass": 0.01})
+    choice = module.search(scene, PRESETS[preset])
+    inputs = [
+        *np.random.default_rng(8).uniform(*tension_limits(scene), (8, 3)),
+        *(motion_tensions(scene, kind, 71, 1.0) for kind in USUAL),
+    ]
+    for factor in (0.33, 1.0, REACH):
+        loaded = scene.replace({"effects": scaled_effects(scene.effects, factor)})
+        assert covers(Effects(**choice.loads), loaded.effects)
+        exact = reference_motions(loaded, inputs, 2e-5 * rod_length(scene)).tips
+        model = build_model(choice.applied_to(loaded))
+        errors = [
+            distance(tip_path(model, tensions), tips)
+            for tensions, tips in zip(inputs, exact, strict=True)
+        ]
+        assert max(errors) <= PRESETS[preset].share * rod_length(scene), factor
+
+
+def chosen_under(effects, coordinates=3, error=0.0):
+    """A choice that was tried under effects of this table."""
+    return Choice(
+        bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, coordinates, error, 0, 0, 20, effects
+    )
+
+
 def test_it_is_made_once_and_kept(cache, monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.2)
-    found = choose(ARM, PRESETS["fast"])
-    assert (
-        found.error < PRESETS["fast"].share / module.MARGIN
-        and found.coordinates == build_model(found.of(ARM)).coordinate_count
-    )
+    choice = choose(ARM, PRESETS["fast"])
+    assert choice.error < PRESETS["fast"].share / module.LARGER_LOADS_MARGIN
+    assert choice.coordinates == build_model(choice.applied_to(ARM)).coordinate_count
     (path,) = cache.glob("*.json")
-    monkeypatch.setattr(module, "search", lambda scene, asked: found._replace(coordinates=99))
-    assert choose(ARM, PRESETS["fast"]) == found
-    path.write_bytes(path.read_bytes()[:-9])
-    assert (
-        choose(ARM, PRESETS["fast"]).coordinates == 99
-        and json.loads(path.read_text())["coordinates"] == 99
-    )
-    cannot = lambda name: (_ for _ in ()).throw(OSError(30, "read-only"))  # noqa: E731
-    monkeypatch.setattr(module, "new_data_folder", cannot)
+
+    other = choice._replace(coordinates=99)
+    monkeypatch.setattr(module, "search", lambda scene, asked: other)
+    assert choose(ARM, PRESETS["fast"]) == choice
+    path.write_bytes(path.read_bytes()[:-9])  # damaged
+    assert choose(ARM, PRESETS["fast"]).coordinates == 99
+    assert json.loads(path.read_text())["coordinates"] == 99
+
+    def cannot(name):
+        raise OSError(30, "read-only")
+
+    monkeypatch.setattr(kept_trials, "new_data_folder", cannot)
     assert choose(ARM, PRESETS["fine"]).coordinates == 99
+
+
+def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, monkeypatch):
+    """In their directions: each is tried up to REACH times its size."""
+    tried = []
+
+    def made(scene, asked):
+        tried.append(scene)
+        greatest = load_cases(scene, REACH, 0)[1]
+        return chosen_under(greatest.model_dump(mode="json"), coordinates=len(tried))
+
+    monkeypatch.setattr(module, "search", made)
+    loaded = ARM.replace({"effects.tip_load": {"mass": 0.02, "force": [0.0, 0.1, 0.0]}})
+    cases = [
+        ({}, 1),
+        ({"effects.tip_load.mass": 0.024}, 1),
+        ({"effects.tip_load.mass": 0.0}, 1),
+        ({"effects.gravity.acceleration": [0.0, 0.0, -11.0]}, 1),
+        ({"effects.tip_load.force": [0.0, 0.07, 0.0]}, 1),
+        ({"effects.gravity": None}, 1),
+        ({"effects.tip_load.mass": 0.026}, 2),
+        ({"effects.tip_load.force": [0.0, -0.1, 0.0]}, 3),
+        ({"effects.fluid": {"density": 1000.0}}, 4),
+        ({"effects.tip_load.mass": 0.02}, 1),
+    ]
+    for changes, coordinates in cases:
+        changed = loaded.replace(changes)
+        assert choose(changed, PRESETS["fast"]).coordinates == coordinates, changes
+    assert len(tried) == 4 and len([*cache.glob("*.json")]) == 4
+
+
+def test_a_trial_has_loads_up_to_its_range(monkeypatch):
+    """The scene's own, REACH times as large ones, and smaller ones."""
+    monkeypatch.setattr(module, "SECONDS", 0.1)
+    trial = Trial(ARM, 1e-2, REACH)
+    own, greatest, weaker = (np.array(case.gravity.acceleration) for case in trial.cases)
+    np.testing.assert_allclose(greatest, REACH * own)
+    assert 0.0 > weaker[2] > greatest[2]
+    assert {test.case for test in trial.tests if test.reference.is_equilibrium} == {0, 1, 2}
+    assert {test.case for test in trial.tests if not test.reference.is_equilibrium} == {0, 1}
+    for test in trial.tests[:4]:
+        loaded = build_model(trial.scene.replace({"effects": trial.cases[test.case]}))
+        exact = reference_motions(loaded.scene, [test.tensions], 1e-2 * trial.unit).tips[0]
+        assert distance(test.reference.tips, exact) <= test.reference.error
+    assert reaches(ARM) == (REACH, 1.0)
+    assert reaches(SHIPPED) == (1.0,)
+
+
+@pytest.mark.parametrize(
+    "left_out, error, reached",
+    [
+        (0, 0.004, [REACH]),
+        (2, 0.004, [REACH, 1.0]),  # larger loads buckle the arm
+        (0, 0.02, [REACH, 1.0]),  # nothing is near enough under them
+    ],
+)
+def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
+    monkeypatch, left_out, error, reached
+):
+    tried = []
+
+    class FakeTrial:
+        def __init__(self, scene, share, reach, progress):
+            self.reach = reach
+            self.left_out = left_out if reach > 1.0 else 0
+            tried.append(reach)
+
+    def best(trial, asked, progress):
+        return chosen_under({}, 3, error if trial.reach > 1.0 else 0.004)
+
+    monkeypatch.setattr(module, "Trial", FakeTrial)
+    monkeypatch.setattr(module, "best_choice", best)
+    assert module.search(ARM, PRESETS["fast"]).error == 0.004
+    assert tried == reached
 
 
 @pytest.mark.parametrize(
@@ -125,38 +237,59 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
         ),
         ({"segments.0.density": 1100.0}, False),
         ({"tendons.0.tension_limits": [0.0, 1.0]}, False),
-        ({"effects.gravity.acceleration": [0.0, 0.0, 9.81]}, False),
+        ({"effects.gravity.acceleration": [0.0, 0.0, 9.81]}, True),
         ({"strain": {"type": "statics_based", "strains": ["bend_y", "bend_z"]}}, False),
     ],
 )
-def test_another_arm_load_or_accuracy_is_another_trial(change, same):
+def test_another_arm_or_accuracy_is_another_trial(change, same):
     fast = PRESETS["fast"]
     assert (trial_digest(ARM.replace(change), fast) == trial_digest(ARM, fast)) == same
     assert trial_digest(ARM, fast) != trial_digest(ARM, PRESETS["fine"])
 
 
 def test_where_nothing_reaches_it_a_preset_warns_and_a_length_is_refused(monkeypatch):
-    best = Choice(bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, 3, 0.012)
+    loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
+    best = chosen_under(loads, 3, 0.012)
     monkeypatch.setattr(module, "search", lambda scene, asked: best)
     with pytest.warns(
         FidelityWarning,
         match=r"as 'fast' asks, 1 % of the length.*3 coordinates, were within 1.2 %",
-    ):
+    ) as caught:
         at_fidelity(ARM, "fast")
+    assert caught[0].filename == __file__
     with pytest.raises(ConfigurationError, match=r"as '1mm' asks, 0.5 %"):
         at_fidelity(ARM, "1mm")
     assert at_fidelity(ARM, "4mm").strain.passive == ()
-    monkeypatch.setattr(module, "search", lambda scene, asked: best._replace(error=np.inf))
-    with pytest.warns(FidelityWarning, match="is not known: full physics has no motion"):
-        at_fidelity(ARM.replace({"segments.0.density": 700.0}), "fast")
+
+
+@pytest.mark.parametrize(
+    "missing, not_unique, reason",
+    [
+        (18, 2, "full physics has no motion under.*in 18 of 20 inputs.*: reduce tension_limits"),
+        (2, 18, "is not unique .*disagree in 18 of 20 inputs.*: reduce tension_limits"),
+        (0, 0, "none of the coordinates that were tried can follow.*: reduce tension_limits"),
+    ],
+)
+def test_where_there_is_no_reference_it_says_why_and_what_to_do(
+    monkeypatch, capsys, missing, not_unique, reason
+):
+    """And never that the tip is within inf %."""
+    loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
+    choice = chosen_under(loads, 3, np.inf)._replace(missing=missing, not_unique=not_unique)
+    monkeypatch.setattr(module, "search", lambda scene, asked: choice)
+    monkeypatch.setattr(kept_trials, "say_once", print)
+    other = ARM.replace({"segments.0.density": 700.0 + missing})
+    with pytest.warns(FidelityWarning, match=f"the accuracy of .* is not known: .*{reason}"):
+        at_fidelity(other, "fast")
+    assert "inf" not in capsys.readouterr().out
 
 
 def test_fields_of_the_arms_own_need_no_trial_and_others_are_tried(monkeypatch):
-    monkeypatch.setattr(module, "choose", None)
+    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", None)
     fields = find_fields(SHIPPED)
     assert at_fidelity(SHIPPED, "fast").strain.passive.digest == fields.digest
     softer = SHIPPED.replace({"segments.0.young_modulus": 0.6 * SHIPPED.segments[0].young_modulus})
-    tables = strain_tables(softer, find_fields(softer))
+    tables = [*strain_tables(softer, find_fields(softer))]
     assert {"type": "snapshots", "fields": 6, "digest": fields.digest} in [
         table.get("passive") for table in tables
     ]
@@ -183,24 +316,86 @@ def test_quadrature_and_steps_are_settled(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.2)
     curled = ARM.replace({"segments.0.curvature": [0.0, 0.0, 70.0]})
     trial = Trial(curled, 2e-3)
-    found = settle(trial, accuracy_of(curled, "standard"))
-    assert found.quadrature["least"] > PRESETS["standard"].least
-    assert trial.agree(found, found.finer(3.0), 1, 0.5) and trial.agree(
-        found, found.finer(1.0, 10.0), 2, 0.5
-    )
+    choice = settle(trial, accuracy_of(curled, "standard"))
+    assert choice.quadrature["least"] > PRESETS["standard"].least
+    assert trial.agree_at_rest(choice, choice.with_intervals(3.0), 0.5)
+    assert trial.agree_in_motion(choice, choice.with_finer_steps(10.0), 0.5)
 
 
 def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
-    still = np.zeros(3)
-    path = tip_path(build_model(ARM), still)
-    for error, bound, left_out in ((1e-7, 1e-7, 0), (1e-4, 1e-4, 0), (1.0, None, 17)):
-        made = type("Made", (), {"tips": (path,) * 17, "tip_errors": (error,) * 17})
-        monkeypatch.setattr(module, "reference_motions", lambda *_, made=made: made)
-        monkeypatch.setattr(module, "USUAL", ())
+    model = build_model(ARM)
+    monkeypatch.setattr(module, "USUAL", ())
+    refine = ReferenceMotion.refine
+
+    def refined(motions, label, done):
+        for place, motion in enumerate(motions):
+            refine(motion)
+            motion.tips = tip_path(model, motion.tensions)
+            motion.error = error
+            done(place, None)
+
+    monkeypatch.setattr(module, "refine_once", refined)
+    monkeypatch.setattr(ReferenceMotion, "refine", lambda motion: setattr(motion, "depth", 3))
+    for error, left_out in ((1e-7, 0), (1e-4, 0), (1.0, 17)):
         trial = Trial(ARM, 2e-3)
-        assert trial.left_out == left_out
-        if bound:
-            trial.tests = trial.tests[:1]
-            assert trial.distance(build_model(ARM)) == pytest.approx(bound)
-    found = Choice(bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, 3, 0.012, 17)
-    assert "without 17 inputs under which the arm's motion is not unique" in found.describe(ARM)
+        assert trial.left_out == trial.not_unique == left_out
+        if not left_out:
+            assert trial.distance(model) == pytest.approx(error)
+    choice = chosen_under({}, 3, 0.012)._replace(not_unique=17)
+    assert "without 17 inputs under which the arm's motion is not unique" in choice.describe(ARM)
+
+
+def test_a_reference_is_refined_only_where_a_decision_depends_on_it(monkeypatch):
+    """Near enough or too far, whatever its error; in between it is refined."""
+    monkeypatch.setattr(module, "USUAL", ())
+    trial = Trial(ARM, 2e-3)
+    enough = trial.unit / module.MARGIN
+    (test, *_) = trial.tests
+    tips = test.reference.tips
+    for away, depth in ((0.1, 2), (3.0, 2), (0.9, 3)):
+        reference = ReferenceMotion(test.reference.ladder, test.tensions)
+        reference.refine()
+        reference.refine()
+        reference.error = 0.4 * enough
+        moved = tips + np.array([0.0, away * enough, 0.0])
+        trial._decide(reference, moved, enough)
+        assert reference.depth == depth, away
+
+
+def test_a_motion_ends_where_it_is_too_far(monkeypatch):
+    monkeypatch.setattr(module, "SECONDS", 0.4)
+    trial = Trial(ARM, 1e-2)
+    model = build_model(ARM.replace({"strain.passive": []}))
+    models = CaseModels(trial.cases, model)
+    (test, *_) = [test for test in trial.tests if not test.reference.is_equilibrium]
+    path = models.path(test)
+    np.testing.assert_array_equal(path, tip_path(model, test.tensions))
+    away = distance(path, test.reference.tips)
+    assert models.path(test, 1.001 * away) is not None
+    assert models.path(test, 0.999 * away) is None
+
+
+def test_equilibria_are_refined_from_the_coarser_level():
+    """To those of the path from the unloaded arm, to the residual of Newton's method."""
+    ladder = Ladder(ARM, 1e-6)
+    tensions = tension_limits(ARM)[1] * [0.3, 0.0, 0.6]
+    motion = ReferenceMotion(ladder, tensions)
+    motion.refine()
+    motion.refine()
+    fine = ladder.rung(1).model
+    assert distance(motion.tips, tip_path(fine, tensions)) < 1e-9
+    assert 0.0 < motion.error < 1e-4
+
+
+def test_the_bar_names_the_scene_and_the_time_to_go(capsys, monkeypatch):
+    monkeypatch.setattr("soft_tendon_env.accuracy.progress.QUIET", False)
+    with Progress("my_arm") as progress:
+        progress.plan(10.0)
+        for _ in range(4):
+            progress.reference(3.0)
+        progress.candidate()
+        share = progress._bar.n
+        progress._bar.refresh()
+    assert 0.7 < share < 1.0
+    assert "my_arm, trial of its accuracy:  73%" in (text := capsys.readouterr().err)
+    assert "about 00:00 to go" in text
