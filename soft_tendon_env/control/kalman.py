@@ -266,7 +266,8 @@ class ExtendedKalmanFilter:
         mean = last.mean
         gain = 1.0 + mean[layout.gain]
         offset = mean[layout.offset]
-        tension, seconds = self._acting(float(mean[layout.latency][0]), measured)
+        (latency,) = mean[layout.latency]
+        tension, seconds = self._acting(float(latency), measured)
         try:
             self._simulation.reset(
                 self._scale * mean[layout.z],
@@ -329,7 +330,8 @@ class ExtendedKalmanFilter:
         motion = slice(unit.size)
         inputs = slice(layout.offset.start, layout.gain.stop)
         transition = np.eye(layout.latency.stop)
-        transition[motion, motion] = rollout.by_state[0] * unit / unit[:, None]
+        by_motion = rollout.by_state[0] * unit / unit[:, None]
+        transition[motion, motion] = by_motion
         transition[motion, inputs] = driven[:, :-1]
         transition[motion, layout.latency] = driven[:, -1:]
         return transition * self._keep[:, None], moved @ moved.T
@@ -345,15 +347,17 @@ class ExtendedKalmanFilter:
             if surprise > SURPRISE:
                 # of the motion, not of what the model has wrong in the long run
                 motion = slice(len(predicted.noise))
+                excess = surprise / SURPRISE - 1.0
                 covariance = covariance.copy()
-                covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
+                covariance[motion, motion] += excess * predicted.noise
                 spread, weight = _gain(slope, covariance, variance, innovation)
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
         self._keep_plausible(after)
-        if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
+        is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
+        if not is_plausible or not np.isfinite(covariance).all():
             return None
         try:
             self.model.tip_pose(self._scale * after[self._layout.z])
@@ -435,7 +439,8 @@ def _bending_tension(model: Model) -> Array:
     answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
     # twice the energy that a unit of each stores; none, of a tendon along the axis
     energy = np.einsum("ij,ij->j", terms.actuation, answer)
-    return np.sqrt(model.bending_energy / np.maximum(energy, np.finfo(float).tiny))
+    energy = np.maximum(energy, np.finfo(float).tiny)
+    return np.sqrt(model.bending_energy / energy)
 
 
 def _gain(

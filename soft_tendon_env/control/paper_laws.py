@@ -175,11 +175,13 @@ class PaperTipPose(ModelController):
     periods."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        assert now.reference.tip_pose is not None
         h = self.period
-        pose, next_pose, last_pose = (
-            pose_at(now.reference.ahead, now.reference.tip_pose, k * h) for k in range(3)
-        )
+        ahead = now.reference.ahead
+        poses = now.reference.tip_pose
+        assert poses is not None
+        pose = pose_at(ahead, poses, 0.0)
+        next_pose = pose_at(ahead, poses, h)
+        last_pose = pose_at(ahead, poses, 2 * h)
         # mean twists of the two periods are those in their middle
         first_twist = pose_error(pose, next_pose) / h
         second_twist = pose_error(next_pose, last_pose) / h

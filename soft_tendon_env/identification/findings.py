@@ -99,7 +99,8 @@ def _may_be_misread(found: Fit, fitted: Readings) -> bool:
 def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     """Finding that the data do not contain a direction (k,) of the parameters."""
     size = np.abs(direction)
-    names = [parameters[i].name for i in np.argsort(-size) if size[i] >= UNSEEN]
+    largest_first = np.argsort(-size)
+    names = [parameters[i].name for i in largest_first if size[i] >= UNSEEN]
     what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
     return f"The data do not contain {what}: {_experiment(' '.join(names))}."
 
@@ -170,7 +171,8 @@ def _outlier_texts(parts: Sequence[Array], readings: Readings) -> list[str]:
         else:
             deviations.append(part)
     distance = np.linalg.norm(np.concatenate(deviations), axis=-1)  # (samples, m)
-    least = max(OUTLYING * np.nanmedian(distance), GROSS * readings.plants.model.length)
+    of_all = OUTLYING * np.nanmedian(distance)
+    least = max(of_all, GROSS * readings.plants.model.length)
     count = (distance > least).sum()
     if not 0 < count <= FEW_OUTLIERS * np.isfinite(distance).sum():
         return []

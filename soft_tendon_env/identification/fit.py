@@ -123,8 +123,9 @@ def _root_mean_square(estimate: Fit) -> float:
     data = estimate.information
     posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
     decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
+    freedom = max(estimate.residual.size - decided, 1.0)
     squares = estimate.residual @ estimate.residual
-    return float(np.sqrt(squares / max(estimate.residual.size - decided, 1.0)))
+    return float(np.sqrt(squares / freedom))
 
 
 def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
@@ -194,11 +195,13 @@ def intervals(found: Fit, readings: Readings) -> Intervals:
     bootstrap = stdtrit(cluster_freedom, tail) * deviations
     wider = np.maximum(linear, bootstrap)
     reach = np.where(np.isfinite(linear), wider, np.ptp(bounds, axis=1))
-    ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
+    least, greatest = bounds.T
+    lower = np.clip(found.x - reach, least, greatest)
+    upper = np.clip(found.x + reach, least, greatest)
     # the value of a factor of a negative number falls with its coordinate
     values = [
-        sorted((parameter.at(low), parameter.at(high)))
-        for parameter, low, high in zip(parameters, *ends, strict=True)
+        sorted((parameter.at(x_low), parameter.at(x_high)))
+        for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True)
     ]
     low, high = np.array(values).T
     identified, unseen = _identified(found)
@@ -224,7 +227,8 @@ def _identified(found: Fit) -> tuple[Array, list[Array]]:
     information, directions = np.linalg.eigh(found.information)
     is_seen = information > max(SEEN, SINGULAR * information[-1])
     unseen = directions[:, ~is_seen]
-    return (np.abs(unseen) < UNSEEN).all(axis=1), [*unseen.T]
+    identified = (np.abs(unseen) < UNSEEN).all(axis=1)
+    return identified, [*unseen.T]
 
 
 def _bootstrap(found: Fit, cluster: Array) -> Array:
@@ -243,13 +247,14 @@ def _bootstrap(found: Fit, cluster: Array) -> Array:
     # how often each cluster is drawn, with as many draws as there are clusters
     shares = np.full(clusters, 1.0 / clusters)
     times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
-    # b of the priors' own draws, around each of which x / prior is measured
+    # b, of the priors' centres that are drawn too
     k = found.x.size
     prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(found.prior)
+    # (J^T J + P) step = J^T r + P x - b
     A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(found.prior)
-    b = times @ np.array(gradient) + found.prior * found.x - prior_draw
+    right = times @ np.array(gradient) + found.prior * found.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
     A += ridge[:, None, None] * np.eye(k)
-    step = np.linalg.solve(A, b[..., None])
+    step = np.linalg.solve(A, right[..., None])
     return found.x - step[..., 0]

@@ -334,7 +334,8 @@ class MeasuredArm(Arms):
         last, _ = readings[-1]
         poses = [reading.tip_pose for _, reading in readings if reading.tip_pose is not None]
         positions = np.array([pose[:3, 3] for pose in poses])
-        return speed_of(positions, self.pacer.period * (last - first) / (len(readings) - 1))
+        between = self.pacer.period * (last - first) / (len(readings) - 1)  # [s]
+        return speed_of(positions, between)
 
 
 def speed_of(position: Array, period: float) -> float:

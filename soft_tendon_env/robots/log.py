@@ -104,7 +104,8 @@ class RobotLog:
                 quaternion = rotation.as_quat(canonical=True, scalar_first=True)
                 value = np.concatenate([value[:3, 3], quaternion])
             numbers.append(value.ravel())
-        return [self._hold, round(time, 9), measured_time, *np.concatenate(numbers).tolist()]
+        values = np.concatenate(numbers).tolist()
+        return [self._hold, round(time, 9), measured_time, *values]
 
     def close(self) -> None:
         """Closes the file; once."""

@@ -231,7 +231,8 @@ class SafeRobot:
         """Raises ValueError for a tip that is further from the base than the arm reaches."""
         if measured.tip_pose is None:
             return
-        distance = float(np.linalg.norm(measured.tip_pose[:3, 3] - self._base))
+        from_base = measured.tip_pose[:3, 3] - self._base
+        distance = float(np.linalg.norm(from_base))
         if distance > self._reach:
             raise ValueError(
                 f"measurement.tip_pose puts the tip {distance:.3g} m from the base, and the arm"
@@ -257,7 +258,8 @@ class SafeRobot:
             asked = checked_array("command", command, self.slack.shape)
             # from slack, which may lie beneath the limits, it rises evenly
             within = np.clip(asked, np.minimum(least, self._sent), greatest)
-            answer = self._send(np.clip(within, self._sent - most, self._sent + most))
+            next_command = np.clip(within, self._sent - most, self._sent + most)
+            answer = self._send(next_command)
             sent = None if answer is None else self._checked_answer(answer)
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
@@ -338,7 +340,8 @@ class SafeRobot:
             steps_due = int((self.clock.now() - began) / step)
             k = max(k + 1, steps_due)
             share = min(k / RAMP_STEPS, 1.0)
-            self._try(stop, (1.0 - share) * first + share * self.slack)
+            command = (1.0 - share) * first + share * self.slack
+            self._try(stop, command)
             stop.seconds = self.clock.now() - began
             if not stop.slack:
                 # a robot that does not take it is told less often
