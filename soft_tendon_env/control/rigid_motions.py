@@ -10,11 +10,11 @@ SAME_TIME = 1e-9  # [s] by which a time may be beyond a pose's and still count a
 SAME_SHARE = 1e-9  # of the way between two poses
 
 
-def pose_error(pose: Array, wanted: Array) -> Array:
-    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in
+def pose_error(pose: Array, target: Array) -> Array:
+    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the target pose g_bar (4, 4) in
     unit time."""
     poses = np.ascontiguousarray(pose)[None]
-    targets = np.ascontiguousarray(wanted)[None, None]
+    targets = np.ascontiguousarray(target)[None, None]
     out = np.empty((1, 1, 6))
     pose_errors(poses, targets, out)
     return np.asarray(out[0, 0])

@@ -94,7 +94,7 @@ class ShapeTracking(ShapeController):
 
     def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
         """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""
-        h, kp, kd = self.period, self.kp, self.kd
+        h = self.period
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
@@ -106,9 +106,9 @@ class ShapeTracking(ShapeController):
         tensions = self._tensions
         stiffness_aa = tensions @ terms.stiffness @ tensions.T
         project = np.linalg.pinv(stiffness_aa) @ tensions @ terms.stiffness
-        push = kd * (next_q_bar - q_bar) / h + kp * (next_q_bar - now.q)
+        push = self.kd * (next_q_bar - q_bar) / h + self.kp * (next_q_bar - now.q)
         goal = tensions @ next_q_bar + project @ push
-        grip = (kd + h * kp) * project
+        grip = (self.kd + h * self.kp) * project
         # v+ = free + response u
         closed_loop = np.eye(now.q.size) + step.response @ grip
         open_loop = step.free + step.response @ goal

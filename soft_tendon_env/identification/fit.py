@@ -171,11 +171,11 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     )
 
 
-def intervals(found: Fit, readings: Readings) -> Intervals:
+def intervals(estimate: Fit, readings: Readings) -> Intervals:
     """Intervals of an estimate at 95 %, the wider of linear and bootstrap ones.
 
     Args:
-        found: the estimate.
+        estimate: of `fit`.
         readings: those that it is of.
 
     Returns:
@@ -187,30 +187,30 @@ def intervals(found: Fit, readings: Readings) -> Intervals:
     parameters = readings.plants.parameters
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
-    reading_freedom = max(found.residual.size - found.x.size, 1)
-    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(found))
+    reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
+    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(estimate))
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
-    deviations = _bootstrap(found, readings.cluster).std(axis=0)
+    deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
     bootstrap = stdtrit(cluster_freedom, tail) * deviations
     wider = np.maximum(linear, bootstrap)
     reach = np.where(np.isfinite(linear), wider, np.ptp(bounds, axis=1))
     least, greatest = bounds.T
-    lower = np.clip(found.x - reach, least, greatest)
-    upper = np.clip(found.x + reach, least, greatest)
+    lower = np.clip(estimate.x - reach, least, greatest)
+    upper = np.clip(estimate.x + reach, least, greatest)
     # the value of a factor of a negative number falls with its coordinate
     values = [
         sorted((parameter.at(x_low), parameter.at(x_high)))
         for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True)
     ]
     low, high = np.array(values).T
-    identified, unseen = _identified(found)
+    identified, unseen = _identified(estimate)
     return Intervals(low, high, identified, unseen)
 
 
-def _variances(found: Fit) -> Array:
+def _variances(estimate: Fit) -> Array:
     """Variances (k,) of the coordinates, of data and priors; infinite without information."""
-    total = found.information + np.diag(found.prior)
+    total = estimate.information + np.diag(estimate.prior)
     information, directions = np.linalg.eigh(total)
     largest = max(information[-1], np.finfo(float).tiny)
     is_empty = information <= SINGULAR * largest
@@ -221,40 +221,41 @@ def _variances(found: Fit) -> Array:
     return np.where(is_free, np.inf, variances)
 
 
-def _identified(found: Fit) -> tuple[Array, list[Array]]:
+def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
     """Whether the data contain each parameter (k,); directions (k,) that they do not contain, the
     least known first."""
-    information, directions = np.linalg.eigh(found.information)
+    information, directions = np.linalg.eigh(estimate.information)
     is_seen = information > max(SEEN, SINGULAR * information[-1])
     unseen = directions[:, ~is_seen]
     identified = (np.abs(unseen) < UNSEEN).all(axis=1)
     return identified, [*unseen.T]
 
 
-def _bootstrap(found: Fit, cluster: Array) -> Array:
+def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     """Coordinates (draws, k) of resampled estimates, by one Newton step each. cluster: index of
     each reading (N,)."""
     random = np.random.default_rng(0)
     clusters = int(cluster.max()) + 1
-    weight = found.sigma**-2
+    weight = estimate.sigma**-2
     # curvature J^T J and gradient J^T r of the sum of squares, cluster by cluster
-    curvature, gradient = list[Array](), list[Array]()
+    curvature = list[Array]()
+    gradient = list[Array]()
     for i in range(clusters):
-        J = found.jacobian[cluster == i]
-        r = found.residual[cluster == i]
+        J = estimate.jacobian[cluster == i]
+        r = estimate.residual[cluster == i]
         curvature.append(weight * J.T @ J)
         gradient.append(weight * J.T @ r)
     # how often each cluster is drawn, with as many draws as there are clusters
     shares = np.full(clusters, 1.0 / clusters)
     times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
     # b, of the priors' centres that are drawn too
-    k = found.x.size
-    prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(found.prior)
+    k = estimate.x.size
+    prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(estimate.prior)
     # (J^T J + P) step = J^T r + P x - b
-    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(found.prior)
-    right = times @ np.array(gradient) + found.prior * found.x - prior_draw
+    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(estimate.prior)
+    right = times @ np.array(gradient) + estimate.prior * estimate.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
     A += ridge[:, None, None] * np.eye(k)
     step = np.linalg.solve(A, right[..., None])
-    return found.x - step[..., 0]
+    return estimate.x - step[..., 0]

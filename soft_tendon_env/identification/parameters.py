@@ -275,7 +275,8 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
     is_angle = key.endswith((".angle", ".phase")) and not numbers.is_factor
     is_factor = all(numbers.values) and not is_angle
     if is_angle:
-        low, high = value - TURN, value + TURN
+        low = value - TURN
+        high = value + TURN
     elif is_factor or bounds is not None:
         low, high = sorted((value / FACTOR, value * FACTOR))
     else:

@@ -64,12 +64,12 @@ def check_robot(robot: Any) -> None:
 
 
 def check_measurement(
-    given: Any, senses: tuple[str, ...], tendons: int, sensors: int
+    measured: Any, senses: tuple[str, ...], tendons: int, sensors: int
 ) -> Measurement:
     """Checks a robot's measurement.
 
     Args:
-        given: what `read` returned.
+        measured: what `read` returned.
         senses: fields that the robot senses.
         tendons: number of them.
         sensors: number of strain sensors.
@@ -81,19 +81,19 @@ def check_measurement(
         TypeError: for what is no Measurement, and no numbers.
         ValueError: for other shapes, NaN, what is missing, and a pose that is none.
     """
-    if not isinstance(given, Measurement):
-        raise TypeError(f"read should return a Measurement, not {type(given).__name__}")
+    if not isinstance(measured, Measurement):
+        raise TypeError(f"read should return a Measurement, not {type(measured).__name__}")
     shapes: dict[str, tuple[int, ...]] = {
         "tip_pose": (4, 4),
         "tip_twist": (6,),
         "strain": (sensors, 6),
         "strain_rate": (sensors, 6),
     }
-    time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
+    time = checked_number("measurement.time", measured.time, -np.inf, "a finite number of seconds")
     arrays = dict[str, Array]()
     for name in senses:
         shape = shapes.get(name, (tendons,))
-        arrays[name] = checked_array(f"measurement.{name}", getattr(given, name), shape)
+        arrays[name] = checked_array(f"measurement.{name}", getattr(measured, name), shape)
     if "tip_pose" in arrays:
         _check_pose(arrays["tip_pose"])
     return Measurement(time, **arrays)

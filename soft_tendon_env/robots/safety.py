@@ -298,12 +298,12 @@ class SafeRobot:
     def close(self) -> None:
         """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it
         stands among the failures."""
-        done = self.stop(FINISHED)
+        course = self.stop(FINISHED)
         if not self._closed:
             try:
                 self.robot.close()
             except Exception as error:
-                done.failures.append(first_line(error))
+                course.failures.append(first_line(error))
             self._closed = True
             atexit.unregister(self.stop)
             for number, handler in self._handlers.items():

@@ -150,12 +150,12 @@ def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return ranges
 
 
-def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
+def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
     """Ranges of a scene's numbers, as domain randomisation draws them.
 
     Args:
         scene: the arm.
-        wanted: ranges by dotted keys, of a vector a list with one for each entry.
+        table: ranges by dotted keys, of a vector a list with one for each entry.
 
     Returns:
         The ranges, of a list one by one.
@@ -167,13 +167,11 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
     entries = _entries(scene)
     ranges = list[Range]()
     drawn = dict[str, str]()  # the range that draws a number, by the number's key
-    for name, value in wanted.items():
+    for name, value in table.items():
         for key, written in _by_entry(name, value, entries):
             _, keys, values, _ = _parameter(key, entries)
-            if _is_relative(written):
-                ((kind, interval),) = written.items()
-            else:
-                kind, interval = "value", written
+            relative = written if _is_relative(written) else {"value": written}
+            ((kind, interval),) = relative.items()
             least, greatest = _interval(key, interval)
             ranges.append(Range(key, keys, values, kind, least, greatest))
             for number in keys:

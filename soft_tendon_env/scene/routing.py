@@ -94,7 +94,7 @@ class TaperTable(Taper):
         return curve(arc_length), curve.derivative()(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
-        first, last = self.arc_length[0], self.arc_length[-1]
+        first, *_, last = self.arc_length
         ends_there = abs(last - segment_length) <= ROUND_OFF * segment_length
         if first == 0.0 and ends_there:
             return None
@@ -242,7 +242,7 @@ class TableRouting(TendonRouting):
         return curve(arc_length), curve(arc_length, 1)
 
     def misfit(self, ends: Ends) -> str | None:
-        first, last = self.arc_length[0], self.arc_length[-1]
+        first, *_, last = self.arc_length
         slack = ROUND_OFF * (last - first)
         start, end = ends
         if first - slack <= start and end <= last + slack:
