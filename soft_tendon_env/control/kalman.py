@@ -248,7 +248,12 @@ class ExtendedKalmanFilter:
         mean[self._layout.latency] = self.latency
         motion = 2 * self._scale.size
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(variance), np.zeros((motion, motion)), effects)
+        return Belief(
+            mean=mean,
+            covariance=np.diag(variance),
+            noise=np.zeros((motion, motion)),
+            effects=effects,
+        )
 
     def _variances(self, **deviations: float | Array) -> Array:
         """Variances (m,) of the state from standard deviations of the parts of Layout; a latency
@@ -289,7 +294,12 @@ class ExtendedKalmanFilter:
         covariance = transition @ last.covariance @ transition.T
         covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(self._keep * after, covariance, noise, rollout.effects[1])
+        return Belief(
+            mean=self._keep * after,
+            covariance=covariance,
+            noise=noise,
+            effects=rollout.effects[1],
+        )
 
     def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
         """Two tensions (2, n_a) [N] that acted over the last period, one after the other, and for
@@ -307,7 +317,8 @@ class ExtendedKalmanFilter:
         periods = latency_deviation / self.period
         change = np.ptp(measured.sent, axis=0)
         of_timing = self.uncertainty.timing * periods * change
-        return np.hypot(self.uncertainty.tension * self._tension, of_timing)
+        always = self.uncertainty.tension * self._tension
+        return np.hypot(always, of_timing)
 
     def _linearise(
         self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
@@ -363,8 +374,12 @@ class ExtendedKalmanFilter:
             self.model.tip_pose(self._scale * after[self._layout.z])
         except FAILURES:  # the model has no such shape
             return None
-        symmetric = 0.5 * (covariance + covariance.T)  # also after round-off
-        return Belief(after, symmetric, predicted.noise, predicted.effects)
+        return Belief(
+            mean=after,
+            covariance=0.5 * (covariance + covariance.T),  # symmetric, also after round-off
+            noise=predicted.noise,
+            effects=predicted.effects,
+        )
 
     def _keep_plausible(self, mean: Array) -> None:
         """Cuts gains and latency of a state (m,) off at their bounds, in place."""

@@ -191,7 +191,8 @@ class PaperTipPose(ModelController):
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             measured = terms._replace(tip_pose=now.tip_pose)
-            return self.output(tip_pose_tension(measured, now.q_dot, target, TIP_GAINS))
+            tension = tip_pose_tension(measured, now.q_dot, target, TIP_GAINS)
+            return self.output(tension)
         except (*FAILURES, ValueError):
             return self.hold(now)
 
@@ -204,6 +205,7 @@ class PaperShape(ShapeController):
         next_tension = self._tensions @ self.shape_at(now.reference, self.period)
         target = ShapeTarget(tension, (next_tension - tension) / self.period)
         try:
-            return self.output(shape_tension(self.model, now.q, now.q_dot, target, SHAPE_GAINS))
+            asked = shape_tension(self.model, now.q, now.q_dot, target, SHAPE_GAINS)
+            return self.output(asked)
         except (*FAILURES, ValueError):
             return self.hold(now)

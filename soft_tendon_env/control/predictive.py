@@ -132,8 +132,12 @@ class Predictive(ModelController):
             rates=rates,
             effects=effects,
         )
-        disturbance = float(np.abs(error.offset).max())
-        return self.output(better[0], improved, not allocation.solved, disturbance=disturbance)
+        return self.output(
+            better[0],
+            improved,
+            is_singular=not allocation.solved,
+            disturbance=float(np.abs(error.offset).max()),
+        )
 
     def _continued(self, last: Array, memory: Plan | None) -> Array:
         """The last plan (N, n_a) a period later, its end held on; at first the last tensions."""

@@ -123,8 +123,9 @@ def _root_mean_square(estimate: Fit) -> float:
     data = estimate.information
     posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
     decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
-    freedom = max(estimate.residual.size - decided, 1.0)
-    squares = estimate.residual @ estimate.residual
+    residual = estimate.residual
+    freedom = max(residual.size - decided, 1.0)
+    squares = residual @ residual
     return float(np.sqrt(squares / freedom))
 
 
@@ -205,7 +206,12 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     ]
     low, high = np.array(values).T
     identified, unseen = _identified(estimate)
-    return Intervals(low, high, identified, unseen)
+    return Intervals(
+        low=low,
+        high=high,
+        identified=identified,
+        unseen=unseen,
+    )
 
 
 def _variances(estimate: Fit) -> Array:
@@ -216,7 +222,9 @@ def _variances(estimate: Fit) -> Array:
     is_empty = information <= SINGULAR * largest
     empty = directions[:, is_empty]
     known = directions[:, ~is_empty]
-    is_free = (np.abs(empty) > np.sqrt(SINGULAR)).any(axis=1)
+    # parameters with a part of an empty direction
+    is_part = np.abs(empty) > np.sqrt(SINGULAR)
+    is_free = is_part.any(axis=1)
     variances = (known**2 / information[~is_empty]).sum(axis=1)
     return np.where(is_free, np.inf, variances)
 
@@ -250,10 +258,12 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
     # b, of the priors' centres that are drawn too
     k = estimate.x.size
-    prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(estimate.prior)
+    normal = random.normal(size=(RESAMPLES, k))
+    prior_draw = normal * np.sqrt(estimate.prior)
     # (J^T J + P) step = J^T r + P x - b
-    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(estimate.prior)
-    right = times @ np.array(gradient) + estimate.prior * estimate.x - prior_draw
+    P = estimate.prior
+    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(P)
+    right = times @ np.array(gradient) + P * estimate.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
     A += ridge[:, None, None] * np.eye(k)

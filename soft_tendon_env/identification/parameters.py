@@ -283,7 +283,15 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
         raise ValueError(
             f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH"
         )
-    usual = Parameter(key, numbers, value, low, high, prior=None, is_factor=is_factor)
+    usual = Parameter(
+        key,
+        of_scene=numbers,
+        value=value,
+        low=low,
+        high=high,
+        prior=None,
+        is_factor=is_factor,
+    )
     return _with_bounds(usual, bounds, scene)
 
 

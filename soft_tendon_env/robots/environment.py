@@ -123,9 +123,20 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         )
         self._log: RobotLog | None = None
         if log is not None:
-            senses = self._safe.senses
-            self._log = RobotLog(Path(log), robot.command_unit, senses, len(limits), sensors)
-        arm = MeasuredArm(episodes, self._safe, settle, rest_speed * model.length, self._log)
+            self._log = RobotLog(
+                Path(log),
+                robot.command_unit,
+                self._safe.senses,
+                tendons=len(limits),
+                sensors=sensors,
+            )
+        arm = MeasuredArm(
+            episodes,
+            self._safe,
+            settle=settle,
+            still=rest_speed * model.length,
+            log=self._log,
+        )
         self._last: Any = None
         # found by the last reset, added to what the robot measures: tendon_length (n_a,) [m],
         # strain (s, 6)
@@ -223,7 +234,13 @@ class MeasuredArm(Arms):
         still: float,
         log: RobotLog | None,
     ) -> None:
-        super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
+        super().__init__(
+            episodes.model,
+            rows=1,
+            period=episodes.period,
+            stations=np.empty(0),
+            sensors=episodes.sensors,
+        )
         self.robot = robot
         self.pacer = Pacer(robot.clock, episodes.period)
         self._still = still
@@ -334,7 +351,8 @@ class MeasuredArm(Arms):
         last, _ = readings[-1]
         poses = [reading.tip_pose for _, reading in readings if reading.tip_pose is not None]
         positions = np.array([pose[:3, 3] for pose in poses])
-        between = self.pacer.period * (last - first) / (len(readings) - 1)  # [s]
+        steps = len(readings) - 1
+        between = self.pacer.period * (last - first) / steps  # [s]
         return speed_of(positions, between)
 
 
@@ -354,8 +372,10 @@ def speed_of(position: Array, period: float) -> float:
     power = amplitude**2 / count
     is_motion = power > STANDS_OUT * np.median(power, axis=0)
     motion = np.sum(power, axis=1, where=is_motion)
-    rate = np.pi * np.arange(1, count) / (count * period)  # [rad/s] of the modes
-    return float(np.sqrt(np.sum(rate**2 * motion)))
+    order = np.arange(1, count)
+    rate = np.pi * order / (count * period)  # [rad/s] of the modes
+    square = np.sum(rate**2 * motion)
+    return float(np.sqrt(square))
 
 
 class Report(NamedTuple):

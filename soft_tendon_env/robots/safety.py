@@ -112,7 +112,13 @@ class Pacer:
         """Statistics until now; zeros before the first period is over."""
         lateness = self._lateness or [0.0]
         p50, p99, worst = np.percentile(lateness, [50, 99, 100]).tolist()
-        return Timing(self.count, self._overruns, p50, p99, worst)
+        return Timing(
+            periods=self.count,
+            overruns=self._overruns,
+            p50=p50,
+            p99=p99,
+            worst=worst,
+        )
 
 
 class RobotStopped(UserError):

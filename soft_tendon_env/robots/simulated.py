@@ -68,7 +68,13 @@ class SimulatedRobot:
         self.clock = Clock(real_time)
         first = episodes.start_command
         drawn = episodes.options.randomize
-        self._sensors = Sensors(drawn.noise, 1, first.size, episodes.sensors.size, drawn.omit)
+        self._sensors = Sensors(
+            drawn.noise,
+            rows=1,
+            tendons=first.size,
+            sensors=episodes.sensors.size,
+            omit=drawn.omit,
+        )
         self._readings = np.zeros(1, dtype=np.int64)
         # these two compile, so that no reading waits for that
         self._arms.step(first[None, None], ROW)

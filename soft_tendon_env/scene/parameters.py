@@ -173,7 +173,15 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
             relative = written if _is_relative(written) else {"value": written}
             ((kind, interval),) = relative.items()
             least, greatest = _interval(key, interval)
-            ranges.append(Range(key, keys, values, kind, least, greatest))
+            numbers_range = Range(
+                key,
+                keys=keys,
+                values=values,
+                kind=kind,
+                least=least,
+                greatest=greatest,
+            )
+            ranges.append(numbers_range)
             for number in keys:
                 if number in drawn:
                     _fail(key, f"draws what {drawn[number]!r} draws already")
@@ -264,7 +272,12 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
         if isinstance(value, float) and _array_of(key) in arrays
     ]
     values = tuple(entries[key] for key in keys)
-    return Parameter(name, tuple(keys), values, size=max(sizes))
+    return Parameter(
+        name,
+        keys=tuple(keys),
+        values=values,
+        size=max(sizes),
+    )
 
 
 def _array_of(key: str) -> str:
@@ -312,11 +325,11 @@ def _is_relative(value: Any) -> bool:
 def _interval(key: str, value: Any) -> tuple[float, float]:
     """Least and greatest of a number or a pair. Raises ConfigurationError."""
     pair = value if isinstance(value, list | tuple) else (value, value)
-    is_pair = len(pair) == 2 and all(map(_is_number, pair))
-    if not is_pair or pair[0] > pair[1]:
-        _fail(key, f"has {shown(value)}: it should be {NUMBER}")
-    least, greatest = pair
-    return float(least), float(greatest)
+    if len(pair) == 2 and all(map(_is_number, pair)):
+        least, greatest = pair
+        if least <= greatest:
+            return float(least), float(greatest)
+    _fail(key, f"has {shown(value)}: it should be {NUMBER}")
 
 
 def _is_number(value: Any) -> bool:

@@ -168,7 +168,12 @@ def read_fields(path: Path) -> PassiveFields:
         arrays = {name: np.array(table[name], dtype=float) for name in ARRAYS}
         errors = {name: tuple(values) for name, values in table["errors"].items()}
         effects = Effects(**table["effects"])
-        fields = PassiveFields(arm=table["arm"], effects=effects, errors=errors, **arrays)
+        fields = PassiveFields(
+            arm=table["arm"],
+            effects=effects,
+            errors=errors,
+            **arrays,
+        )
         coefficients = fields.coefficients
         pieces = fields.borders.size - 1
         shape = (fields.singular_values.size, pieces, 6, SNAPSHOT_ORDER + 1)

@@ -426,7 +426,8 @@ def disc_rows(scene: Scene) -> Array:
     for segment, start in zip(scene.segments, starts, strict=True):
         if segment.discs is not None:
             from_base = np.array([start, 0.0, 0.0, 0.0])
-            rows.append(segment.discs.rows(segment.length) + from_base)
+            own_rows = segment.discs.rows(segment.length)
+            rows.append(own_rows + from_base)
     return np.concatenate([np.zeros((0, 4)), *rows])
 
 
