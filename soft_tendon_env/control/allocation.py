@@ -40,7 +40,8 @@ def allocate(
         solved, x is zero within the bounds and `solved` false.
     """
     size = gradient.size
-    fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size), False)
+    nothing = np.zeros(size)
+    fallback = Allocation(np.clip(nothing, least, greatest), nothing, solved=False)
     if not np.isfinite(hessian).all() or not np.isfinite(gradient).all():
         return fallback
     # the solver's tolerances are absolute: a problem of usual size

@@ -48,7 +48,12 @@ class Entry:
         if numbers.keys() == DEFAULT._asdict().keys():
             looks_ahead = Tuning(**numbers).looks_ahead
         make = partial(self.make, **parameters)
-        return replace(self, make=make, looks_ahead=looks_ahead, parameters=numbers)
+        return replace(
+            self,
+            make=make,
+            looks_ahead=looks_ahead,
+            parameters=numbers,
+        )
 
 
 def entry_of(description: str, make: Callable[..., Controller]) -> Entry:

@@ -97,13 +97,14 @@ def discrete_gains(
     """
     checked_number("period", period, LEAST_TIME, "a positive number")
     natural = natural_frequency(settling_time, damping)
-    split = np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0)
+    split = np.emath.sqrt(damping**2 - 1.0) * np.array([1.0, -1.0])
     poles = natural * (split - damping)
     if integral_time is not None:
         checked_number("integral_time", integral_time, LEAST_TIME, "a positive number, or None")
         poles = np.append(poles, -DECADES / integral_time)
     # characteristic polynomial in z - 1; without an integral it has no third coefficient
-    coefficients = np.real(np.poly(np.exp(poles * period) - 1.0))
+    discrete_poles = np.exp(poles * period)
+    coefficients = np.real(np.poly(discrete_poles - 1.0))
     first, second = coefficients[1:3]
     third = coefficients[3] if integral_time is not None else 0.0
     return Gains(

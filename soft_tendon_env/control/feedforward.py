@@ -60,8 +60,12 @@ class StaticFeedforward(ModelController):
         steps = STEPS
         if equilibrium is None:
             rest = static_equilibrium(self.model, self.preferred)
-            no_multipliers = np.zeros_like(self.preferred)
-            equilibrium = StaticMemory(self.preferred, rest.q, rest.tip_pose, no_multipliers)
+            equilibrium = StaticMemory(
+                tension=self.preferred,
+                q=rest.q,
+                tip_pose=rest.tip_pose,
+                multipliers=np.zeros_like(self.preferred),
+            )
             steps = FIRST_STEPS
         for _ in range(steps):
             equilibrium = self._improve(equilibrium, now.reference)
@@ -99,7 +103,12 @@ class StaticFeedforward(ModelController):
             if solution is None:
                 continue
             q, tip_pose = solution
-            trial = StaticMemory(tension, q, tip_pose, allocation.multipliers)
+            trial = StaticMemory(
+                tension=tension,
+                q=q,
+                tip_pose=tip_pose,
+                multipliers=allocation.multipliers,
+            )
             if self._cost(trial, reference, effort) <= present:
                 return trial
         return equilibrium

@@ -248,7 +248,12 @@ class ExtendedKalmanFilter:
         mean[self._layout.latency] = self.latency
         motion = 2 * self._scale.size
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(variance), np.zeros((motion, motion)), effects)
+        return Belief(
+            mean=mean,
+            covariance=np.diag(variance),
+            noise=np.zeros((motion, motion)),
+            effects=effects,
+        )
 
     def _variances(self, **deviations: float | Array) -> Array:
         """Variances (m,) of the state from standard deviations of the parts of Layout; a latency
@@ -266,7 +271,8 @@ class ExtendedKalmanFilter:
         mean = last.mean
         gain = 1.0 + mean[layout.gain]
         offset = mean[layout.offset]
-        tension, seconds = self._acting(float(mean[layout.latency][0]), measured)
+        (latency,) = mean[layout.latency]
+        tension, seconds = self._acting(float(latency), measured)
         try:
             self._simulation.reset(
                 self._scale * mean[layout.z],
@@ -288,7 +294,12 @@ class ExtendedKalmanFilter:
         covariance = transition @ last.covariance @ transition.T
         covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(self._keep * after, covariance, noise, rollout.effects[1])
+        return Belief(
+            mean=self._keep * after,
+            covariance=covariance,
+            noise=noise,
+            effects=rollout.effects[1],
+        )
 
     def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
         """Two tensions (2, n_a) [N] that acted over the last period, one after the other, and for
@@ -306,7 +317,8 @@ class ExtendedKalmanFilter:
         periods = latency_deviation / self.period
         change = np.ptp(measured.sent, axis=0)
         of_timing = self.uncertainty.timing * periods * change
-        return np.hypot(self.uncertainty.tension * self._tension, of_timing)
+        always = self.uncertainty.tension * self._tension
+        return np.hypot(always, of_timing)
 
     def _linearise(
         self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
@@ -329,7 +341,8 @@ class ExtendedKalmanFilter:
         motion = slice(unit.size)
         inputs = slice(layout.offset.start, layout.gain.stop)
         transition = np.eye(layout.latency.stop)
-        transition[motion, motion] = rollout.by_state[0] * unit / unit[:, None]
+        by_motion = rollout.by_state[0] * unit / unit[:, None]
+        transition[motion, motion] = by_motion
         transition[motion, inputs] = driven[:, :-1]
         transition[motion, layout.latency] = driven[:, -1:]
         return transition * self._keep[:, None], moved @ moved.T
@@ -345,22 +358,28 @@ class ExtendedKalmanFilter:
             if surprise > SURPRISE:
                 # of the motion, not of what the model has wrong in the long run
                 motion = slice(len(predicted.noise))
+                excess = surprise / SURPRISE - 1.0
                 covariance = covariance.copy()
-                covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
+                covariance[motion, motion] += excess * predicted.noise
                 spread, weight = _gain(slope, covariance, variance, innovation)
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
         self._keep_plausible(after)
-        if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
+        is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
+        if not is_plausible or not np.isfinite(covariance).all():
             return None
         try:
             self.model.tip_pose(self._scale * after[self._layout.z])
         except FAILURES:  # the model has no such shape
             return None
-        symmetric = 0.5 * (covariance + covariance.T)  # also after round-off
-        return Belief(after, symmetric, predicted.noise, predicted.effects)
+        return Belief(
+            mean=after,
+            covariance=0.5 * (covariance + covariance.T),  # symmetric, also after round-off
+            noise=predicted.noise,
+            effects=predicted.effects,
+        )
 
     def _keep_plausible(self, mean: Array) -> None:
         """Cuts gains and latency of a state (m,) off at their bounds, in place."""
@@ -435,7 +454,8 @@ def _bending_tension(model: Model) -> Array:
     answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
     # twice the energy that a unit of each stores; none, of a tendon along the axis
     energy = np.einsum("ij,ij->j", terms.actuation, answer)
-    return np.sqrt(model.bending_energy / np.maximum(energy, np.finfo(float).tiny))
+    energy = np.maximum(energy, np.finfo(float).tiny)
+    return np.sqrt(model.bending_energy / energy)
 
 
 def _gain(

@@ -136,7 +136,9 @@ class TipPosition(Objective):
         )
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        positions = _positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3]
+        model_tip = model_pose[:3, 3]
+        measured_tip = measured_pose[:3, 3]
+        positions = _positions(reference) + model_tip - measured_tip
         return reference._replace(tip_position=positions)
 
     def moved_back(

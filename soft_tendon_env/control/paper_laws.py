@@ -54,7 +54,7 @@ class TipPoseTarget(NamedTuple):
     acceleration: Array  # (6,), the twist's derivative
 
 
-def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
+def shape_tension(model: Model, q: Array, q_dot: Array, target: ShapeTarget, gains: Gains) -> Array:
     """Shape control laws (37), and (38) where the coordinates are not just the tensions.
 
     The latter holds with passive coordinates, and with redundant tendons, which have fewer
@@ -64,7 +64,7 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
         model: of the arm.
         q: coordinates (n,).
         q_dot: their rates (n,).
-        wanted: the shape to reach.
+        target: the shape to reach.
         gains: kp and kd.
 
     Returns:
@@ -75,14 +75,14 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
         TypeError: for what are no arrays.
     """
     shape = (model.coordinate_count,)
-    q_bar = model.rest_coordinates(wanted.tension)
+    q_bar = model.rest_coordinates(target.tension)
     error = q_bar - checked_array("q", q, shape)
-    q_bar_dot = model.rest_coordinates(wanted.tension_rate)
+    q_bar_dot = model.rest_coordinates(target.tension_rate)
     error_dot = q_bar_dot - checked_array("q_dot", q_dot, shape)
     push = gains.kd * error_dot + gains.kp * error
     if not model.arm.strain.is_tensions:
         push = model.terms(q, q_dot).actuation.T @ push
-    return np.asarray(wanted.tension + push)
+    return np.asarray(target.tension + push)
 
 
 LeftInverse = Callable[[Terms], Array]
@@ -110,7 +110,7 @@ def euclidean_left_inverse(terms: Terms) -> Array:
 def tip_pose_tension(
     terms: Terms,
     q_dot: Array,
-    wanted: TipPoseTarget,
+    target: TipPoseTarget,
     gains: Gains,
     left_inverse: LeftInverse = energy_left_inverse,
 ) -> Array:
@@ -120,7 +120,7 @@ def tip_pose_tension(
     Args:
         terms: at q and q_dot, of any strain parametrisation.
         q_dot: rates (n,).
-        wanted: the pose to follow.
+        target: the pose to follow.
         gains: kp and kd.
         left_inverse: B^+ (n_a, n) of the terms.
 
@@ -132,22 +132,22 @@ def tip_pose_tension(
             than six coordinates or tendons.
     """
     twist = terms.tip_jacobian @ q_dot
-    twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
-    error = pose_error(terms.tip_pose, wanted.pose)
+    twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, target)
+    error = pose_error(terms.tip_pose, target.pose)
     acceleration = acceleration_bar + gains.kd * (twist_bar - twist) + gains.kp * error
     return accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
 
 
-def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, Array]:
+def seen_from(pose: Array, twist: Array, target: TipPoseTarget) -> tuple[Array, Array]:
     """The target's twist Ad eta_bar and its derivative, (6,) each, in the frame of pose g (4, 4),
     which moves with twist eta (6,).
 
     The two lines below (39), Ad of g^-1 g_bar.
     """
-    Ad = adjoint(inverse_pose(pose) @ wanted.pose)
-    target_twist = Ad @ wanted.twist
+    Ad = adjoint(inverse_pose(pose) @ target.pose)
+    target_twist = Ad @ target.twist
     turning = adjoint_of_twist(target_twist - twist) @ target_twist
-    return target_twist, turning + Ad @ wanted.acceleration
+    return target_twist, turning + Ad @ target.acceleration
 
 
 def accelerating_tension(
@@ -175,11 +175,13 @@ class PaperTipPose(ModelController):
     periods."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        assert now.reference.tip_pose is not None
         h = self.period
-        pose, next_pose, last_pose = (
-            pose_at(now.reference.ahead, now.reference.tip_pose, k * h) for k in range(3)
-        )
+        ahead = now.reference.ahead
+        poses = now.reference.tip_pose
+        assert poses is not None
+        pose = pose_at(ahead, poses, 0.0)
+        next_pose = pose_at(ahead, poses, h)
+        last_pose = pose_at(ahead, poses, 2 * h)
         # mean twists of the two periods are those in their middle
         first_twist = pose_error(pose, next_pose) / h
         second_twist = pose_error(next_pose, last_pose) / h
@@ -189,7 +191,8 @@ class PaperTipPose(ModelController):
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             measured = terms._replace(tip_pose=now.tip_pose)
-            return self.output(tip_pose_tension(measured, now.q_dot, target, TIP_GAINS))
+            tension = tip_pose_tension(measured, now.q_dot, target, TIP_GAINS)
+            return self.output(tension)
         except (*FAILURES, ValueError):
             return self.hold(now)
 
@@ -202,6 +205,7 @@ class PaperShape(ShapeController):
         next_tension = self._tensions @ self.shape_at(now.reference, self.period)
         target = ShapeTarget(tension, (next_tension - tension) / self.period)
         try:
-            return self.output(shape_tension(self.model, now.q, now.q_dot, target, SHAPE_GAINS))
+            asked = shape_tension(self.model, now.q, now.q_dot, target, SHAPE_GAINS)
+            return self.output(asked)
         except (*FAILURES, ValueError):
             return self.hold(now)

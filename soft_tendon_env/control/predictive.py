@@ -99,7 +99,8 @@ class Predictive(ModelController):
         self._change = np.eye(plan_size) - np.eye(plan_size, k=-size)
         self._effort = tuning.effort**2
         self._smoothness = tuning.smoothness**2 * self._change.T
-        self._penalty = self._effort * np.eye(plan_size) + self._smoothness @ self._change
+        effort_penalty = self._effort * np.eye(plan_size)
+        self._penalty = effort_penalty + self._smoothness @ self._change
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
@@ -113,14 +114,16 @@ class Predictive(ModelController):
         try:
             effects = None if memory is None else memory.effects
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
-            with erring_actuators():  # gain and offset may exceed the limits
-                rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval)
+            acting_plan = error.gain * plan + error.offset
+            with erring_actuators():  # which may exceed the limits
+                rollout = self._simulation.rollout(acting_plan, self._interval)
         except FAILURES:
             return self.hold(now)
         multipliers = None if memory is None else memory.multipliers
         allocation = self._improvement(rollout, plan, last, error.gain, now, multipliers)
         better = plan + allocation.x.reshape(plan.shape)
-        rates, effects = self._predicted(error.gain * better[0] + error.offset)
+        acting = error.gain * better[0] + error.offset
+        rates, effects = self._predicted(acting)
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,
@@ -129,8 +132,12 @@ class Predictive(ModelController):
             rates=rates,
             effects=effects,
         )
-        disturbance = float(np.abs(error.offset).max())
-        return self.output(better[0], improved, not allocation.solved, disturbance=disturbance)
+        return self.output(
+            better[0],
+            improved,
+            is_singular=not allocation.solved,
+            disturbance=float(np.abs(error.offset).max()),
+        )
 
     def _continued(self, last: Array, memory: Plan | None) -> Array:
         """The last plan (N, n_a) a period later, its end held on; at first the last tensions."""
@@ -166,7 +173,8 @@ class Predictive(ModelController):
         change[: last.size] -= last
         unit = np.trace(hessian) / tension.size
         hessian = hessian + unit * self._penalty
-        gradient = gradient + unit * (self._effort * tension + self._smoothness @ change)
+        penalty_gradient = self._effort * tension + self._smoothness @ change
+        gradient = gradient + unit * penalty_gradient
         least = np.tile(self.least, self.horizon) - tension
         greatest = np.tile(self.greatest, self.horizon) - tension
         return allocate(hessian, gradient, least, greatest, multipliers)
@@ -200,9 +208,10 @@ class Predictive(ModelController):
         N = self.horizon
         aim = self.objective
         reference = aim.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)
+        times = [k * self._interval for k in range(N + 1)]
         error = [
-            aim.error(rollout.q[k], rollout.tip_pose[k], reference, k * self._interval)
-            for k in range(N + 1)
+            aim.error(q, tip_pose, reference, time)
+            for q, tip_pose, time in zip(rollout.q, rollout.tip_pose, times, strict=True)
         ]
         # change of coordinates and rates by the plan's tensions, interval by interval
         change = np.zeros((2 * n, N * size))
@@ -213,7 +222,9 @@ class Predictive(ModelController):
             acting = slice(k * size, (k + 1) * size)
             change[:, earlier] = rollout.by_state[k] @ change[:, earlier]
             change[:, acting] = rollout.by_tension[k] * gain
-            slopes.append(aim.jacobian(rollout.tip_jacobian[k + 1]) @ change[:n])
-            remaining.append(error[k + 1] - self._decay ** (k + 1) * error[0])
+            jacobian = aim.jacobian(rollout.tip_jacobian[k + 1])
+            slopes.append(jacobian @ change[:n])
+            planned = self._decay ** (k + 1) * error[0]
+            remaining.append(error[k + 1] - planned)
         slope = np.concatenate(slopes)
         return slope.T @ slope, -slope.T @ np.concatenate(remaining)

@@ -10,18 +10,22 @@ SAME_TIME = 1e-9  # [s] by which a time may be beyond a pose's and still count a
 SAME_SHARE = 1e-9  # of the way between two poses
 
 
-def pose_error(pose: Array, wanted: Array) -> Array:
-    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in
+def pose_error(pose: Array, target: Array) -> Array:
+    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the target pose g_bar (4, 4) in
     unit time."""
+    poses = np.ascontiguousarray(pose)[None]
+    targets = np.ascontiguousarray(target)[None, None]
     out = np.empty((1, 1, 6))
-    pose_errors(np.ascontiguousarray(pose)[None], np.ascontiguousarray(wanted)[None, None], out)
+    pose_errors(poses, targets, out)
     return np.asarray(out[0, 0])
 
 
 def moved_pose(pose: Array, twist: Array) -> Array:
     """g exp(x) (4, 4) of a pose g (4, 4) and a twist x (6,)."""
+    poses = np.ascontiguousarray(pose)[None]
+    twists = np.ascontiguousarray(twist)[None, None]
     out = np.empty((1, 1, 4, 4))
-    move_poses(np.ascontiguousarray(pose)[None], np.ascontiguousarray(twist)[None, None], out)
+    move_poses(poses, twists, out)
     return np.asarray(out[0, 0])
 
 
@@ -57,7 +61,13 @@ def adjoint_of_twist(twist: Array) -> Array:
 def skew(x: Array) -> Array:
     """x~ (3, 3) with x~ y = x × y."""
     a, b, c = x
-    return np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+    return np.array(
+        [
+            [0.0, -c, b],
+            [c, 0.0, -a],
+            [-b, a, 0.0],
+        ]
+    )
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:
@@ -77,7 +87,8 @@ def pose_at(ahead: Array, poses: Array, time: float) -> Array:
     if after == ahead.size:
         return np.asarray(poses[-1])
     before = after - 1
-    share = (time - ahead[before]) / (ahead[after] - ahead[before])
+    between = ahead[after] - ahead[before]
+    share = (time - ahead[before]) / between
     if share > 1.0 - SAME_SHARE:  # one of the poses itself, without round-off
         return np.asarray(poses[after])
     screw = pose_error(poses[before], poses[after])

@@ -82,17 +82,19 @@ class ShapeTracking(ShapeController):
         terms = model.terms(rest, rest)
         # slowest mode of M^-1 G: with control its frequency is that of (1 + kp) G, and its damping
         # that of D + kd G
-        squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
+        per_mass = np.linalg.solve(terms.mass, terms.stiffness)
+        squares, modes = np.linalg.eig(per_mass)
         slowest = np.argmin(squares.real)
         square = squares.real[slowest]
         mode = modes[:, slowest].real
-        own_damping = mode @ terms.damping @ mode / (mode @ terms.mass @ mode)  # [1/s]
+        mode_mass = mode @ terms.mass @ mode
+        own_damping = mode @ terms.damping @ mode / mode_mass  # [1/s]
         self.kp = max(natural**2 / square - 1.0, 0.0)
         self.kd = max((2.0 * damping * natural - own_damping) / square, 0.0)
 
     def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
         """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""
-        h, kp, kd = self.period, self.kp, self.kd
+        h = self.period
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
@@ -101,14 +103,16 @@ class ShapeTracking(ShapeController):
         q_bar = self.shape_at(now.reference, 0.0)
         next_q_bar = self.shape_at(now.reference, h)
         # u = goal - grip v+, with the rates v+ at the end of the period
-        actuation = self._tensions @ terms.stiffness
-        project = np.linalg.pinv(actuation @ self._tensions.T) @ self._tensions @ terms.stiffness
-        push = kd * (next_q_bar - q_bar) / h + kp * (next_q_bar - now.q)
-        goal = self._tensions @ next_q_bar + project @ push
-        grip = (kd + h * kp) * project
+        tensions = self._tensions
+        stiffness_aa = tensions @ terms.stiffness @ tensions.T
+        project = np.linalg.pinv(stiffness_aa) @ tensions @ terms.stiffness
+        push = self.kd * (next_q_bar - q_bar) / h + self.kp * (next_q_bar - now.q)
+        goal = tensions @ next_q_bar + project @ push
+        grip = (self.kd + h * self.kp) * project
         # v+ = free + response u
         closed_loop = np.eye(now.q.size) + step.response @ grip
-        rates = np.linalg.solve(closed_loop, step.free + step.response @ goal)
+        open_loop = step.free + step.response @ goal
+        rates = np.linalg.solve(closed_loop, open_loop)
         tension = goal - grip @ rates
         # within the limits, the tensions whose motion is nearest to that of these
         loose = LOOSE * np.trace(step.metric) / tension.size

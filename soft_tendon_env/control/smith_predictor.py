@@ -69,7 +69,8 @@ class SmithPredictor:
                 for tension in others:
                     self._simulation.step(tension, self._period)
             # the measured tip moves as the model's does
-            moved = np.linalg.solve(self._model.tip_pose(now.q), self._simulation.tip_pose)
+            model_tip_pose = self._model.tip_pose(now.q)
+            moved = np.linalg.solve(model_tip_pose, self._simulation.tip_pose)
         except FAILURES:
             return now
         state = self._simulation.state

@@ -88,7 +88,8 @@ class TipTracking(ModelController):
         unlimited, *_ = np.linalg.lstsq(hessian, -gradient, rcond=None)
         refused = task @ (unlimited - allocation.x) / h
         ways = _open_ways(task)
-        integral = integral + h * (ways @ (ways.T @ aim.error) - refused / self.gains.kp)
+        resolved = ways @ (ways.T @ aim.error)
+        integral = integral + h * (resolved - refused / self.gains.kp)
         is_singular = ways.shape[1] < task.shape[0]
         return self.output(
             allocation.x,

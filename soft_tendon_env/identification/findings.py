@@ -55,13 +55,13 @@ EXPERIMENTS = {
 
 
 def findings(
-    found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float | None
+    estimate: Fit, unseen: Sequence[Array], fitted: Readings, noise: float | None
 ) -> list[str]:
     """Findings about an estimate: that the data are misread, or what they do not contain and the
     model lacks.
 
     Args:
-        found: the estimate.
+        estimate: of `fit`.
         unseen: directions (k,) of the coordinates that the data do not contain.
         fitted: readings that it was fitted to.
         noise: standard deviation of a marker's coordinate [m], None: unknown.
@@ -69,37 +69,38 @@ def findings(
     Returns:
         Sentences, of misread data these alone.
     """
-    if _may_be_misread(found, fitted):
-        text = misread_text(fitted, found.x, noise)
+    if _may_be_misread(estimate, fitted):
+        text = misread_text(fitted, estimate.x, noise)
         if text:
             return [text]
     texts = list[str]()
-    if not found.converged:
+    if not estimate.converged:
         texts.append(
             f"The fit did not converge in {MOST_TRIALS} trials of the parameters: estimate and"
             " intervals may be off. Estimate fewer, and none that the data do not contain."
         )
     texts += [_unseen_text(direction, fitted.plants.parameters) for direction in unseen]
-    for parameter, x in zip(fitted.plants.parameters, found.x, strict=True):
+    for parameter, x in zip(fitted.plants.parameters, estimate.x, strict=True):
         texts += _parameter_texts(parameter, x)
-    return texts + _misfit_texts(found, fitted, noise)
+    return texts + _misfit_texts(estimate, fitted, noise)
 
 
-def _may_be_misread(found: Fit, fitted: Readings) -> bool:
+def _may_be_misread(estimate: Fit, fitted: Readings) -> bool:
     """Whether an estimate leaves errors that are large beside the arm and its motion."""
     variance = np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1)  # of each marker
     spread = float(np.sqrt(variance.mean()))
     bound = MISREAD_LENGTH * fitted.plants.model.length
     if spread > 0.0:  # of a single reading it is 0, and says nothing
         bound = min(MISREAD_SPREAD * spread, bound)
-    errors = fitted.errors(found.x)
+    errors = fitted.errors(estimate.x)
     return mean_of_finite(errors.values()) > bound
 
 
 def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     """Finding that the data do not contain a direction (k,) of the parameters."""
     size = np.abs(direction)
-    names = [parameters[i].name for i in np.argsort(-size) if size[i] >= UNSEEN]
+    largest_first = np.argsort(-size)
+    names = [parameters[i].name for i in largest_first if size[i] >= UNSEEN]
     what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
     return f"The data do not contain {what}: {_experiment(' '.join(names))}."
 
@@ -131,11 +132,11 @@ def _experiment(name: str) -> str:
     return "holds that move it more show it, or measure it"
 
 
-def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
+def _misfit_texts(estimate: Fit, readings: Readings, noise: float | None) -> list[str]:
     """Signs of outliers, and that the model lacks something: residuals above a known noise [m], and
     those that follow each other."""
     residual = np.full(readings.measured.shape, np.nan)  # (samples, m, 3), NaN where unseen
-    residual[readings.seen] = found.residual
+    residual[readings.seen] = estimate.residual
     root = float(np.sqrt(np.nanmean(residual**2)))
     length = readings.plants.model.length
     if root < EXACT * length:  # of simulated data
@@ -170,7 +171,8 @@ def _outlier_texts(parts: Sequence[Array], readings: Readings) -> list[str]:
         else:
             deviations.append(part)
     distance = np.linalg.norm(np.concatenate(deviations), axis=-1)  # (samples, m)
-    least = max(OUTLYING * np.nanmedian(distance), GROSS * readings.plants.model.length)
+    of_all = OUTLYING * np.nanmedian(distance)
+    least = max(of_all, GROSS * readings.plants.model.length)
     count = (distance > least).sum()
     if not 0 < count <= FEW_OUTLIERS * np.isfinite(distance).sum():
         return []

@@ -123,8 +123,10 @@ def _root_mean_square(estimate: Fit) -> float:
     data = estimate.information
     posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
     decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
-    squares = estimate.residual @ estimate.residual
-    return float(np.sqrt(squares / max(estimate.residual.size - decided, 1.0)))
+    residual = estimate.residual
+    freedom = max(residual.size - decided, 1.0)
+    squares = residual @ residual
+    return float(np.sqrt(squares / freedom))
 
 
 def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
@@ -170,11 +172,11 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     )
 
 
-def intervals(found: Fit, readings: Readings) -> Intervals:
+def intervals(estimate: Fit, readings: Readings) -> Intervals:
     """Intervals of an estimate at 95 %, the wider of linear and bootstrap ones.
 
     Args:
-        found: the estimate.
+        estimate: of `fit`.
         readings: those that it is of.
 
     Returns:
@@ -186,70 +188,84 @@ def intervals(found: Fit, readings: Readings) -> Intervals:
     parameters = readings.plants.parameters
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
-    reading_freedom = max(found.residual.size - found.x.size, 1)
-    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(found))
+    reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
+    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(estimate))
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
-    deviations = _bootstrap(found, readings.cluster).std(axis=0)
+    deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
     bootstrap = stdtrit(cluster_freedom, tail) * deviations
     wider = np.maximum(linear, bootstrap)
     reach = np.where(np.isfinite(linear), wider, np.ptp(bounds, axis=1))
-    ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
+    least, greatest = bounds.T
+    lower = np.clip(estimate.x - reach, least, greatest)
+    upper = np.clip(estimate.x + reach, least, greatest)
     # the value of a factor of a negative number falls with its coordinate
     values = [
-        sorted((parameter.at(low), parameter.at(high)))
-        for parameter, low, high in zip(parameters, *ends, strict=True)
+        sorted((parameter.at(x_low), parameter.at(x_high)))
+        for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True)
     ]
     low, high = np.array(values).T
-    identified, unseen = _identified(found)
-    return Intervals(low, high, identified, unseen)
+    identified, unseen = _identified(estimate)
+    return Intervals(
+        low=low,
+        high=high,
+        identified=identified,
+        unseen=unseen,
+    )
 
 
-def _variances(found: Fit) -> Array:
+def _variances(estimate: Fit) -> Array:
     """Variances (k,) of the coordinates, of data and priors; infinite without information."""
-    total = found.information + np.diag(found.prior)
+    total = estimate.information + np.diag(estimate.prior)
     information, directions = np.linalg.eigh(total)
     largest = max(information[-1], np.finfo(float).tiny)
     is_empty = information <= SINGULAR * largest
     empty = directions[:, is_empty]
     known = directions[:, ~is_empty]
-    is_free = (np.abs(empty) > np.sqrt(SINGULAR)).any(axis=1)
+    # parameters with a part of an empty direction
+    is_part = np.abs(empty) > np.sqrt(SINGULAR)
+    is_free = is_part.any(axis=1)
     variances = (known**2 / information[~is_empty]).sum(axis=1)
     return np.where(is_free, np.inf, variances)
 
 
-def _identified(found: Fit) -> tuple[Array, list[Array]]:
+def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
     """Whether the data contain each parameter (k,); directions (k,) that they do not contain, the
     least known first."""
-    information, directions = np.linalg.eigh(found.information)
+    information, directions = np.linalg.eigh(estimate.information)
     is_seen = information > max(SEEN, SINGULAR * information[-1])
     unseen = directions[:, ~is_seen]
-    return (np.abs(unseen) < UNSEEN).all(axis=1), [*unseen.T]
+    identified = (np.abs(unseen) < UNSEEN).all(axis=1)
+    return identified, [*unseen.T]
 
 
-def _bootstrap(found: Fit, cluster: Array) -> Array:
+def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     """Coordinates (draws, k) of resampled estimates, by one Newton step each. cluster: index of
     each reading (N,)."""
     random = np.random.default_rng(0)
     clusters = int(cluster.max()) + 1
-    weight = found.sigma**-2
+    weight = estimate.sigma**-2
     # curvature J^T J and gradient J^T r of the sum of squares, cluster by cluster
-    curvature, gradient = list[Array](), list[Array]()
+    curvature = list[Array]()
+    gradient = list[Array]()
     for i in range(clusters):
-        J = found.jacobian[cluster == i]
-        r = found.residual[cluster == i]
+        J = estimate.jacobian[cluster == i]
+        r = estimate.residual[cluster == i]
         curvature.append(weight * J.T @ J)
         gradient.append(weight * J.T @ r)
     # how often each cluster is drawn, with as many draws as there are clusters
     shares = np.full(clusters, 1.0 / clusters)
     times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
-    # b of the priors' own draws, around each of which x / prior is measured
-    k = found.x.size
-    prior_draw = random.normal(size=(RESAMPLES, k)) * np.sqrt(found.prior)
-    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(found.prior)
-    b = times @ np.array(gradient) + found.prior * found.x - prior_draw
+    # b, of the priors' centres that are drawn too
+    k = estimate.x.size
+    normal = random.normal(size=(RESAMPLES, k))
+    prior_draw = normal * np.sqrt(estimate.prior)
+    # (J^T J + P) step = J^T r + P x - b
+    P = estimate.prior
+    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(P)
+    right = times @ np.array(gradient) + P * estimate.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
     A += ridge[:, None, None] * np.eye(k)
-    step = np.linalg.solve(A, b[..., None])
-    return found.x - step[..., 0]
+    step = np.linalg.solve(A, right[..., None])
+    return estimate.x - step[..., 0]

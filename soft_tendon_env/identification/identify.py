@@ -114,8 +114,10 @@ def identify(
     nominal = np.zeros(len(chosen))
     try:
         estimate = fit(fitted, noise)
-        error_fit, error_held_out = fitted.errors(estimate.x), judge.errors(estimate.x)
-        before_fit, before_held_out = fitted.errors(nominal), judge.errors(nominal)
+        error_fit = fitted.errors(estimate.x)
+        error_held_out = judge.errors(estimate.x)
+        before_fit = fitted.errors(nominal)
+        before_held_out = judge.errors(nominal)
         spread = intervals(estimate, fitted)
         texts = findings(estimate, spread.unseen, fitted, noise)
     except NoHoldError as error:
@@ -165,11 +167,11 @@ def _fitted_scene(scene: Scene, fidelity: str, recordings: Sequence[Recording]) 
     return accurate.replace({"integrator.step": step})
 
 
-def save_estimate(found: Estimate, folder: Path) -> list[Path]:
+def save_estimate(estimate: Estimate, folder: Path) -> list[Path]:
     """Writes an estimate into a folder: the scene, the markers, and all numbers as JSON.
 
     Args:
-        found: the estimate.
+        estimate: of `identify`.
         folder: made where it is missing.
 
     Returns:
@@ -179,23 +181,23 @@ def save_estimate(found: Estimate, folder: Path) -> list[Path]:
         OSError: where they cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    comments = [f"# {line}".rstrip() for line in summary(found).splitlines()]
+    comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
     lines = ["# Identified by soft-tendon identify:", *comments, ""]
     scene_file = folder / "scene.toml"
     markers_file = folder / "markers.toml"
     estimate_file = folder / "estimate.json"
-    scene_text = "\n".join(lines) + "\n" + tomli_w.dumps(scene_to_dict(found.scene))
+    scene_text = "\n".join(lines) + "\n" + tomli_w.dumps(scene_to_dict(estimate.scene))
     scene_file.write_text(scene_text, encoding="utf-8")
-    markers_file.write_text(tomli_w.dumps(plain(found.markers)), encoding="utf-8")
-    write_json(estimate_file, _as_json(found), say=False)
+    markers_file.write_text(tomli_w.dumps(plain(estimate.markers)), encoding="utf-8")
+    write_json(estimate_file, _as_json(estimate), say=False)
     return [scene_file, markers_file, estimate_file]
 
 
-def summary(found: Estimate) -> str:
+def summary(estimate: Estimate) -> str:
     """Tables of errors and parameters, and the findings.
 
     Args:
-        found: the estimate.
+        estimate: of `identify`.
 
     Returns:
         Markdown.
@@ -204,9 +206,9 @@ def summary(found: Estimate) -> str:
         (name, str(len(each)), number(1e3 * before), number(1e3 * after))
         for name, each, before, after in zip(
             ("fit", "held out"),
-            (found.error_fit, found.error_held_out),
-            found.before,
-            found.errors,
+            (estimate.error_fit, estimate.error_held_out),
+            estimate.before,
+            estimate.errors,
             strict=True,
         )
     ]
@@ -218,28 +220,28 @@ def summary(found: Estimate) -> str:
             f"{low:.4g} to {high:.4g}",
             "yes" if identified else "no",
         )
-        for parameter, value, low, high, identified in _rows(found)
+        for parameter, value, low, high, identified in _rows(estimate)
     ]
     error_header = ("markers' mean distance", "recordings", "before [mm]", "identified [mm]")
     header = ("parameter", "before", "identified", "95 % interval", "in the data")
     parts = [
         markdown_table(error_header, errors),
         markdown_table(header, rows),
-        "\n".join(f"- {text}" for text in found.findings),
+        "\n".join(f"- {text}" for text in estimate.findings),
     ]
     return "\n\n".join(parts).rstrip()
 
 
-def _rows(found: Estimate) -> Iterator[tuple[Parameter, float, float, float, bool]]:
+def _rows(estimate: Estimate) -> Iterator[tuple[Parameter, float, float, float, bool]]:
     """Every parameter with its value, the ends of its interval, and whether the data contain
     it."""
-    spread = found.intervals
+    spread = estimate.intervals
     return zip(
-        found.parameters, found.value, spread.low, spread.high, spread.identified, strict=True
+        estimate.parameters, estimate.value, spread.low, spread.high, spread.identified, strict=True
     )
 
 
-def _as_json(found: Estimate) -> dict[str, Any]:
+def _as_json(estimate: Estimate) -> dict[str, Any]:
     """Estimate as plain JSON: parameters, errors, findings, randomisation, versions, digests of the
     data."""
     parameters = {
@@ -251,19 +253,19 @@ def _as_json(found: Estimate) -> dict[str, Any]:
             "prior": parameter.prior,
             "identified": bool(identified),
         }
-        for parameter, value, low, high, identified in _rows(found)
+        for parameter, value, low, high, identified in _rows(estimate)
     }
-    mean_fit, mean_held_out = found.errors
+    mean_fit, mean_held_out = estimate.errors
     table = {
         "parameters": parameters,
         "error_mm": {
-            "fit": _errors_in_mm(found.error_fit, mean_fit),
-            "held_out": _errors_in_mm(found.error_held_out, mean_held_out),
+            "fit": _errors_in_mm(estimate.error_fit, mean_fit),
+            "held_out": _errors_in_mm(estimate.error_held_out, mean_held_out),
         },
-        "noise_mm": 1e3 * found.noise,
-        "findings": found.findings,
-        "randomize": randomize(found),
-        "data": {Path(file).name: digest(Path(file)) for file in found.data},
+        "noise_mm": 1e3 * estimate.noise,
+        "findings": estimate.findings,
+        "randomize": randomize(estimate),
+        "data": {Path(file).name: digest(Path(file)) for file in estimate.data},
     }
     return plain({**table, **origin()})
 
@@ -274,7 +276,7 @@ def _errors_in_mm(errors: dict[str, float], mean: float) -> dict[str, Any]:
     return {"mean": 1e3 * mean, "each": each}
 
 
-def randomize(found: Estimate) -> dict[str, Any]:
+def randomize(estimate: Estimate) -> dict[str, Any]:
     """Table `randomize` of an environment with the identified scene: what the intervals leave open,
     of parameters that the data or a prior contain.
 
@@ -282,18 +284,18 @@ def randomize(found: Estimate) -> dict[str, Any]:
     driven by displacement.
 
     Args:
-        found: the estimate.
+        estimate: of `identify`.
 
     Returns:
         Ranges by keys of the scene, `latency` [s], `tension_gain` and `tension_offset` [N].
     """
-    tension_limits = [tendon.tension_limits for tendon in found.scene.tendons]
+    tension_limits = [tendon.tension_limits for tendon in estimate.scene.tendons]
     tension_span = np.ptp(tension_limits, axis=1)
-    tension_of_command = tension_span / np.ptp(command_limits(found.scene), axis=1)
+    tension_of_command = tension_span / np.ptp(command_limits(estimate.scene), axis=1)
     table = dict[str, Any]()
     gains = list[float]()
     offsets = list[float]()
-    for parameter, value, low, high, identified in _rows(found):
+    for parameter, value, low, high, identified in _rows(estimate):
         if not identified and parameter.prior is None:
             continue
         if parameter.of_scene is not None:

@@ -113,8 +113,10 @@ def _axes() -> dict[str, Array]:
     """Other axes and signs of positions, as matrices (3, 3)."""
     matrices = dict[str, Array]()
     orders = itertools.permutations(range(3))
-    for order, signs in itertools.product(orders, itertools.product((1, -1), repeat=3)):
-        S = np.array(signs)[:, None] * np.eye(3)[list(order)]
+    all_signs = itertools.product((1, -1), repeat=3)
+    for order, signs in itertools.product(orders, all_signs):
+        exchange = np.eye(3)[list(order)]
+        S = np.array(signs)[:, None] * exchange
         axes = list[str]()
         for axis, sign in zip(order, signs, strict=True):
             name = "xyz"[axis]

@@ -275,14 +275,23 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
     is_angle = key.endswith((".angle", ".phase")) and not numbers.is_factor
     is_factor = all(numbers.values) and not is_angle
     if is_angle:
-        low, high = value - TURN, value + TURN
+        low = value - TURN
+        high = value + TURN
     elif is_factor or bounds is not None:
         low, high = sorted((value / FACTOR, value * FACTOR))
     else:
         raise ValueError(
             f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH"
         )
-    usual = Parameter(key, numbers, value, low, high, prior=None, is_factor=is_factor)
+    usual = Parameter(
+        key,
+        of_scene=numbers,
+        value=value,
+        low=low,
+        high=high,
+        prior=None,
+        is_factor=is_factor,
+    )
     return _with_bounds(usual, bounds, scene)
 
 

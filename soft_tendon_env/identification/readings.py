@@ -132,7 +132,8 @@ class Readings:
         )
         self.seen = np.isfinite(self.measured)
         sample_cluster = np.repeat(clusters(self.recordings), samples)
-        self.cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)[self.seen]
+        reading_cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)
+        self.cluster = reading_cluster[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError,
@@ -155,7 +156,9 @@ class Readings:
         h = self._difference
         columns = list[Array]()
         for i, parameter in enumerate(self.plants.parameters):
-            low, high = np.clip([x[i] - h, x[i] + h], *parameter.bounds)
+            least, greatest = parameter.bounds
+            low = np.clip(x[i] - h, least, greatest)
+            high = np.clip(x[i] + h, least, greatest)
             residuals = list[Array]()
             for value in (low, high):
                 coordinates = x.copy()
@@ -175,7 +178,10 @@ class Readings:
             self.recordings, self._rests, self._arms(x), strict=True
         ):
             is_hold = not recording.period
-            near.append(_near(model, command[0], q) if is_hold and q is not None else None)
+            if is_hold and q is not None:
+                near.append(_near(model, command[0], q))
+            else:
+                near.append(None)
         return near
 
     def errors(self, x: Array) -> dict[str, float]:
@@ -183,12 +189,16 @@ class Readings:
         without any. Raises as `positions`."""
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
         # without recordings there is one empty part
-        parts = zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
-        return {recording.name: mean_of_finite(part.ravel()) for recording, part in parts}
+        parts = np.split(distance, self.ends[:-1])
+        return {
+            recording.name: mean_of_finite(part.ravel())
+            for recording, part in zip(self.recordings, parts, strict=False)
+        }
 
     def _arms(self, x: Array) -> list[tuple[Model, Array]]:
         """The model at coordinates x (k,), with the commands (samples, n_a) of each recording."""
-        model = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene))
+        scene = self.plants.scene_at(x, self.plants.scene)
+        model = self.plants.model.with_scene(scene)
         measurement = self.plants.measurement(x)
         return [
             (model, measurement.gain * recording.command + measurement.offset)
@@ -260,10 +270,12 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
     compliance = linearised.compliance
     if pulls.any():
         # springs of tendons that follow the arm stand in parallel with it (Woodbury's identity)
-        columns = model.terms(q, np.zeros_like(q), u).actuation[:, pulls]
+        terms = model.terms(q, np.zeros_like(q), u)
+        columns = terms.actuation[:, pulls]
         spring_compliance = np.diag(1.0 / model.arm.effects.transmission.stiffness[pulls])
         response = compliance @ columns
-        forces = np.linalg.solve(spring_compliance + columns.T @ response, columns.T @ compliance)
+        stretch = columns.T @ compliance
+        forces = np.linalg.solve(spring_compliance + columns.T @ response, stretch)
         compliance = compliance - response @ forces
     return Near(q, compliance, pulls)
 

@@ -94,7 +94,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         samples = [*group]
         where, cells = table.rows[samples[0]]
         wheres = [rows[i] for i in samples]
-        period = _period(name, np.empty(0) if times is None else times[samples], wheres)
+        own_times = np.empty(0) if times is None else times[samples]
+        period = _period(name, own_times, wheres)
         columns = dict(zip(table.header, cells, strict=True))
         recording = Recording(
             name=name,
@@ -183,7 +184,8 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
     steps = np.arange(len(times))
     elapsed = times - times[0]
     period, first = map(float, np.polyfit(steps, elapsed, 1))
-    if np.abs(elapsed - first - period * steps).max() > UNEVEN * period:
+    deviation = np.abs(elapsed - first - period * steps)
+    if deviation.max() > UNEVEN * period:
         row = int(np.argmax(np.abs(change - middle)))
         text = (
             f"time goes on by {change[row]:.6g} s: it should in equal steps, which are"

@@ -27,20 +27,21 @@ BAUD = 1_000_000  # [bits/s]
 TICKS = 4096 / (2.0 * math.pi)  # positions in a radian
 WATCHDOG_UNIT = 0.02  # [s]
 TRIES = 3  # how often a motor is asked: an answer may be lost on a bus that works
-OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, BUS_WATCHDOG = (
-    11,
-    38,
-    64,
-    98,
-)  # addresses of registers
+# addresses of registers
+OPERATING_MODE = 11
+CURRENT_LIMIT = 38
+TORQUE_ENABLE = 64
+BUS_WATCHDOG = 98
+CURRENT_CONTROL = 0  # the operating mode
 GOAL = (102, 2)  # address and size of the goal current
-PRESENT, FORMAT = (
-    (126, 10),
-    "<hii",
-)  # of current (2 bytes), velocity (4) and position (4), side by side, and how they are read
-EVERYBODY = (
-    254  # id of all motors, which do not answer to it: one that is lost keeps nobody waiting
-)
+# address and size of current (2 bytes), velocity (4) and position (4), side by side
+PRESENT = (126, 10)
+FORMAT = "<hii"  # how they are read
+GOAL_FORMAT = "<h"  # how the goal current is written
+EVERYBODY = 254  # id of all motors, which do not answer to it: a lost one keeps nobody waiting
+GREATEST_ID = 252  # of a motor
+MOST_WATCHDOG = 127 * WATCHDOG_UNIT  # [s]
+ROUND_OFF = 1e-9  # of a step of current, which is no step less
 
 
 @dataclass(eq=False)
@@ -57,102 +58,103 @@ class DynamixelRobot:
     ids: Sequence[int]  # of the motors, in the order of the scene's tendons
     # of the spools [m], one for all or one each; negative where a motor winds in the other way
     radius: ArrayLike
-    torque_constant: (
-        float  # torque [N m] of a motor, behind its gear, for an ampere: of an XM430-W350 about 1.8
-    )
-    tip_pose: Callable[[], Array] | None = (
-        None  # returns the newest pose (4, 4) of the tip in the scene's world frame, of a tracker
-    )
-    current_unit: float = (
-        0.00269  # of a step of current [A], of X motors of 430 and 540; 0.001 for 330
-    )
+    # torque [N m] of a motor, behind its gear, for an ampere: of an XM430-W350 about 1.8
+    torque_constant: float
+    # returns the newest pose (4, 4) of the tip in the scene's world frame, of a tracker
+    tip_pose: Callable[[], Array] | None = None
+    # of a step of current [A], of X motors of 430 and 540; 0.001 for 330
+    current_unit: float = 0.00269
     watchdog: float = 0.1  # silence [s] after which the motors stop, in steps of 0.02 s
     command_unit: ClassVar[Unit] = "N"
 
     def __post_init__(self) -> None:
         import dynamixel_sdk as sdk  # here: it is an extra
 
-        ids, self.senses = (
-            self.ids,
-            ("tension", "tendon_length", *(("tip_pose",) if self.tip_pose else ())),
-        )
-        if (
-            not ids
-            or len({*ids}) < len(ids)
-            or not all(isinstance(motor, int) and 0 <= motor <= 252 for motor in ids)
-        ):
-            raise ValueError(
-                f"ids is {shown(list(ids))}: it should be a different number from 0 to 252 for each"
-                " motor"
-            )
-        self._radius = checked_array(
-            "radius",
-            self.radius if np.ndim(self.radius) else np.full(len(ids), self.radius),
-            (len(ids),),
-        )
+        self.senses: tuple[str, ...] = ("tension", "tendon_length")
+        if self.tip_pose:
+            self.senses = (*self.senses, "tip_pose")
+        self._check_ids()
+        count = len(self.ids)
+        radius = self.radius if np.ndim(self.radius) else np.full(count, self.radius)
+        self._radius = checked_array("radius", radius, (count,))
         constant = checked_number(
             "torque_constant", self.torque_constant, 1e-9, "a positive number of N m / A"
         )
-        if not self._radius.all() or not WATCHDOG_UNIT <= self.watchdog <= 127 * WATCHDOG_UNIT:
+        if not self._radius.all() or not WATCHDOG_UNIT <= self.watchdog <= MOST_WATCHDOG:
             raise ValueError(
-                f"radius should not be 0, and watchdog from {WATCHDOG_UNIT} to"
-                f" {127 * WATCHDOG_UNIT:g} s"
+                f"radius should not be 0, and watchdog from {WATCHDOG_UNIT} to {MOST_WATCHDOG:g} s"
             )
-        self._tension_unit, self._most = self.current_unit * constant / self._radius, list[int]()
-        self._port, self._packets, self._success = (
-            sdk.PortHandler(self.port),
-            sdk.PacketHandler(2.0),
-            sdk.COMM_SUCCESS,
-        )
+        self._tension_unit = self.current_unit * constant / self._radius  # [N] of a step of current
+        self._most = list[int]()  # steps of current that the motors allow
+        self._port = sdk.PortHandler(self.port)
+        self._packets = sdk.PacketHandler(2.0)
+        self._success = sdk.COMM_SUCCESS
         if not (self._port.openPort() and self._port.setBaudRate(BAUD)):
             raise ConnectionError(f"{self.port} cannot be opened at {BAUD} bits/s")
         self._sender = sdk.GroupSyncWrite(self._port, self._packets, *GOAL)
         self._reader = sdk.GroupSyncRead(self._port, self._packets, *PRESENT)
-        for motor in ids:
+        for motor in self.ids:
             self._reader.addParam(motor)
+            # the mode can be set without torque alone
             self._set(motor, TORQUE_ENABLE, 0)
-            self._set(motor, OPERATING_MODE, 0)  # current control
-            self._most.append(
-                self._ask(
-                    f"motor {motor}",
-                    partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT),
-                )
-            )
-        self._zero = self._read_present()[2]
-        for motor in ids:
+            self._set(motor, OPERATING_MODE, CURRENT_CONTROL)
+            limit = partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT)
+            self._most.append(self._ask(f"motor {motor}", limit))
+        _, _, self._zero = self._read_present()
+        for motor in self.ids:
             self._set(motor, TORQUE_ENABLE, 1)
-        self._heard = -math.inf
+        self._heard = -math.inf  # [s] when the motors were talked to last
+
+    def _check_ids(self) -> None:
+        """Raises ValueError for ids that no motors have, or two of them."""
+        are_ids = all(isinstance(motor, int) and 0 <= motor <= GREATEST_ID for motor in self.ids)
+        if not self.ids or not are_ids or len({*self.ids}) < len(self.ids):
+            raise ValueError(
+                f"ids is {shown(list(self.ids))}: it should be a different number from 0 to"
+                f" {GREATEST_ID} for each motor"
+            )
 
     def read(self) -> Measurement:
         """Currents and positions of all motors in one packet, and the tip's pose. Raises
         ConnectionError."""
         current, _, position = self._read_present()
         tip = None if self.tip_pose is None else self.tip_pose()
-        length = (self._zero - position) / TICKS * self._radius
+        turned = (self._zero - position) / TICKS  # [rad], in which the motors wind
         return Measurement(
-            perf_counter(), tip_pose=tip, tension=current * self._tension_unit, tendon_length=length
+            perf_counter(),
+            tip_pose=tip,
+            tension=current * self._tension_unit,
+            tendon_length=turned * self._radius,
         )
 
     def write(self, command: Array) -> Array:
-        """Sends tensions (n_a,) [N] in one packet; returns them in whole steps, never beyond what
-        was asked, within the motors' limits. Raises ConnectionError, ValueError for another
-        shape."""
-        steps, most = (
-            checked_array("command", command, (len(self.ids),)) / self._tension_unit,
-            np.array(self._most),
-        )
-        ticks = np.clip(
-            np.trunc(steps + 1e-9 * np.sign(steps)), -most, most
-        )  # round-off is no step less
+        """Sends tensions in one packet.
+
+        Args:
+            command: (n_a,) [N].
+
+        Returns:
+            What was sent (n_a,) [N]: whole steps of current, never beyond what was asked, within
+            the motors' limits.
+
+        Raises:
+            ConnectionError: where the port is lost, or a motor does not answer.
+            ValueError: for another shape.
+        """
+        tension = checked_array("command", command, (len(self.ids),))
+        steps = tension / self._tension_unit
+        whole = np.trunc(steps + ROUND_OFF * np.sign(steps))
+        most = np.array(self._most)
+        ticks = np.clip(whole, -most, most)
         if perf_counter() - self._heard > 0.5 * self.watchdog:
-            self._set(
-                EVERYBODY, BUS_WATCHDOG, 0
-            )  # a motor that has stopped for the silence goes on
+            # a motor that has stopped for the silence goes on
+            self._set(EVERYBODY, BUS_WATCHDOG, 0)
             self._set(EVERYBODY, BUS_WATCHDOG, round(self.watchdog / WATCHDOG_UNIT))
         self._sender.clearParam()
         for motor, goal in zip(self.ids, ticks, strict=True):
-            self._sender.addParam(motor, struct.pack("<h", int(goal)))
-        self._ask("the motors", lambda: (None, self._sender.txPacket(), 0), 1)
+            self._sender.addParam(motor, struct.pack(GOAL_FORMAT, int(goal)))
+        # once: the next period sends anew
+        self._ask("the motors", lambda: (None, self._sender.txPacket(), 0), tries=1)
         self._heard = perf_counter()
         return np.asarray(ticks * self._tension_unit)
 
@@ -168,17 +170,18 @@ class DynamixelRobot:
         """Present currents, velocities and positions (3, n_a) in steps. Raises ConnectionError."""
         self._ask("the motors", lambda: (None, self._reader.txRxPacket(), 0))
         self._heard = perf_counter()
-        return np.array(
-            [struct.unpack(FORMAT, bytes(self._reader.data_dict[motor])) for motor in self.ids],
-            dtype=float,
-        ).T
+        answers = [bytes(self._reader.data_dict[motor]) for motor in self.ids]
+        rows = [struct.unpack(FORMAT, answer) for answer in answers]
+        return np.array(rows, dtype=float).T
 
     def _set(self, motor: int, register: int, value: int) -> None:
         """Set a register of one byte of a motor, or of EVERYBODY. Raises ConnectionError."""
-        self._ask(
-            f"motor {motor}",
-            lambda: (None, *self._packets.write1ByteTxRx(self._port, motor, register, value)),
-        )
+
+        def write() -> tuple[None, int, int]:
+            result, error = self._packets.write1ByteTxRx(self._port, motor, register, value)
+            return None, result, error
+
+        self._ask(f"motor {motor}", write)
 
     def _ask(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
         """Value that a call of the SDK returns with its result and error; a lost port does not stay
@@ -186,18 +189,16 @@ class DynamixelRobot:
         for _ in range(tries):
             try:
                 value, result, error = call()
-            except (
-                BaseException
-            ) as lost:  # OSError, termios.error, which is none, and KeyboardInterrupt
+            except BaseException as lost:
+                # OSError, termios.error, which is none, and KeyboardInterrupt
                 self._port.is_using = False
                 if not isinstance(lost, Exception):
                     raise
                 raise ConnectionError(f"{self.port} is lost: {lost}") from lost
             if result == self._success and not error:
                 return value
-        why = (
-            self._packets.getRxPacketError(error)
-            if result == self._success
-            else self._packets.getTxRxResult(result)
-        )
-        raise ConnectionError(f"{who} on {self.port}: {why}")
+        if result == self._success:
+            reason = self._packets.getRxPacketError(error)
+        else:
+            reason = self._packets.getTxRxResult(result)
+        raise ConnectionError(f"{who} on {self.port}: {reason}")

@@ -8,6 +8,7 @@ MyRobot())`
 
 import itertools
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,22 +36,17 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import describe, first_line
 from soft_tendon_env.tools.types import Array
 
+POSITIVE = 1e-9  # least number that counts as one
 SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
 # control periods without a new reading, or behind the deadlines, after which an arm is let go
 PATIENCE = 3
 REST_SPEED = 0.005  # of the tip at rest, in lengths of the arm per second
-READINGS, LOOKS = (
-    20,
-    10,
-    # of which a speed is measured at least, and looks in its window; an arm rests when it did twice
-    # on end
-)
-WINDOW, WAIT = (
-    2.0,
-    60.0,
-    # [s] over which a speed is measured at least, which shows 1.5 mm/s in noise of 2 mm, and for
-    # which rest may take
-)
+READINGS = 20  # of which a speed is measured at least
+LOOKS = 10  # in the window of a speed; an arm rests when it did twice on end
+# [s] over which a speed is measured at least, which shows 1.5 mm/s in noise of 2 mm
+WINDOW = 2.0
+WAIT = 60.0  # [s] which rest may take
+REHEARSED = 6  # periods: controllers and estimators compile within two or three
 # power of a mode over the median of all that is motion: one of 10,000 modes of white noise has as
 # much
 STANDS_OUT = 33.0
@@ -65,12 +61,22 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     truncated, and `info["stopped"]` says why; `reset` begins again. `close` makes the tendons slack
     and closes the robot.
 
-    rate: largest rate of commands [N/s, or m/s]; None: unlimited. settle: time [s] to the first
-    command; 0 for a robot that rests there when the first episode begins, with sensors that have
-    zeros. rest_speed: greatest speed of the tip at rest, root mean square, in lengths of the arm
-    per second. patience: periods without a new reading, or behind the deadlines, after which the
-    robot is stopped. log: new CSV file of the periods, see log.py. Raises ConfigurationError where
-    the robot does not fit the environment, TypeError, ValueError, OSError.
+    Args:
+        env: of gym.make, with one arm.
+        robot: in place of that arm.
+        rate: largest rate of commands [N/s, or m/s]; None: unlimited.
+        settle: time [s] to the first command; 0 for a robot that rests there when the first episode
+            begins, with sensors that have zeros.
+        rest_speed: greatest speed of the tip at rest, root mean square, in lengths of the arm per
+            second.
+        patience: periods without a new reading, or behind the deadlines, after which the robot is
+            stopped.
+        log: new CSV file of the periods, see log.py.
+
+    Raises:
+        ConfigurationError: where the robot does not fit the environment.
+        TypeError, ValueError: for other arguments of wrong type or range.
+        OSError: where the log cannot be written.
     """
 
     def __init__(
@@ -89,42 +95,48 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         episodes = checked_type(
             "env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')"
         ).episodes
-        if reason := _misfit(robot, episodes):
-            raise ConfigurationError(
-                [Problem(("robot",), f"is {type(robot).__name__}, {reason}")], "environment"
-            )
-        fastest = (
-            np.inf
-            if rate is None
-            else checked_number("rate", rate, 1e-9, "a positive number, or None")
-        )
+        reason = _misfit(robot, episodes)
+        if reason:
+            problem = Problem(("robot",), f"is {type(robot).__name__}, {reason}")
+            raise ConfigurationError([problem], "environment")
+        fastest = np.inf
+        if rate is not None:
+            fastest = checked_number("rate", rate, POSITIVE, "a positive number, or None")
         settle = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
-        still = (
-            checked_number(
-                "rest_speed", rest_speed, 1e-9, "a positive number of lengths per second"
-            )
-            * episodes.model.length
+        rest_speed = checked_number(
+            "rest_speed", rest_speed, POSITIVE, "a positive number of lengths per second"
         )
-        limits = np.stack(
-            [episodes.actuation.actions.least, episodes.actuation.actions.greatest], axis=1
-        )
-        scene, sensors = episodes.model.scene, episodes.sensors.size
-        place = scene.base.position, np.inf if scene.effects.moving_base else episodes.model.length
+        model = episodes.model
+        actions = episodes.actuation.actions
+        limits = np.stack([actions.least, actions.greatest], axis=1)
+        sensors = episodes.sensors.size
+        # where the base moves, no tip is too far from where it was
+        reach = np.inf if model.scene.effects.moving_base else model.length
         self._safe = SafeRobot(
             robot,
             limits,
             sensors,
-            place,
-            episodes.period,
-            fastest,
-            checked_count("patience", patience, 1),
+            arm=(model.scene.base.position, reach),
+            period=episodes.period,
+            rate=fastest,
+            patience=checked_count("patience", patience, 1),
         )
-        self._log = (
-            None
-            if log is None
-            else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
+        self._log: RobotLog | None = None
+        if log is not None:
+            self._log = RobotLog(
+                Path(log),
+                robot.command_unit,
+                self._safe.senses,
+                tendons=len(limits),
+                sensors=sensors,
+            )
+        arm = MeasuredArm(
+            episodes,
+            self._safe,
+            settle=settle,
+            still=rest_speed * model.length,
+            log=self._log,
         )
-        arm = MeasuredArm(episodes, self._safe, settle, still, self._log)
         self._last: Any = None
         # found by the last reset, added to what the robot measures: tendon_length (n_a,) [m],
         # strain (s, 6)
@@ -174,44 +186,38 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
 def _misfit(robot: Robot, episodes: Episodes) -> str:
     """Reason why a robot cannot play an environment's episodes; "": it can."""
-    options, groups, fields = (
-        episodes.options,
-        episodes.layout.slices,
-        {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS},
-    )
-    if robot.command_unit != (unit := episodes.model.command_unit):
+    unit = episodes.model.command_unit
+    if robot.command_unit != unit:
         return (
             f"which takes {robot.command_unit!r}, and the scene's arm takes {unit!r}: see"
             " [effects.tendon_elasticity]"
         )
-    if (
-        options.randomize.numbers
-        or options.randomize.of_actuators
-        or options.randomize.latency != (0.0, 0.0)
-    ):
+    options = episodes.options
+    drawn = options.randomize
+    if drawn.numbers or drawn.of_actuators or drawn.latency != (0.0, 0.0):
         return (
             "as it is: the option randomize should have no more than the noise of its sensors, for"
             " policies that know of it"
         )
-    needed = {
-        **{fields[name]: name for name in groups if name in fields},
-        "tip_pose": "the errors of the task",
-    }
-    needed |= (
-        {"tip_twist": "the option tip_speed_limit"} if options.tip_speed_limit is not None else {}
-    )
-    if missing := [f"{name} ({why})" for name, why in needed.items() if name not in robot.senses]:
+    groups = episodes.layout.slices  # of what is observed
+    fields = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}  # of Measurement, by group
+    # fields that a robot has to sense, and what for
+    needed = {fields[name]: name for name in groups if name in fields}
+    needed["tip_pose"] = "the errors of the task"
+    if options.tip_speed_limit is not None:
+        needed["tip_twist"] = "the option tip_speed_limit"
+    missing = [f"{name} ({why})" for name, why in needed.items() if name not in robot.senses]
+    if missing:
         return (
             f"without {', '.join(missing)}, which is observed: take it out of the option"
             " observation; controllers: filtered:NAME"
         )
-    if episodes.task.shapes or (
-        odd := [name for name in groups if name not in {*fields, *TARGET_GROUPS, HISTORY}]
-    ):
-        return (
-            "measured at its tip and by its sensors"
-            f" alone{'' if episodes.task.shapes else ': not ' + ', '.join(odd)}"
-        )
+    if episodes.task.shapes:
+        return "measured at its tip and by its sensors alone"
+    known = {*fields, *TARGET_GROUPS, HISTORY}
+    unknown = [name for name in groups if name not in known]
+    if unknown:
+        return f"measured at its tip and by its sensors alone: not {', '.join(unknown)}"
     return ""
 
 
@@ -228,20 +234,27 @@ class MeasuredArm(Arms):
         still: float,
         log: RobotLog | None,
     ) -> None:
-        super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
-        self.robot, self.pacer, self._still, self._log = (
-            robot,
-            Pacer(robot.clock, episodes.period),
-            still,
-            log,
+        super().__init__(
+            episodes.model,
+            rows=1,
+            period=episodes.period,
+            stations=np.empty(0),
+            sensors=episodes.sensors,
         )
-        self._command, self._actuation = episodes.start_command, episodes.actuation
+        self.robot = robot
+        self.pacer = Pacer(robot.clock, episodes.period)
+        self._still = still
+        self._log = log
+        self._command = episodes.start_command
+        self._actuation = episodes.actuation
         # the pretension is not there before the rate has led to it
-        self._rise = max(settle, float(np.abs(self._command - robot.slack).max()) / robot.rate)
-        self._window = max(
-            WINDOW, np.pi / (RESOLVED * linear_rate(episodes.model))
-        )  # [s], half a swing, which stands still where it turns
-        self._is_there = self._has_zeros = settle == 0.0
+        way = float(np.abs(self._command - robot.slack).max())
+        self._rise = max(settle, way / robot.rate)
+        # [s], at least half a swing, which stands still where it turns
+        half_swing = np.pi / (RESOLVED * linear_rate(episodes.model))
+        self._window = max(WINDOW, half_swing)
+        self._is_there = settle == 0.0  # whether the robot rests under the first command
+        self._has_zeros = settle == 0.0
         self.zero = dict[str, Array]()  # by field, added to what the robot measures
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
@@ -259,9 +272,10 @@ class MeasuredArm(Arms):
         self._is_there = False
         if not self._has_zeros:
             for name in {"tendon_length", "strain"} & {*self.robot.senses}:
-                self.zero[name] = getattr(self.reading, name)[0] - np.mean(
-                    [getattr(one, name) for one in readings], axis=0
-                )
+                # the simulated arm is at rest under the same command
+                measured = np.mean([getattr(reading, name) for reading in readings], axis=0)
+                self.zero[name] = getattr(self.reading, name)[0] - measured
+        # of the last two the earlier one is the log's row before time 0; there may be one alone
         self._take(readings[-2:][0])
         if self._log is not None:
             self._log.begin(self.pacer.period, self._time, self.reading, self._command)
@@ -280,13 +294,13 @@ class MeasuredArm(Arms):
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
+            time = self.pacer.period * self.pacer.count
             try:
-                self._log.append(
-                    self.pacer.period * self.pacer.count, self._time, self.reading, asked, sent
-                )
+                self._log.append(time, self._time, self.reading, asked, sent)
             except OSError as error:
                 self.robot.fail(f"the log {self._log.path} cannot be written: {describe(error)}")
-        command[:], self._actuation.command[0] = sent, sent
+        command[:] = sent
+        self._actuation.command[0] = sent
         super().step(command, members, durations, tape)  # one that begins, whatever was asked
         self.outcome.status[:] = OK  # a robot does not diverge
         self._take(self.robot.read(self.pacer.wait()))
@@ -301,50 +315,67 @@ class MeasuredArm(Arms):
     def _wait_for_rest(self) -> list[Measurement]:
         """The last readings of the arm at rest under the first command, which rises evenly from
         slack. Raises RobotStopped."""
-        period, slack = self.pacer.period, self.robot.slack
-        rise, window = (
-            max(round(self._rise / period), 1),
-            max(round(self._window / period), READINGS),
-        )
-        last, was_still = (
-            deque[tuple[int, Measurement]](maxlen=window),
-            False,
-        )  # new readings, by their period
-        for k in itertools.count(1 - rise):
-            self.robot.write(slack + min((k + rise) / rise, 1.0) * (self._command - slack))
+        period = self.pacer.period
+        slack = self.robot.slack
+        # in periods
+        rise = max(round(self._rise / period), 1)
+        window = max(round(self._window / period), READINGS)
+        between_looks = max(window // LOOKS, 1)
+        last = deque[tuple[int, Measurement]](maxlen=window)  # new readings, by their period
+        was_still = False
+        for k in itertools.count(1 - rise):  # period 0 is the first at the whole command
+            share = min((k + rise) / rise, 1.0)
+            self.robot.write(slack + share * (self._command - slack))
             self.pacer.wait()
             measured = self.robot.read()
             if k > 0 and (not last or measured.time != last[-1][1].time):
                 last.append((k, measured))
-            if len(last) < window or k % max(window // LOOKS, 1):
+            if len(last) < window or k % between_looks:
                 continue
-            positions = np.array(
-                [one.tip_pose[:3, 3] for _, one in last if one.tip_pose is not None]
-            )
-            speed = speed_of(positions, period * (last[-1][0] - last[0][0]) / (window - 1))
-            if speed <= self._still and was_still:
+            speed = self._speed(last)
+            is_still = speed <= self._still
+            if is_still and was_still:
                 break
-            was_still = speed <= self._still
-            if period * k >= WAIT and not was_still:
-                text = (
-                    f"the arm does not come to rest: its tip moves at {speed:.3g} m/s,"
-                    f" {period * k:g} s after the first command"
-                )
+            was_still = is_still
+            if period * k >= WAIT and not is_still:
                 self.robot.fail(
-                    f"{text}; at rest it is at most {self._still:.3g} m/s. Allow more, by"
-                    " rest_speed, or damp the arm"
+                    f"the arm does not come to rest: its tip moves at {speed:.3g} m/s,"
+                    f" {period * k:g} s after the first command; at rest it is at most"
+                    f" {self._still:.3g} m/s. Allow more, by rest_speed, or damp the arm"
                 )
-        return [one for _, one in last]
+        return [reading for _, reading in last]
+
+    def _speed(self, readings: Sequence[tuple[int, Measurement]]) -> float:
+        """Speed [m/s] of the tip in readings by their period, taken as evenly apart."""
+        first, _ = readings[0]
+        last, _ = readings[-1]
+        poses = [reading.tip_pose for _, reading in readings if reading.tip_pose is not None]
+        positions = np.array([pose[:3, 3] for pose in poses])
+        steps = len(readings) - 1
+        between = self.pacer.period * (last - first) / steps  # [s]
+        return speed_of(positions, between)
 
 
 def speed_of(position: Array, period: float) -> float:
-    """Speed [m/s], root mean square, of a point at positions (m, 3) [m] one period [s] apart: of
-    the cosine modes that stand out of noise. Differences of samples are mostly noise: 1 mm at 50 Hz
-    makes 70 mm/s."""
-    power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
-    power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
-    rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
-    return float(np.sqrt(np.sum(rate**2 * power)))
+    """Speed of a point, root mean square, from noisy positions: of the cosine modes that stand out
+    of noise. Differences of samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s.
+
+    Args:
+        position: (m, 3) [m].
+        period: from one to the next [s].
+
+    Returns:
+        The speed [m/s].
+    """
+    count = len(position)
+    amplitude = scipy.fft.dct(position, axis=0, norm="ortho")[1:]  # without the mean
+    power = amplitude**2 / count
+    is_motion = power > STANDS_OUT * np.median(power, axis=0)
+    motion = np.sum(power, axis=1, where=is_motion)
+    order = np.arange(1, count)
+    rate = np.pi * order / (count * period)  # [rad/s] of the modes
+    square = np.sum(rate**2 * motion)
+    return float(np.sqrt(square))
 
 
 class Report(NamedTuple):
@@ -359,51 +390,81 @@ class Report(NamedTuple):
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
     """Runs a policy for a few periods on the simulated arm of an environment, so that nothing is
-    compiled while the robot waits."""
-    for _ in itertools.islice(
-        play_steps(policy, env, [seed]), 6
-    ):  # controllers and estimators compile within two or three periods
+    compiled while the robot waits.
+
+    Args:
+        policy: to run.
+        env: of the simulated arm.
+        seed: of the episode.
+    """
+    for _ in itertools.islice(play_steps(policy, env, [seed]), REHEARSED):
         pass
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
-    """Runs a policy on a robot for a duration [s]; in any case it slackens the tendons and closes
-    the robot.
+    """Runs a policy on a robot for a duration; in any case it slackens the tendons and closes the
+    robot.
 
-    env: a RobotEnv, alone or wrapped. A stopped robot ends the run, as does an episode that ends
-    early: `Report.stop` says why. What the policy raises, and KeyboardInterrupt, as which SIGTERM
-    acts too, go on to the caller with slack tendons. Raises TypeError for other environments,
-    ValueError for episodes that are shorter than the run.
+    A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What
+    the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with
+    slack tendons.
+
+    Args:
+        policy: to run.
+        env: a RobotEnv, alone or wrapped.
+        seconds: duration [s].
+        seed: of the episode.
+
+    Returns:
+        Errors of every period, timing, and how the run ended.
+
+    Raises:
+        TypeError: for other environments.
+        ValueError: for episodes that are shorter than the run.
     """
-    episodes, found = episodes_of(env), list[list[float]]()
-    if not isinstance(arm := episodes.arms, MeasuredArm):
+    episodes = episodes_of(env)
+    arm = episodes.arms
+    if not isinstance(arm, MeasuredArm):
         raise TypeError("env should be a RobotEnv, alone or wrapped")
-    robot, steps = arm.robot, round(seconds / episodes.period)
+    robot = arm.robot
+    steps = round(seconds / episodes.period)
+    errors = list[list[float]]()  # of every period, by the names of the episodes' errors
     try:
-        if env.spec is not None and (longest := env.spec.max_episode_steps or steps) < steps:
-            text = (
-                f"{seconds:g} s are {steps} control periods, and episodes end after {longest}:"
-                f" gym.make(..., max_episode_steps={steps})"
-            )
-            raise ValueError(f"seconds: {text}")
+        _check_length(env, seconds, steps)
         for k, step in enumerate(play_steps(policy, env, [seed])):
             if robot.stopped is None:
-                found.append([float(values[0]) for values in episodes.errors.values()])
-            if k == steps or step.ended[0]:
-                robot.stop(
-                    FINISHED
-                    if k == steps
-                    else f"the episode ended after {k} of {steps} control periods"
-                )
+                errors.append([float(values[0]) for values in episodes.errors.values()])
+            if k == steps:
+                robot.stop(FINISHED)
+                break
+            if step.ended[0]:
+                robot.stop(f"the episode ended after {k} of {steps} control periods")
                 break
     except BaseException as error:
-        robot.stop("interrupted" if isinstance(error, KeyboardInterrupt) else first_line(error))
+        is_interrupt = isinstance(error, KeyboardInterrupt)
+        robot.stop("interrupted" if is_interrupt else first_line(error))
         if not isinstance(error, RobotStopped):  # before it came to where episodes begin
             raise
     finally:
         timing = arm.pacer.timing
         env.close()
-    errors, stop = np.array(found).reshape(-1, len(episodes.errors)).T, robot.stop(FINISHED)
+    by_name = np.array(errors).reshape(-1, len(episodes.errors)).T
+    stop = robot.stop(FINISHED)
     return Report(
-        dict(zip(episodes.errors, errors, strict=True)), timing, stop, stop.cause == FINISHED
+        errors=dict(zip(episodes.errors, by_name, strict=True)),
+        timing=timing,
+        stop=stop,
+        finished=stop.cause == FINISHED,
     )
+
+
+def _check_length(env: gym.Env[Any, Any], seconds: float, steps: int) -> None:
+    """Raises ValueError where episodes end before a run of so many control periods."""
+    if env.spec is None:
+        return
+    longest = env.spec.max_episode_steps or steps
+    if longest < steps:
+        raise ValueError(
+            f"seconds: {seconds:g} s are {steps} control periods, and episodes end after {longest}:"
+            f" gym.make(..., max_episode_steps={steps})"
+        )

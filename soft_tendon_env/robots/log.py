@@ -21,19 +21,23 @@ from soft_tendon_env.tools.types import COMMANDS, Array
 
 
 def check_log(path: Path) -> None:
-    """Raises ValueError for a file that is no .csv, and FileExistsError for one that is there: no
-    log is overwritten."""
+    """Checks that a log can be written.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ValueError: for a file that is no .csv.
+        FileExistsError: for one that is there: no log is overwritten.
+    """
     if path.suffix != ".csv":
         raise ValueError(
             f"the log is {path}: it should be a file *.csv, to which every row goes as soon as it"
             " is there"
         )
     if path.exists():
-        free = next(
-            name
-            for k in itertools.count(2)
-            if not (name := path.with_stem(f"{path.stem}_{k}")).exists()
-        )
+        others = (path.with_stem(f"{path.stem}_{k}") for k in itertools.count(2))
+        free = next(other for other in others if not other.exists())
         raise FileExistsError(
             f"the log {path} is there already, and no log is overwritten: give another name, such"
             f" as {free}"
@@ -48,24 +52,20 @@ class RobotLog:
         self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int
     ) -> None:
         check_log(path)
+        strains = [f"{s}_{strain}" for s in range(sensors) for strain in STRAINS]
         columns = {
             "tip_pose": [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")],
             "tip_twist": [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")],
-            **{
-                name: [f"{name}_{s}_{strain}" for s in range(sensors) for strain in STRAINS]
-                for name in ("strain", "strain_rate")
-            },
+            "strain": [f"strain_{name}" for name in strains],
+            "strain_rate": [f"strain_rate_{name}" for name in strains],
+            "tension": [f"measured_tension_{i}" for i in range(tendons)],
+            "tendon_length": [f"tendon_length_{i}" for i in range(tendons)],
+            "sent": [f"{COMMANDS[unit]}_{i}" for i in range(tendons)],
+            "asked": [f"commanded_{i}" for i in range(tendons)],
         }
-        numbered = {
-            "tension": "measured_tension",
-            "tendon_length": "tendon_length",
-            "sent": COMMANDS[unit],
-            "asked": "commanded",
-        }
-        columns |= {
-            name: [f"{column}_{i}" for i in range(tendons)] for name, column in numbered.items()
-        }
-        self.path, self._motions, self._senses = path, 0, senses
+        self.path = path
+        self._motions = 0  # that the file has
+        self._senses = senses
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
@@ -75,10 +75,11 @@ class RobotLog:
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
         """Another motion begins, at time 0, from rest under a command (n_a,), with the reading
         there; period: of control [s]."""
-        self._hold = f"{self.path.stem}.{self._motions}" if self._motions else self.path.stem
-        self._waiting = [
-            self._row(-period, measured_time, reading, command, command)
-        ]  # for the first period: else it is no motion
+        self._hold = self.path.stem
+        if self._motions:
+            self._hold = f"{self._hold}.{self._motions}"
+        # for the first period: else it is no motion
+        self._waiting = [self._row(-period, measured_time, reading, command, command)]
 
     def append(
         self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array
@@ -86,32 +87,31 @@ class RobotLog:
         """A period that begins at a time [s], with the reading then, and the commands (n_a,) that
         followed. Raises OSError."""
         self._motions += len(self._waiting)
-        self._writer.writerows(
-            [*self._waiting, self._row(time, measured_time, reading, asked, sent)]
-        )
+        row = self._row(time, measured_time, reading, asked, sent)
+        self._writer.writerows([*self._waiting, row])
         self._waiting = []
         self._file.flush()
 
     def _row(
         self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array
     ) -> list[Any]:
+        """Cells of a period."""
         numbers = [sent, asked]
         for name in self._senses:
             value = getattr(reading, name)[0]
             if name == "tip_pose":
-                value = np.r_[
-                    value[:3, 3],
-                    Rotation.from_matrix(value[:3, :3]).as_quat(canonical=True, scalar_first=True),
-                ]
+                rotation = Rotation.from_matrix(value[:3, :3])
+                quaternion = rotation.as_quat(canonical=True, scalar_first=True)
+                value = np.concatenate([value[:3, 3], quaternion])
             numbers.append(value.ravel())
-        return [self._hold, round(time, 9), measured_time, *np.concatenate(numbers).tolist()]
+        values = np.concatenate(numbers).tolist()
+        return [self._hold, round(time, 9), measured_time, *values]
 
     def close(self) -> None:
         """Closes the file; once."""
         if not self._file.closed:
-            with contextlib.suppress(
-                OSError
-            ):  # of a full disk: what is left was told of when it was written
+            # of a full disk: what is left was told of when it was written
+            with contextlib.suppress(OSError):
                 self._file.close()
             if not self._motions:
                 self.path.unlink(missing_ok=True)

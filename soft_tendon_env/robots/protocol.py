@@ -14,6 +14,9 @@ Unit = Literal["N", "m"]
 RIGID = 1e-3
 
 
+PARTS = ("read", "write", "close", "command_unit", "senses")  # of a robot
+
+
 class Measurement(NamedTuple):
     """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None:
     not measured."""
@@ -53,46 +56,59 @@ class Robot(Protocol):
 
 def check_robot(robot: Any) -> None:
     """Raises TypeError for an object without a part of `Robot`."""
-    if missing := [
-        part
-        for part in ("read", "write", "close", "command_unit", "senses")
-        if not hasattr(robot, part)
-    ]:
-        raise TypeError(
-            f"{type(robot).__name__} should have {missing[0]}, see soft_tendon_env.robots.Robot"
-        )
+    for part in PARTS:
+        if not hasattr(robot, part):
+            raise TypeError(
+                f"{type(robot).__name__} should have {part}, see soft_tendon_env.robots.Robot"
+            )
 
 
 def check_measurement(
-    given: Any, senses: tuple[str, ...], tendons: int, sensors: int
+    measured: Any, senses: tuple[str, ...], tendons: int, sensors: int
 ) -> Measurement:
-    """A robot's measurement of what it senses, as arrays. Raises TypeError or ValueError for other
-    shapes, NaN, and what is missing."""
-    if not isinstance(given, Measurement):
-        raise TypeError(f"read should return a Measurement, not {type(given).__name__}")
+    """Checks a robot's measurement.
+
+    Args:
+        measured: what `read` returned.
+        senses: fields that the robot senses.
+        tendons: number of them.
+        sensors: number of strain sensors.
+
+    Returns:
+        The measurement of what it senses, as arrays.
+
+    Raises:
+        TypeError: for what is no Measurement, and no numbers.
+        ValueError: for other shapes, NaN, what is missing, and a pose that is none.
+    """
+    if not isinstance(measured, Measurement):
+        raise TypeError(f"read should return a Measurement, not {type(measured).__name__}")
     shapes: dict[str, tuple[int, ...]] = {
         "tip_pose": (4, 4),
         "tip_twist": (6,),
         "strain": (sensors, 6),
         "strain_rate": (sensors, 6),
     }
-    time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
-    found = {
-        name: checked_array(
-            f"measurement.{name}", getattr(given, name), shapes.get(name, (tendons,))
+    time = checked_number("measurement.time", measured.time, -np.inf, "a finite number of seconds")
+    arrays = dict[str, Array]()
+    for name in senses:
+        shape = shapes.get(name, (tendons,))
+        arrays[name] = checked_array(f"measurement.{name}", getattr(measured, name), shape)
+    if "tip_pose" in arrays:
+        _check_pose(arrays["tip_pose"])
+    return Measurement(time, **arrays)
+
+
+def _check_pose(pose: Array) -> None:
+    """Raises ValueError for a matrix (4, 4) that is no pose."""
+    R = pose[:3, :3]
+    errors = (
+        np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max(),
+        np.abs(R @ R.T - np.eye(3)).max(),
+        1.0 - np.sign(np.linalg.det(R)),  # of a mirror image 2
+    )
+    if max(errors) > RIGID:
+        raise ValueError(
+            "measurement.tip_pose is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by"
+            f" {max(errors):.3g}: is it transposed?"
         )
-        for name in senses
-    }
-    if "tip_pose" in found:
-        R, row = found["tip_pose"][:3, :3], found["tip_pose"][3]
-        off = max(
-            np.abs(row - [0.0, 0.0, 0.0, 1.0]).max(),
-            np.abs(R @ R.T - np.eye(3)).max(),
-            1.0 - np.sign(np.linalg.det(R)),
-        )
-        if off > RIGID:
-            raise ValueError(
-                "measurement.tip_pose is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by"
-                f" {off:.3g}: is it transposed?"
-            )
-    return Measurement(time, **found)

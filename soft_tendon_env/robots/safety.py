@@ -25,28 +25,20 @@ from soft_tendon_env.tools.types import Array, Triple
 # [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less, where it
 # is idle
 SPIN = 5e-4
-RAMP, RAMP_STEPS = (
-    0.03,
-    6,
-    # [s] in which tendons go slack, sudden enough to be safe and not a blow, and the commands on
-    # the way
-)
+RAMP = 0.03  # [s] in which tendons go slack, sudden enough to be safe and not a blow
+RAMP_STEPS = 6  # commands on the way
 # [s] for which slack is tried where it cannot be sent; a port that comes back does so within less
 TRYING = 1.0
-HANGING = (
-    0.1  # [s] for which slack waits for another call of the robot; one that takes longer hangs
-)
+# [s] for which slack waits for another call of the robot; one that takes longer hangs
+HANGING = 0.1
+LOOKS = 0.25  # control periods from one look of the watchdog to the next
 ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
 # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err
 # by millimetres
 STRETCH = 1.25
 FINISHED = "the run ended"  # cause of the stop of a run that went on to its end
-ENDS = (
-    "SIGTERM",
-    "SIGHUP",
-    "SIGQUIT",
-    "SIGTSTP",
-)  # of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
+# of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
+ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
 class Clock:
@@ -54,10 +46,9 @@ class Clock:
     for simulations at any speed."""
 
     def __init__(self, real: bool = True) -> None:
-        self.real, self._times = (
-            real,
-            {0: 0.0},
-        )  # until when each thread has waited: no lock, which an interrupt might leave shut
+        self.real = real
+        # until when each thread has waited: no lock, which an interrupt might leave shut
+        self._times = {0: 0.0}
 
     def now(self) -> float:
         """The time [s]."""
@@ -65,11 +56,15 @@ class Clock:
 
     def wait_until(self, time: float) -> None:
         """Waits until a time [s]; returns at once where it is past."""
-        if not self.real and time > self.now():
-            self._times[threading.get_ident()] = time
-        while self.real and (left := time - perf_counter()) > 0.0:
-            if left > SPIN:
-                sleep(left - SPIN)
+        if not self.real:
+            if time > self.now():
+                self._times[threading.get_ident()] = time
+            return
+        remaining = time - perf_counter()
+        while remaining > 0.0:
+            if remaining > SPIN:  # and spins from there on
+                sleep(remaining - SPIN)
+            remaining = time - perf_counter()
 
 
 class Timing(NamedTuple):
@@ -94,23 +89,36 @@ class Pacer:
     the loop catches up by short ones."""
 
     def __init__(self, clock: Clock, period: float) -> None:
-        self.clock, self.period, self._first = clock, period, clock.now()
-        self.count, self._overruns, self._lateness = 0, 0, list[float]()
+        self.clock = clock
+        self.period = period
+        self._first = clock.now()
+        self.count = 0
+        self._overruns = 0
+        self._lateness = list[float]()
 
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
         self.count += 1
         deadline = self._first + self.period * self.count
-        self._overruns += self.clock.now() > deadline
+        if self.clock.now() > deadline:
+            self._overruns += 1
         self.clock.wait_until(deadline)
-        self._lateness.append(self.clock.now() - deadline)
-        return self._lateness[-1]
+        lateness = self.clock.now() - deadline
+        self._lateness.append(lateness)
+        return lateness
 
     @property
     def timing(self) -> Timing:
         """Statistics until now; zeros before the first period is over."""
-        p50, p99, worst = np.percentile(self._lateness or [0.0], [50, 99, 100]).tolist()
-        return Timing(self.count, self._overruns, p50, p99, worst)
+        lateness = self._lateness or [0.0]
+        p50, p99, worst = np.percentile(lateness, [50, 99, 100]).tolist()
+        return Timing(
+            periods=self.count,
+            overruns=self._overruns,
+            p50=p50,
+            p99=p99,
+            worst=worst,
+        )
 
 
 class RobotStopped(UserError):
@@ -128,10 +136,18 @@ class Stop:
 
 
 class SafeRobot:
-    """Robot behind limits (n_a, 2) of commands and a watchdog. arm: position (3,) of its base and
-    its length [m], infinite where the base moves; rate: greatest change of a command in a second;
-    patience: periods without a new reading, or behind the deadlines, after which the arm is let
-    go."""
+    """Robot behind limits and a watchdog.
+
+    Args:
+        robot: to command.
+        limits: (n_a, 2) of commands, in their unit.
+        sensors: number of strain sensors that are observed.
+        arm: position (3,) of its base and its length [m], infinite where the base moves.
+        period: of control [s].
+        rate: greatest change of a command in a second.
+        patience: periods without a new reading, or behind the deadlines, after which the arm is let
+            go.
+    """
 
     def __init__(
         self,
@@ -143,25 +159,33 @@ class SafeRobot:
         rate: float,
         patience: int,
     ) -> None:
-        self.robot, self._limits, self._sensors, self.rate = robot, limits, sensors, rate
-        self._base, self._reach = arm[0], STRETCH * arm[1]
-        self.slack = (
-            np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()
-        )  # no tension, or all that can be let out
+        self.robot = robot
+        self._limits = limits
+        self._sensors = sensors
+        self.rate = rate
+        self._base, length = arm
+        self._reach = STRETCH * length
+        # no tension, or all that can be let out
+        is_tension = robot.command_unit == "N"
+        self.slack = np.zeros(len(limits)) if is_tension else limits[:, 0].copy()
+        # without sensors strains are not read
         self.senses = tuple(
             name for name in robot.senses if sensors or not name.startswith("strain")
         )
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
-        self._period, self._patience = period, patience * period
+        self._period = period
+        self._patience = patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
-        self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
+        self._sent = self.slack.copy()
         self._newest: Measurement | None = None
-        self._lock, self._hangs = (
-            threading.Lock(),
-            False,
-        )  # of the robot's calls, and whether one does not return
-        self._told, self._handlers = SimpleQueue[tuple[str, threading.Event]](), dict[int, Any]()
+        self._fresh = 0.0  # [s] when the newest came
+        self._closed = False
+        self._lock = threading.Lock()  # of the robot's calls
+        self._hangs = False  # whether one does not return
+        # causes of stops that the watchdog is told, with what it sets when it is done
+        self._orders = SimpleQueue[tuple[str, threading.Event]]()
+        self._handlers = dict[int, Any]()  # of signals, to restore
         threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
         atexit.register(self.stop, "the interpreter ended")
 
@@ -170,74 +194,99 @@ class SafeRobot:
         and signals act as Ctrl-C."""
         self.stop("it begins again")
         if threading.current_thread() is threading.main_thread():
-            for number in (getattr(signal, name) for name in ENDS if hasattr(signal, name)):
-                if (
-                    signal.getsignal(number) is signal.SIG_DFL
-                ):  # else it is ignored, as under nohup, or somebody handles it
+            for name in ENDS:
+                number = getattr(signal, name, None)  # Windows has not all
+                if number is None:
+                    continue
+                # others are ignored, as under nohup, or somebody handles them
+                if signal.getsignal(number) is signal.SIG_DFL:
                     self._handlers[number] = signal.signal(number, signal.default_int_handler)
-        self._newest, self._fresh, self.stopped = None, self.clock.now(), None
+        self._newest = None
+        self._fresh = self.clock.now()
+        self.stopped = None
 
     def read(self, late: float = 0.0) -> Measurement:
-        """The newest measurement, in a period that begins late [s]. Raises RobotStopped, also after
-        one that fails, cannot be or is old."""
+        """Reads the newest measurement.
+
+        Args:
+            late: by how much [s] the period begins after its deadline.
+
+        Returns:
+            The measurement.
+
+        Raises:
+            RobotStopped: after a stop, also for a reading that fails, cannot be or is old.
+        """
         self._refuse()
         if late > self._patience:
             self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
         try:
-            found = check_measurement(
-                self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors
-            )
-            if self._newest is None or found.time > self._newest.time:
-                if (
-                    found.tip_pose is not None
-                    and (far := float(np.linalg.norm(found.tip_pose[:3, 3] - self._base)))
-                    > self._reach
-                ):
-                    text = (
-                        f"the tip {far:.3g} m from the base, and the arm reaches"
-                        f" {self._reach:.3g} m"
-                    )
-                    raise ValueError(
-                        f"measurement.tip_pose puts {text}: is it in m, in the scene's world frame?"
-                    )
-                self._newest, self._fresh = found, self.clock.now()
+            reading = self._alone(self.robot.read, TRYING)
+            measured = check_measurement(reading, self.senses, self.slack.size, self._sensors)
+            if self._newest is None or measured.time > self._newest.time:
+                self._check_reach(measured)
+                self._newest = measured
+                self._fresh = self.clock.now()
         except Exception as error:
             self.fail(f"reading failed: {first_line(error)}", error)
         self._refuse(self._too_old())
         assert self._newest is not None
         return self._newest
 
-    def write(self, command: Array) -> Array:
-        """Sends a command (n_a,) within limits and rate; returns what was sent. Raises
-        RobotStopped, also where it cannot be sent."""
-        self._refuse()
-        (least, greatest), most = self._limits.T, self.rate * self._period
-        try:
-            # from slack, which may lie beneath the limits, it rises evenly
-            wanted = np.clip(
-                checked_array("command", command, self.slack.shape),
-                np.minimum(least, self._sent),
-                greatest,
+    def _check_reach(self, measured: Measurement) -> None:
+        """Raises ValueError for a tip that is further from the base than the arm reaches."""
+        if measured.tip_pose is None:
+            return
+        from_base = measured.tip_pose[:3, 3] - self._base
+        distance = float(np.linalg.norm(from_base))
+        if distance > self._reach:
+            raise ValueError(
+                f"measurement.tip_pose puts the tip {distance:.3g} m from the base, and the arm"
+                f" reaches {self._reach:.3g} m: is it in m, in the scene's world frame?"
             )
-            found = self._send(np.clip(wanted, self._sent - most, self._sent + most))
-            if found is not None:
-                found, slop = (
-                    checked_array("what write returns", found, self.slack.shape),
-                    ROUNDING * (greatest - least),
-                )
-                if not (
-                    (found >= np.minimum(least, self.slack) - slop) & (found <= greatest + slop)
-                ).all():
-                    raise ValueError(
-                        f"it returned {found.tolist()}: it should be what was sent, in"
-                        f" {self.robot.command_unit}, or nothing"
-                    )
+
+    def write(self, command: Array) -> Array:
+        """Sends a command within limits and rate.
+
+        Args:
+            command: (n_a,).
+
+        Returns:
+            What was sent (n_a,).
+
+        Raises:
+            RobotStopped: after a stop, also where the command cannot be sent.
+        """
+        self._refuse()
+        least, greatest = self._limits.T
+        most = self.rate * self._period
+        try:
+            asked = checked_array("command", command, self.slack.shape)
+            # from slack, which may lie beneath the limits, it rises evenly
+            within = np.clip(asked, np.minimum(least, self._sent), greatest)
+            next_command = np.clip(within, self._sent - most, self._sent + most)
+            answer = self._send(next_command)
+            sent = None if answer is None else self._checked_answer(answer)
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
         if self.stopped is not None:  # while the call hung
             self._try(self.stopped, self.slack)
         self._refuse()
-        return self._sent.copy() if found is None else found
+        return self._sent.copy() if sent is None else sent
+
+    def _checked_answer(self, answer: Any) -> Array:
+        """What a robot says that it sent (n_a,). Raises ValueError for what cannot be."""
+        sent = checked_array("what write returns", answer, self.slack.shape)
+        least, greatest = self._limits.T
+        margin = ROUNDING * (greatest - least)
+        is_above = sent >= np.minimum(least, self.slack) - margin
+        is_below = sent <= greatest + margin
+        if not (is_above & is_below).all():
+            raise ValueError(
+                f"it returned {sent.tolist()}: it should be what was sent, in"
+                f" {self.robot.command_unit}, or nothing"
+            )
+        return sent
 
     def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
         """Stops, and raises RobotStopped with the first cause."""
@@ -248,19 +297,19 @@ class SafeRobot:
         counts; later calls wait, and try again."""
         if not self._closed:
             done = threading.Event()
-            self._told.put((cause, done))
+            self._orders.put((cause, done))
             done.wait(2.0 * (TRYING + HANGING))
         return self.stopped or Stop(cause)
 
     def close(self) -> None:
         """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it
         stands among the failures."""
-        done = self.stop(FINISHED)
+        course = self.stop(FINISHED)
         if not self._closed:
             try:
                 self.robot.close()
             except Exception as error:
-                done.failures.append(first_line(error))
+                course.failures.append(first_line(error))
             self._closed = True
             atexit.unregister(self.stop)
             for number, handler in self._handlers.items():
@@ -271,9 +320,11 @@ class SafeRobot:
         told to, until the robot is closed."""
         while not self._closed:
             try:
-                cause, done = self._told.get(timeout=0.25 * self._period)
+                cause, done = self._orders.get(timeout=LOOKS * self._period)
             except Empty:
-                if self.clock.real and (cause := self._too_old()):
+                # where time stands still, the loop itself looks as it reads
+                cause = self._too_old() if self.clock.real else ""
+                if cause:
                     self._go_slack(Stop(cause))
                 continue
             if self.stopped is None:
@@ -285,26 +336,32 @@ class SafeRobot:
     def _go_slack(self, stop: Stop) -> None:
         """The ramp, and the last command again as long as it fails. Steps are left out where the
         robot takes longer for one."""
-        self.stopped, first, step, k = stop, self._sent, RAMP / RAMP_STEPS, 0
-        began, until = self.clock.now(), perf_counter() + TRYING
-        while not stop.slack and self.clock.now() - began < TRYING and perf_counter() < until:
-            k = max(k + 1, int((self.clock.now() - began) / step))
+        self.stopped = stop
+        first = self._sent
+        step = RAMP / RAMP_STEPS  # [s]
+        k = 0
+        began = self.clock.now()
+        give_up = perf_counter() + TRYING  # also where the clock stands still
+        while not stop.slack and self.clock.now() - began < TRYING and perf_counter() < give_up:
+            steps_due = int((self.clock.now() - began) / step)
+            k = max(k + 1, steps_due)
             share = min(k / RAMP_STEPS, 1.0)
-            self._try(stop, (1.0 - share) * first + share * self.slack)
+            command = (1.0 - share) * first + share * self.slack
+            self._try(stop, command)
             stop.seconds = self.clock.now() - began
             if not stop.slack:
-                self.clock.wait_until(
-                    began + k * step if k < 2 * RAMP_STEPS else self.clock.now() + RAMP
-                )
+                # a robot that does not take it is told less often
+                is_ramp = k < 2 * RAMP_STEPS
+                next_time = began + k * step if is_ramp else self.clock.now() + RAMP
+                self.clock.wait_until(next_time)
 
     def _try(self, stop: Stop, command: Array) -> None:
         """Sends a command on the way to slack; what comes of it stands in the stop."""
         try:
             self._send(command, slackens=True)
             stop.slack = bool((command == self.slack).all())
-        except (
-            BaseException
-        ) as error:  # also those that are no Exception: there is nobody to raise them to
+        except BaseException as error:
+            # also those that are no Exception: there is nobody to raise them to
             stop.failures.append(first_line(error))
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
@@ -314,9 +371,9 @@ class SafeRobot:
         def send() -> Any:
             if self.stopped is not None and not slackens:
                 return None
-            found = self.robot.write(command.copy())
+            answer = self.robot.write(command.copy())
             self._sent = command
-            return found
+            return answer
 
         return self._alone(send, HANGING if slackens else TRYING)
 
@@ -334,11 +391,9 @@ class SafeRobot:
     def _too_old(self) -> str:
         """Cause of a stop where the newest measurement is too old; "": it is not."""
         age = self.clock.now() - self._fresh
-        return (
-            ""
-            if self.stopped is not None or age <= self._patience
-            else f"no reading for {1e3 * age:.0f} ms{self._allowed}"
-        )
+        if self.stopped is not None or age <= self._patience:
+            return ""
+        return f"no reading for {1e3 * age:.0f} ms{self._allowed}"
 
     def _refuse(self, cause: str = "") -> None:
         """Raises RobotStopped after a stop, or for a cause of one."""

@@ -19,14 +19,8 @@ from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-OF_ARM = (
-    "scene",
-    "fidelity",
-    "tension_limits",
-    "sensors",
-    "randomize",
-    "control_period",
-)  # options that say what an arm is like
+# options that say what an arm is like
+OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")
 ROW = np.zeros(1, dtype=np.int64)
 EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are sums
 
@@ -36,52 +30,60 @@ class SimulatedRobot:
     and each call simulates it up to the present. It measures every field of Measurement except
     tensions.
 
-    seed: of the arm, drawn once, and of noise. real_time: whether time passes by itself; else it
-    passes only while a loop waits. options: those of environments in OF_ARM, `randomize` for model
-    errors among them. Rate limits and lag are those of the scene's [effects.actuators]. Raises
-    ConfigurationError, ValueError, TypeError.
+    Rate limits and lag are those of the scene's [effects.actuators].
+
+    Args:
+        seed: of the arm, drawn once, and of noise.
+        real_time: whether time passes by itself; else it passes only while a loop waits.
+        options: those of environments in OF_ARM, `randomize` for model errors among them.
+
+    Raises:
+        ConfigurationError: for unknown keys and values that are not allowed.
+        TypeError, ValueError: for a seed that is none.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
     def __init__(self, seed: int = 0, real_time: bool = True, **options: Any) -> None:
-        if problems := [
-            Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")
-            for name in options
-            if name not in OF_ARM
-        ]:
+        unknown = [name for name in options if name not in OF_ARM]
+        if unknown:
+            problems = [
+                Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")
+                for name in unknown
+            ]
             raise ConfigurationError(problems, "SimulatedRobot")
-        target = {
-            "type": "hold",
-            "pose": np.eye(4).tolist(),
-        }  # which costs nothing, and nobody sees
-        given = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
-        delay = getattr(
-            given_scene(given.scene).effects.actuators, "delay", 0.0
-        )  # taken here, where commands come as often as they like
-        undelayed = (
-            {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
-        )
-        episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
-        self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
+        # a target costs nothing, and nobody sees it
+        target = {"type": "hold", "pose": np.eye(4).tolist()}
+        parsed = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
+        # the delay is taken here, where commands come as often as they like
+        delay = getattr(given_scene(parsed.scene).effects.actuators, "delay", 0.0)
+        if delay:
+            undelayed = {"scene": parsed.scene, "effects.actuators.delay": 0.0}
+            parsed = parsed.model_copy(update={"scene": undelayed})
+        episodes = Episodes(TASKS["TipPose"], parsed, rows=1)
+        self._episodes = episodes
+        self._arms = episodes.arms
+        self._actuation = episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
-        self.clock, first = Clock(real_time), episodes.start_command
+        self.clock = Clock(real_time)
+        first = episodes.start_command
         drawn = episodes.options.randomize
-        self._sensors = Sensors(drawn.noise, 1, first.size, episodes.sensors.size, drawn.omit)
+        self._sensors = Sensors(
+            drawn.noise,
+            rows=1,
+            tendons=first.size,
+            sensors=episodes.sensors.size,
+            omit=drawn.omit,
+        )
         self._readings = np.zeros(1, dtype=np.int64)
-        self._arms.step(
-            first[None, None], ROW
-        )  # these two compile, so that no reading waits for that
+        # these two compile, so that no reading waits for that
+        self._arms.step(first[None, None], ROW)
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency, self._acting = (
-            delay + self._actuation.delay(0),
-            self._actuation.acting(first, 0),
-        )
-        self._coming, self._time = (
-            deque[tuple[float, Array]](),
-            np.inf,
-        )  # commands by their arrival, and the time of the arm, once it moves
+        self._latency = delay + self._actuation.delay(0)
+        self._acting = self._actuation.acting(first, 0)
+        self._coming = deque[tuple[float, Array]]()  # commands by the time when they arrive [s]
+        self._time = np.inf  # [s] of the arm, once it moves
         self._sensors.begin(0, seed)
 
     def read(self) -> Measurement:
@@ -96,25 +98,27 @@ class SimulatedRobot:
         """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`,
         ValueError or TypeError for other shapes."""
         sent = checked_array("command", command, self._acting.shape)
-        self._coming.append((self._go_on() + self._latency, self._actuation.acting(sent, 0)))
+        arrival = self._go_on() + self._latency
+        self._coming.append((arrival, self._actuation.acting(sent, 0)))
         return sent
 
     def close(self) -> None:
         """Does nothing: a simulated arm has no motors."""
 
     def _go_on(self) -> float:
-        """Simulate up to now [s]."""
+        """Simulates up to now; returns that time [s]."""
         now = self.clock.now()
         time = min(now, self._time)
         while True:
             while self._coming and self._coming[0][0] <= time + EARLY:
-                self._acting = self._coming.popleft()[1]
-            until = min(
-                now, time + self._episodes.period, self._coming[0][0] if self._coming else now
-            )
-            if until - time <= EARLY:
+                _, self._acting = self._coming.popleft()
+            # in steps of a control period at most, to the next command
+            next_arrival = self._coming[0][0] if self._coming else now
+            until = min(now, time + self._episodes.period, next_arrival)
+            duration = until - time
+            if duration <= EARLY:
                 break
-            self._arms.step(self._acting[None, None], ROW, np.array([[until - time]]))
+            self._arms.step(self._acting[None, None], ROW, np.array([[duration]]))
             if self._arms.outcome.status[0] != OK:
                 raise SimulationDiverged(
                     self._episodes.state(0),

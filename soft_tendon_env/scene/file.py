@@ -36,7 +36,8 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
             "name_or_path should be the name of a shipped scene or the path of a TOML file, not"
             f" {type(name_or_path).__name__}"
         )
-    name, path = os.fspath(name_or_path), Path(name_or_path)
+    name = os.fspath(name_or_path)
+    path = Path(name_or_path)
     if path.suffix != ".toml":
         if name not in scene_names():
             text = (

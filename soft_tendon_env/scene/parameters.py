@@ -150,12 +150,12 @@ def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return ranges
 
 
-def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
+def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
     """Ranges of a scene's numbers, as domain randomisation draws them.
 
     Args:
         scene: the arm.
-        wanted: ranges by dotted keys, of a vector a list with one for each entry.
+        table: ranges by dotted keys, of a vector a list with one for each entry.
 
     Returns:
         The ranges, of a list one by one.
@@ -167,14 +167,21 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
     entries = _entries(scene)
     ranges = list[Range]()
     drawn = dict[str, str]()  # the range that draws a number, by the number's key
-    for name, value in wanted.items():
+    for name, value in table.items():
         for key, written in _by_entry(name, value, entries):
             _, keys, values, _ = _parameter(key, entries)
-            if _is_relative(written):
-                ((kind, interval),) = written.items()
-            else:
-                kind, interval = "value", written
-            ranges.append(Range(key, keys, values, kind, *_interval(key, interval)))
+            relative = written if _is_relative(written) else {"value": written}
+            ((kind, interval),) = relative.items()
+            least, greatest = _interval(key, interval)
+            numbers_range = Range(
+                key,
+                keys=keys,
+                values=values,
+                kind=kind,
+                least=least,
+                greatest=greatest,
+            )
+            ranges.append(numbers_range)
             for number in keys:
                 if number in drawn:
                     _fail(key, f"draws what {drawn[number]!r} draws already")
@@ -185,7 +192,8 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
 def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Keys and ranges, as they are written, of a number, or of the entries of a vector. Raises
     ConfigurationError for a list of another length."""
-    places = sorted({key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)})
+    children = _matching(f"{name}.*", entries)
+    places = sorted({key.rpartition(".")[2] for key in children})
     is_vector = bool(places) and places[-1].isdecimal()
     if not is_vector:
         return [(name, value)]
@@ -263,7 +271,13 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
         for key, value in entries.items()
         if isinstance(value, float) and _array_of(key) in arrays
     ]
-    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), max(sizes))
+    values = tuple(entries[key] for key in keys)
+    return Parameter(
+        name,
+        keys=tuple(keys),
+        values=values,
+        size=max(sizes),
+    )
 
 
 def _array_of(key: str) -> str:
@@ -280,10 +294,12 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
                 return f"is no parameter: {misfit}"
     if name.startswith("effects."):
         effect = name.removeprefix("effects.").partition(".")[0]
-        has_effect = any(f"{key}.".startswith(f"effects.{effect}.") for key in entries)
+        table = f"effects.{effect}."
+        has_effect = any(f"{key}.".startswith(table) for key in entries)
         if effect in EFFECTS and not has_effect:
             return f"is no number yet: the scene has no [effects.{effect}]: add it"
-    last_parts = {key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)}
+    children = _matching(f"{name}.*", entries)
+    last_parts = {key.rpartition(".")[2] for key in children}
     places = [part for part in last_parts if part.isdecimal()]
     if places:
         return (
@@ -309,10 +325,11 @@ def _is_relative(value: Any) -> bool:
 def _interval(key: str, value: Any) -> tuple[float, float]:
     """Least and greatest of a number or a pair. Raises ConfigurationError."""
     pair = value if isinstance(value, list | tuple) else (value, value)
-    if len(pair) != 2 or not all(map(_is_number, pair)) or pair[0] > pair[1]:
-        _fail(key, f"has {shown(value)}: it should be {NUMBER}")
-    least, greatest = pair
-    return float(least), float(greatest)
+    if len(pair) == 2 and all(map(_is_number, pair)):
+        least, greatest = pair
+        if least <= greatest:
+            return float(least), float(greatest)
+    _fail(key, f"has {shown(value)}: it should be {NUMBER}")
 
 
 def _is_number(value: Any) -> bool:

@@ -73,7 +73,8 @@ class PassiveFields:
             Their number; None: not even all are, or that is not known.
         """
         counts = self.errors.get("fields", ())
-        worst = np.max([self.errors.get(motion, ()) for motion in motions], axis=0)
+        errors = [self.errors.get(motion, ()) for motion in motions]
+        worst = np.max(errors, axis=0)
         for count, error in zip(counts, worst, strict=True):
             if error <= tolerance:
                 return int(count)
@@ -113,9 +114,11 @@ class PassiveFields:
                 if value is not None and not made_for / ALIKE <= value <= made_for * ALIKE:
                     return f"{name} of {made_for:g} in segment {i}, not {value:g}"
         low, high = self.tension_limits.T
-        least, greatest = np.array([tendon.tension_limits for tendon in scene.tendons]).T
+        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+        least, greatest = limits.T
         margin = (ALIKE - 1.0) * (high - low)
-        if (least < low - margin).any() or (greatest > high + margin).any():
+        is_within = (least >= low - margin) & (greatest <= high + margin)
+        if not is_within.all():
             return (
                 f"tensions of {low.min():g} to {high.max():g} N, not {least.min():g} to"
                 f" {greatest.max():g} N"
@@ -166,12 +169,18 @@ def read_fields(path: Path) -> PassiveFields:
         arrays = {name: np.array(table[name], dtype=float) for name in ARRAYS}
         errors = {name: tuple(values) for name, values in table["errors"].items()}
         effects = Effects(**table["effects"])
-        fields = PassiveFields(arm=table["arm"], effects=effects, errors=errors, **arrays)
-        shape = (fields.singular_values.size, fields.borders.size - 1, 6, SNAPSHOT_ORDER + 1)
-        if fields.coefficients.shape != shape or not np.isfinite(fields.coefficients).all():
+        fields = PassiveFields(
+            arm=table["arm"],
+            effects=effects,
+            errors=errors,
+            **arrays,
+        )
+        coefficients = fields.coefficients
+        pieces = fields.borders.size - 1
+        shape = (fields.singular_values.size, pieces, 6, SNAPSHOT_ORDER + 1)
+        if coefficients.shape != shape or not np.isfinite(coefficients).all():
             raise ValueError(
-                f"its coefficients should be finite and of shape {shape}, not"
-                f" {fields.coefficients.shape}"
+                f"its coefficients should be finite and of shape {shape}, not {coefficients.shape}"
             )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(

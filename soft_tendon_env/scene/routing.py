@@ -46,10 +46,10 @@ class AlongRod(Configuration):
     @field_validator("size", "y", "z", check_fields=False)
     @classmethod
     def _one_per_arc_length(cls, values: Any, info: ValidationInfo) -> Any:
-        if "arc_length" in info.data and len(values) != len(info.data["arc_length"]):
-            raise ValueError(
-                f"should have one entry per arc_length, {len(info.data['arc_length'])}"
-            )
+        if "arc_length" in info.data:  # if not, it is wrong itself
+            count = len(info.data["arc_length"])
+            if len(values) != count:
+                raise ValueError(f"should have one entry per arc_length, {count}")
         return values
 
 
@@ -94,7 +94,7 @@ class TaperTable(Taper):
         return curve(arc_length), curve.derivative()(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
-        first, last = self.arc_length[0], self.arc_length[-1]
+        first, *_, last = self.arc_length
         ends_there = abs(last - segment_length) <= ROUND_OFF * segment_length
         if first == 0.0 and ends_there:
             return None
@@ -165,7 +165,8 @@ class ConvergingRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         start, end = ends
-        slope = (np.array(self.end_offset) - self.start_offset) / (end - start)
+        way = np.array(self.end_offset) - self.start_offset
+        slope = way / (end - start)
         offset = self.start_offset + np.outer(arc_length - start, slope)
         return offset, np.tile(slope, (len(arc_length), 1))
 
@@ -185,7 +186,8 @@ class SurfaceRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         angle = np.deg2rad(self.angle)
-        direction = self.fraction * np.array([np.cos(angle), np.sin(angle)])
+        unit = np.array([np.cos(angle), np.sin(angle)])
+        direction = self.fraction * unit
         return np.outer(radius, direction), np.outer(radius_slope, direction)
 
 
@@ -240,7 +242,7 @@ class TableRouting(TendonRouting):
         return curve(arc_length), curve(arc_length, 1)
 
     def misfit(self, ends: Ends) -> str | None:
-        first, last = self.arc_length[0], self.arc_length[-1]
+        first, *_, last = self.arc_length
         slack = ROUND_OFF * (last - first)
         start, end = ends
         if first - slack <= start and end <= last + slack:

@@ -88,7 +88,9 @@ class Base(Configuration):
         turn = np.radians(self.rotation)
         angle = math.radians(math.hypot(*self.rotation))
         a = math.cos(0.5 * angle)
-        b, c, d = 0.5 * np.sinc(0.5 * angle / np.pi) * turn
+        # sin(angle / 2) / angle, also where the angle is 0
+        share = 0.5 * np.sinc(0.5 * angle / np.pi)
+        b, c, d = share * turn
         left_product = np.array(
             [
                 [a, -b, -c, -d],
@@ -156,7 +158,8 @@ class Segment(Configuration):
     @model_validator(mode="after")
     def _parts_fit_its_length(self) -> Self:
         place: tuple[str, ...] = () if self.section is None else ("section",)
-        problems = [Problem((*place, *key), text) for key, text in self.shape.misfits(self.length)]
+        misfits = self.shape.misfits(self.length)
+        problems = [Problem((*place, *key), text) for key, text in misfits]
         if self.discs is not None and not problems:
             problems = self._disc_problems(self.discs)
         if problems:
@@ -322,7 +325,8 @@ class Scene(Configuration):
 
 def _count(name: str, parts: Sequence[Any]) -> str:
     """Number of parts, with their name in singular or plural."""
-    return f"{len(parts)} {name}" if len(parts) == 1 else f"{len(parts)} {name}s"
+    ending = "" if len(parts) == 1 else "s"
+    return f"{len(parts)} {name}{ending}"
 
 
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
@@ -367,7 +371,8 @@ def breakpoints(scene: Scene) -> Array:
     apart = SAME_PLACE * length
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
     places = [0.0]
-    for place in sorted([*ends, *segment_borders(scene), *scene.strain.borders]):
+    borders = [*ends, *segment_borders(scene), *scene.strain.borders]
+    for place in sorted(borders):
         last = places[-1]
         if place - last > apart and length - place > apart:
             places.append(float(place))
@@ -421,7 +426,8 @@ def disc_rows(scene: Scene) -> Array:
     for segment, start in zip(scene.segments, starts, strict=True):
         if segment.discs is not None:
             from_base = np.array([start, 0.0, 0.0, 0.0])
-            rows.append(segment.discs.rows(segment.length) + from_base)
+            own_rows = segment.discs.rows(segment.length)
+            rows.append(own_rows + from_base)
     return np.concatenate([np.zeros((0, 4)), *rows])
 
 

@@ -85,7 +85,9 @@ class Section(Configuration):
         """Widths along y and z [m], perimeter [m] and area [m^2] of the outline: (4, m)."""
         radius, _ = self.outer_radius(arc_length, length)
         width = 2.0 * radius
-        return np.stack([width, width, 2.0 * np.pi * radius, np.pi * radius**2])
+        perimeter = 2.0 * np.pi * radius
+        area = np.pi * radius**2
+        return np.stack([width, width, perimeter, area])
 
     def outline(self, circle: Array) -> Array:
         """Points (2, k) of the outline in parts of half its widths, around points of the unit
@@ -183,9 +185,12 @@ class Rectangle(Flat):
         Iz = A * width**2 / 12
         # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
         ratio = short / long
-        lacking = (1.0 - np.tanh(0.5 * np.pi * ODD / ratio)) / ODD**5
+        tanh = np.tanh(0.5 * np.pi * ODD / ratio)
+        lacking = (1.0 - tanh) / ODD**5
         series = SUM_OF_ODD - lacking.sum(axis=0)
-        J = long * short**3 * (1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series)
+        # of a thin rectangle the shape factor is 1/3
+        shape_factor = 1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series
+        J = long * short**3 * shape_factor
         return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
@@ -196,7 +201,9 @@ class Rectangle(Flat):
 
     def hull(self, arc_length: Array, length: float) -> Array:
         (width, height), _ = self.at(arc_length, length)
-        return np.stack([width, height, 2.0 * (width + height), width * height])
+        perimeter = 2.0 * (width + height)
+        area = width * height
+        return np.stack([width, height, perimeter, area])
 
     def outline(self, circle: Array) -> Array:
         return np.clip(np.sqrt(2.0) * circle, -1.0, 1.0)
@@ -224,8 +231,11 @@ class Ellipse(Flat):
     def hull(self, arc_length: Array, length: float) -> Array:
         sizes, _ = self.at(arc_length, length)
         a, b = 0.5 * sizes
-        perimeter = np.pi * (3 * (a + b) - np.sqrt((3 * a + b) * (a + 3 * b)))  # S. Ramanujan 1914
-        return np.stack([2.0 * a, 2.0 * b, perimeter, np.pi * a * b])
+        # S. Ramanujan 1914
+        mixed = (3 * a + b) * (a + 3 * b)
+        perimeter = np.pi * (3 * (a + b) - np.sqrt(mixed))
+        area = np.pi * a * b
+        return np.stack([2.0 * a, 2.0 * b, perimeter, area])
 
 
 def _both(value: Any) -> Any:
@@ -256,7 +266,8 @@ class Stiffness(Section):
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
         ones = np.ones_like(arc_length)
-        sigma = np.outer([self.torsion, *self.bending, self.stretch, *self.shear], ones)
+        stiffnesses = [self.torsion, *self.bending, self.stretch, *self.shear]
+        sigma = np.outer(stiffnesses, ones)
         mass = self.mass_per_length
         if self.rotary_inertia is not None:
             rotary = np.outer(self.rotary_inertia, ones)
@@ -265,7 +276,8 @@ class Stiffness(Section):
             radius, _ = self.outer_radius(arc_length, length)
             shares = [0.5 * mass, 0.25 * mass, 0.25 * mass]
             rotary = np.outer(shares, ones) * radius**2
-        inertia = np.concatenate([rotary, np.outer([mass, mass, mass], ones)])
+        moving = np.outer([mass, mass, mass], ones)
+        inertia = np.concatenate([rotary, moving])
         return np.stack([sigma, self.retardation_time * sigma, inertia])
 
 
@@ -291,7 +303,10 @@ class Discs(Configuration):
     @field_validator("places")
     @classmethod
     def _or_number(cls, places: Any, info: ValidationInfo) -> Any:
-        if "number" in info.data and (places is None) == (info.data["number"] is None):
+        if "number" not in info.data:  # it is wrong itself
+            return places
+        has_number = info.data["number"] is not None
+        if has_number == (places is not None):
             raise ValueError(
                 "should be arc lengths from the start of the segment, or a number of discs be given"
                 " in their place"
@@ -302,7 +317,8 @@ class Discs(Configuration):
         """Arc length from the start of a segment of this length [m], mass [kg], radius and
         thickness [m] of each: (d, 4)."""
         if self.number is not None:
-            places = length * np.arange(1, self.number + 1) / self.number
+            order = np.arange(1, self.number + 1)
+            places = length * order / self.number
         else:
             places = np.array(self.places)
         disc = [self.mass, self.radius, self.thickness or 0.0]

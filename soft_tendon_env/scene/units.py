@@ -75,7 +75,11 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     """The question after the unit that brings a value nearest to a usual one; none where it has a
     usual size already."""
     factors = {"": 1.0, **units}  # "": as it is
-    nearest = min(factors, key=lambda unit: abs(math.log10(value * factors[unit] / usual)))
+
+    def decades_off(unit: str) -> float:
+        return abs(math.log10(value * factors[unit] / usual))
+
+    nearest = min(factors, key=decades_off)
     return f": is it {nearest}?" if nearest else ""
 
 
@@ -152,14 +156,15 @@ class _Path(NamedTuple):
     def of_tendon(cls, scene: Scene, tendon: Tendon) -> "_Path":
         """Path of a scene's tendon."""
         start, end = tendon_ends(scene, tendon)
-        places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
+        length = end - start
+        places = start + length * (np.arange(PLACES) + 0.5) / PLACES
         offset, _ = tendon_offset(scene, tendon, places)
         radius, _ = rod_radius(scene, places)
         bending, stretch = along_rod(scene, places, _stiffness)
         return cls(
             tendon,
             rod_length=rod_length(scene),
-            length=end - start,
+            length=length,
             offset=np.linalg.norm(offset, axis=1),
             radius=radius,
             bending=bending,
@@ -173,8 +178,9 @@ class _Path(NamedTuple):
 
     def strain(self) -> float:
         """Strain that this tension makes: bending at the surface, and compression."""
-        per_tension = self.offset * self.radius / self.bending + 1.0 / self.stretch
-        return float(np.median(self.pull * per_tension))
+        of_bending = self.offset * self.radius / self.bending
+        of_compression = 1.0 / self.stretch
+        return float(np.median(self.pull * (of_bending + of_compression)))
 
     def bent(self) -> float:
         """Angle [rad] by which this tension bends the rod."""
