@@ -247,8 +247,8 @@ class ExtendedKalmanFilter:
         )
 
     def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
-        """Two tensions (2, n_a) [N] that acted over the last period, one after the other, and for
-        how long each (2,) [s], with commands that arrive late by `latency` [s]."""
+        """Commands that acted over the last period, where they arrive late by `latency` [s]: two
+        tensions (2, n_a) [N], one after the other, and for how long each acted (2,) [s]."""
         whole, rest = whole_periods(latency, self.period)
         newest = len(measured.sent) - 1 - whole
         tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]
@@ -268,9 +268,11 @@ class ExtendedKalmanFilter:
     def _linearise(
         self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
     ) -> tuple[Array, Array]:
-        """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a)
-        acted, and the covariance (2 n, 2 n) that white forces and tensions of deviations `white`
-        (n_a,) [N] add to the motion."""
+        """Linearised motion over a period, in whose parts (2,) [s] tensions (2, n_a) acted.
+
+        The transition (m, m) of deviations, and the covariance (2 n, 2 n) that white forces and
+        tensions, of deviations `white` (n_a,) [N], add to the motion.
+        """
         layout = self._layout
         unit = np.tile(self._scale, 2)  # of coordinates and rates
         by_tension = rollout.by_tension[0] / unit[:, None]
