@@ -8,11 +8,12 @@ displacement between the model's tip and the measured one, and the latency of th
 not known.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.control.innovations import SensorModel, layout_of
 from soft_tendon_env.control.protocol import (
     FAILURES,
     Estimate,
@@ -20,13 +21,12 @@ from soft_tendon_env.control.protocol import (
     Measurement,
     SensorNoise,
 )
-from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import erring_actuators
-from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
@@ -36,21 +36,6 @@ IMPLAUSIBLE = 1e3  # scaled coordinates or rates, beyond which a filter begins a
 SURPRISE = 4.0
 LEAST_GAIN = 0.5  # of a tendon
 GREATEST_GAIN = 2.0
-# relative model noise added to measured velocities, for the neglected dependence of the Jacobian on
-# q
-CHANGING = 0.05
-VELOCITIES = "tip_twist", "strain_rate"  # among the fields of Measurement
-
-
-class Layout(NamedTuple):
-    """Slices of the filter's state, of m = 2 n + 2 n_a + 7 entries."""
-
-    z: slice  # scaled coordinates (n,)
-    v: slice  # their rates (n,) [1/s]
-    offset: slice  # tensions that are added (n_a,) [N]
-    gain: slice  # gains of the tendons (n_a,), less 1
-    tip: slice  # twist (6,) from the model's tip to the arm's
-    latency: slice  # (1,) [s]
 
 
 class Uncertainty(NamedTuple):
@@ -101,51 +86,11 @@ class Setting(NamedTuple):
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
-    mean: Array  # (m,), see Layout
+    mean: Array  # (m,), see innovations.Layout
     covariance: Array  # (m, m)
     # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
     noise: Array
     effects: Array  # internal states of the model's effects
-
-
-def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
-    """Variances of measurements by their fields in Measurement: those of the sensors, and of what a
-    reduced model does not know.
-
-    At a point its strains are far less exact than poses and lengths, their integrals: in bending
-    the paper's arm at "fast" is off by 0.11 over its length, and its tip by 0.0002 of it. Unknown
-    loads add to that.
-
-    Args:
-        model: of the filter.
-        noise: standard deviations of the sensors.
-        sensors: number of strain sensors.
-
-    Returns:
-        Variances, each (k,) or a number for all k entries of the field.
-    """
-    length = model.length
-    # of the sensors, and of the model, by field
-    sensor_deviations: dict[str, Any] = {
-        "tip_pose": np.repeat([noise.rotation, noise.position], 3),
-        "tip_twist": 0.0,
-        "tendon_length": noise.length,
-        "strain": noise.of_strains(sensors),
-        "strain_rate": noise.of_strain_rates(sensors),
-    }
-    strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
-    model_deviations: dict[str, Any] = {
-        "tip_pose": np.repeat([1e-3, 1e-4 * length], 3),
-        "tip_twist": np.repeat([1e-2, 1e-3 * length], 3),
-        "tendon_length": 1e-4 * length,
-        "strain": 0.1 * strain_unit,
-        "strain_rate": 0.2 * strain_unit,
-    }
-    variances = dict[str, Array]()
-    for name, deviation in sensor_deviations.items():
-        sensor_variance = np.asarray(deviation) ** 2
-        variances[name] = sensor_variance + np.asarray(model_deviations[name]) ** 2
-    return variances
 
 
 class ExtendedKalmanFilter:
@@ -177,12 +122,12 @@ class ExtendedKalmanFilter:
         longest = self.latency if greatest_latency is None else greatest_latency
         # commands that acted in the last period: two, where one took over from another
         self.history = whole_periods(longest, period)[0] + 2
-        self._sensors = checked_array("sensors", setting.sensors, (None,))
-        self._variance = noise_variances(model, setting.noise, self._sensors.size)
+        sensors = checked_array("sensors", setting.sensors, (None,))
+        self._sensor_model = SensorModel(model, self.needs, sensors, setting.noise)
         self._simulation = Simulation(model)
         self._rest = static_equilibrium(model, self.start).q
         # units of the state's entries
-        self._layout = _layout(model)
+        self._layout = layout_of(model)
         self._scale = model.coordinate_scale()
         self._tension = _bending_tension(model)
         self._tip_unit = np.repeat([1.0, model.length], 3)
@@ -302,8 +247,8 @@ class ExtendedKalmanFilter:
         )
 
     def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
-        """Two tensions (2, n_a) [N] that acted over the last period, one after the other, and for
-        how long each (2,) [s], with commands that arrive late by `latency` [s]."""
+        """Commands that acted over the last period, where they arrive late by `latency` [s]: two
+        tensions (2, n_a) [N], one after the other, and for how long each acted (2,) [s]."""
         whole, rest = whole_periods(latency, self.period)
         newest = len(measured.sent) - 1 - whole
         tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]
@@ -323,9 +268,11 @@ class ExtendedKalmanFilter:
     def _linearise(
         self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
     ) -> tuple[Array, Array]:
-        """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a)
-        acted, and the covariance (2 n, 2 n) that white forces and tensions of deviations `white`
-        (n_a,) [N] add to the motion."""
+        """Linearised motion over a period, in whose parts (2,) [s] tensions (2, n_a) acted.
+
+        The transition (m, m) of deviations, and the covariance (2 n, 2 n) that white forces and
+        tensions, of deviations `white` (n_a,) [N], add to the motion.
+        """
         layout = self._layout
         unit = np.tile(self._scale, 2)  # of coordinates and rates
         by_tension = rollout.by_tension[0] / unit[:, None]
@@ -352,7 +299,7 @@ class ExtendedKalmanFilter:
         mean = predicted.mean
         covariance = predicted.covariance
         try:
-            innovation, slope, variance = self._innovations(mean, measured)
+            innovation, slope, variance = self._sensor_model.innovations(mean, measured)
             spread, weight = _gain(slope, covariance, variance, innovation)
             surprise = innovation @ weight[:, -1] / innovation.size
             if surprise > SURPRISE:
@@ -388,63 +335,6 @@ class ExtendedKalmanFilter:
         if self.greatest_latency is not None:
             latency = self._layout.latency
             mean[latency] = np.clip(mean[latency], 0.0, self.greatest_latency)
-
-    def _innovations(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
-        """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and
-        the variances (k,) of the noise."""
-        layout = self._layout
-        scale = self._scale
-        q = scale * mean[layout.z]
-        q_dot = scale * mean[layout.v]
-        terms = self.model.terms(q, q_dot, time=measured.time)
-        expected = self._expected(q, q_dot, terms)
-        # the tip's pose, by coordinates and by the displacement between model and arm
-        tip_pose = moved_pose(terms.tip_pose, mean[layout.tip])
-        tip_row = np.zeros((6, mean.size))
-        tip_row[:, layout.z] = terms.tip_jacobian * scale
-        tip_row[:, layout.tip] = np.eye(6)
-        innovations = [pose_error(tip_pose, measured.tip_pose)]
-        rows = [tip_row]
-        variances = [np.broadcast_to(self._variance["tip_pose"], (6,))]
-        for name in self.needs:
-            value, jacobian = expected[name]
-            innovation = (getattr(measured, name) - value).ravel()
-            variance = np.broadcast_to(self._variance[name], innovation.shape)
-            row = np.zeros((innovation.size, mean.size))
-            if name in VELOCITIES:
-                row[:, layout.v] = jacobian * scale
-                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
-            else:
-                row[:, layout.z] = jacobian * scale
-            innovations.append(innovation)
-            rows.append(row)
-            variances.append(variance)
-        return np.concatenate(innovations), np.vstack(rows), np.concatenate(variances)
-
-    def _expected(self, q: Array, q_dot: Array, terms: Terms) -> dict[str, tuple[Array, Array]]:
-        """Expected measurements besides the tip's pose, with Jacobians (k, n) by coordinates, of
-        VELOCITIES by their rates."""
-        if self._sensors.size:
-            strain, slopes = self.model.strain_at(q, self._sensors)
-            slope = slopes.reshape(-1, q.size)
-        else:
-            strain = np.zeros((0, 6))
-            slope = np.zeros((0, q.size))
-        tip = terms.tip_jacobian
-        return {
-            "tip_twist": (tip @ q_dot, tip),
-            "tendon_length": (self.model.tendon_lengths(q), -terms.actuation.T),
-            "strain": (strain, slope),
-            "strain_rate": ((slope @ q_dot).reshape(-1, 6), slope),
-        }
-
-
-def _layout(model: Model) -> Layout:
-    """Layout of the state of a model's filter."""
-    n = model.coordinate_count
-    n_a = model.tendon_count
-    borders = np.cumsum([0, n, n, n_a, n_a, 6, 1]).tolist()
-    return Layout(*map(slice, borders[:-1], borders[1:]))
 
 
 def _bending_tension(model: Model) -> Array:

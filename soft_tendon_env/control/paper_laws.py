@@ -153,8 +153,23 @@ def seen_from(pose: Array, twist: Array, target: TipPoseTarget) -> tuple[Array, 
 def accelerating_tension(
     terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse
 ) -> Array:
-    """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,)
-    for these rows of eta_dot, see (39)."""
+    """Feedback linearisation of (39): tensions that accelerate some components of the tip's twist.
+
+    They are B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot).
+
+    Args:
+        terms: at q and q_dot.
+        q_dot: rates (n,).
+        rows: components of the twist, k of 6.
+        acceleration: eta_dot (k,) of these.
+        left_inverse: B^+ (n_a, n) of the terms.
+
+    Returns:
+        Tensions (n_a,) [N], without limits.
+
+    Raises:
+        ValueError: where tensions cannot accelerate the tip in all of these directions.
+    """
     J = terms.tip_jacobian[rows]
     J_over_M = np.linalg.solve(terms.mass, J.T).T  # J M^-1
     rank = np.linalg.matrix_rank(J_over_M @ terms.actuation, rtol=DEPENDENT)

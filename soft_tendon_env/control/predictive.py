@@ -145,8 +145,9 @@ class Predictive(ModelController):
             return np.tile(last, (self.horizon, 1))
         # of the tensions of an interval, a period is a share
         share = 1.0 / self._hold
-        later = np.vstack([memory.tension[1:], memory.tension[-1:]])
-        return (1.0 - share) * memory.tension + share * later
+        plan = memory.tension
+        later = np.vstack([plan[1:], plan[-1:]])
+        return (1.0 - share) * plan + share * later
 
     def _input_error(self, memory: Plan | None, now: ControllerInput) -> InputError:
         """The estimator's error of the inputs, or else the disturbance that is observed."""
@@ -227,4 +228,5 @@ class Predictive(ModelController):
             planned = self._decay ** (k + 1) * error[0]
             remaining.append(error[k + 1] - planned)
         slope = np.concatenate(slopes)
-        return slope.T @ slope, -slope.T @ np.concatenate(remaining)
+        errors = np.concatenate(remaining)
+        return slope.T @ slope, -slope.T @ errors

@@ -90,7 +90,8 @@ class ShapeTracking(ShapeController):
         mode_mass = mode @ terms.mass @ mode
         own_damping = mode @ terms.damping @ mode / mode_mass  # [1/s]
         self.kp = max(natural**2 / square - 1.0, 0.0)
-        self.kd = max((2.0 * damping * natural - own_damping) / square, 0.0)
+        needed_damping = 2.0 * damping * natural - own_damping
+        self.kd = max(needed_damping / square, 0.0)
 
     def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
         """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""

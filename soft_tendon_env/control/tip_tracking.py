@@ -115,8 +115,8 @@ class TipTracking(ModelController):
 def _allowing_for(
     error: InputError | None, step: ImplicitStep, static: Array | None
 ) -> tuple[ImplicitStep, Array | None]:
-    """The step as a function of the tensions that are asked for, and the static ones of these,
-    where an estimator has found an error of the inputs."""
+    """Step and static tensions in terms of the tensions that are asked for, where an estimator has
+    found an error of the inputs."""
     if error is None:
         return step, static
     gain, offset = error

@@ -43,7 +43,9 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
             " recordings"
         )
         raise ValueError(f"{text}: those with the same commands, or of one group, stay together")
-    return [[*itertools.compress(recordings, is_out == kind)] for kind in (False, True)]
+    fit_part = [*itertools.compress(recordings, np.logical_not(is_out))]
+    judge_part = [*itertools.compress(recordings, is_out)]
+    return [fit_part, judge_part]
 
 
 def _held_out_by_column(recordings: Sequence[Recording], column: str) -> Array:

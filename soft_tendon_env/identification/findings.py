@@ -87,7 +87,8 @@ def findings(
 
 def _may_be_misread(estimate: Fit, fitted: Readings) -> bool:
     """Whether an estimate leaves errors that are large beside the arm and its motion."""
-    variance = np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1)  # of each marker
+    measured = np.ma.masked_invalid(fitted.measured)
+    variance = measured.var(axis=0).sum(axis=-1)  # of each marker
     spread = float(np.sqrt(variance.mean()))
     bound = MISREAD_LENGTH * fitted.plants.model.length
     if spread > 0.0:  # of a single reading it is 0, and says nothing
@@ -101,7 +102,9 @@ def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     size = np.abs(direction)
     largest_first = np.argsort(-size)
     names = [parameters[i].name for i in largest_first if size[i] >= UNSEEN]
-    what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
+    what = ", ".join(names)
+    if len(names) > 1:
+        what = f"a combination of {what}"
     return f"The data do not contain {what}: {_experiment(' '.join(names))}."
 
 
@@ -137,7 +140,8 @@ def _misfit_texts(estimate: Fit, readings: Readings, noise: float | None) -> lis
     those that follow each other."""
     residual = np.full(readings.measured.shape, np.nan)  # (samples, m, 3), NaN where unseen
     residual[readings.seen] = estimate.residual
-    root = float(np.sqrt(np.nanmean(residual**2)))
+    mean_square = np.nanmean(residual**2)
+    root = float(np.sqrt(mean_square))
     length = readings.plants.model.length
     if root < EXACT * length:  # of simulated data
         return []

@@ -103,7 +103,8 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
         before = deviation
         if sigma is None:
             deviation = max(_root_mean_square(estimate), LEAST_SIGMA * length)
-        if not estimate.converged or abs(deviation - before) <= SAME_SIGMA * before:
+        change = abs(deviation - before)
+        if not estimate.converged or change <= SAME_SIGMA * before:
             break
     return estimate._replace(sigma=deviation)
 
@@ -195,7 +196,8 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
     bootstrap = stdtrit(cluster_freedom, tail) * deviations
     wider = np.maximum(linear, bootstrap)
-    reach = np.where(np.isfinite(linear), wider, np.ptp(bounds, axis=1))
+    between_bounds = np.ptp(bounds, axis=1)  # where the data say nothing
+    reach = np.where(np.isfinite(linear), wider, between_bounds)
     least, greatest = bounds.T
     lower = np.clip(estimate.x - reach, least, greatest)
     upper = np.clip(estimate.x + reach, least, greatest)

@@ -182,12 +182,12 @@ def save_estimate(estimate: Estimate, folder: Path) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
-    lines = ["# Identified by soft-tendon identify:", *comments, ""]
+    scene_toml = tomli_w.dumps(scene_to_dict(estimate.scene))
+    lines = ["# Identified by soft-tendon identify:", *comments, "", scene_toml]
     scene_file = folder / "scene.toml"
     markers_file = folder / "markers.toml"
     estimate_file = folder / "estimate.json"
-    scene_text = "\n".join(lines) + "\n" + tomli_w.dumps(scene_to_dict(estimate.scene))
-    scene_file.write_text(scene_text, encoding="utf-8")
+    scene_file.write_text("\n".join(lines), encoding="utf-8")
     markers_file.write_text(tomli_w.dumps(plain(estimate.markers)), encoding="utf-8")
     write_json(estimate_file, _as_json(estimate), say=False)
     return [scene_file, markers_file, estimate_file]

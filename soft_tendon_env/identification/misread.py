@@ -87,7 +87,8 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
         candidates.append((_distance(simulated, read), text, read))
     for text, factor in _command_factors(plants).items():
         read = [replace(recording, command=factor * recording.command) for recording in recordings]
-        candidates.append((_distance(_simulate(plants, read, nominal), read), text, read))
+        simulated = _simulate(plants, read, nominal)
+        candidates.append((_distance(simulated, read), text, read))
     _, text, read = min(candidates, key=lambda candidate: candidate[0])
     return text, read
 
@@ -106,7 +107,8 @@ def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Arra
 def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
     """Mean distance [m] of simulated markers from those of recordings."""
     measured = np.concatenate([recording.positions for recording in recordings])
-    return float(np.nanmean(np.linalg.norm(simulated - measured, axis=-1)))
+    distance = np.linalg.norm(simulated - measured, axis=-1)
+    return float(np.nanmean(distance))
 
 
 def _axes() -> dict[str, Array]:

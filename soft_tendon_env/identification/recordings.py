@@ -64,7 +64,9 @@ def read_recordings(
         ValueError: in one line that says where, for data that cannot be used.
         FileNotFoundError: for a file that is missing.
     """
-    recordings = [recording for path in paths for recording in _read(Path(path), scene, markers)]
+    recordings = list[Recording]()
+    for path in paths:
+        recordings += _read(Path(path), scene, markers)
     names = [recording.name for recording in recordings]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -90,6 +92,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     else:
         names = [path.stem] * len(rows)
     recordings = list[Recording]()
+    # rows of one hold that follow each other are samples of a motion
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
         samples = [*group]
         where, cells = table.rows[samples[0]]
@@ -153,7 +156,8 @@ def _positions(table: Table, sources: Mapping[str, Source], markers: MarkerSet) 
     # three zeros are what some trackers write for what was not seen; a marker may be at the base
     is_zero = (inside == 0.0).all(axis=2)
     inside[is_zero & (markers.arc_lengths > 0.0)] = np.nan
-    return np.asarray(inside @ markers.frame.rotation.T + markers.frame.translation)
+    frame = markers.frame
+    return np.asarray(inside @ frame.rotation.T + frame.translation)
 
 
 def _period(name: str, times: Array, wheres: Sequence[str]) -> float:

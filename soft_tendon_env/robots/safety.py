@@ -169,9 +169,8 @@ class SafeRobot:
         is_tension = robot.command_unit == "N"
         self.slack = np.zeros(len(limits)) if is_tension else limits[:, 0].copy()
         # without sensors strains are not read
-        self.senses = tuple(
-            name for name in robot.senses if sensors or not name.startswith("strain")
-        )
+        unread = () if sensors else ("strain", "strain_rate")
+        self.senses = tuple(name for name in robot.senses if name not in unread)
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
         self._period = period
         self._patience = patience * period

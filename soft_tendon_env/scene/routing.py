@@ -210,7 +210,8 @@ class HelixRouting(TendonRouting):
         y = self.radius * np.cos(angle)
         z = self.radius * np.sin(angle)
         offset = np.stack([y, z], axis=-1)
-        slope = self.angular_rate * np.stack([-z, y], axis=-1)
+        tangent = np.stack([-z, y], axis=-1)
+        slope = self.angular_rate * tangent
         return offset, slope
 
     def wavelength(self) -> float:

@@ -454,7 +454,8 @@ def extrapolation_columns(scene: Scene) -> int:
     ratios = list[float]()
     for segment in scene.segments:
         # in bending about y, at the segment's start
-        stiffness, viscosity = segment.screw_matrices(np.zeros(1))[:2, 1, 0]
+        matrices = segment.screw_matrices(np.zeros(1))
+        stiffness, viscosity = matrices[:2, 1, 0]
         ratios.append(0.5 * omega * viscosity / stiffness)
     if min(ratios) < ENOUGH_DAMPING:
         return SAFE_COLUMNS
@@ -530,7 +531,8 @@ def _effect_misfits(scene: Scene, segment: Segment, i: int) -> Iterator[Problem]
     if law is not None and law.bending is not None:
         elasticity = segment.screw_matrices(segment.length * PLACES)[0]
         about_y, about_z = elasticity[1:3]
-        if np.abs(about_y - about_z).max() > ALIKE * about_y.max():
+        difference = np.abs(about_y - about_z)
+        if difference.max() > ALIKE * about_y.max():
             text = (
                 "has one e0 for both curvatures: it needs sections that bend alike about y and z,"
                 f" and that of segments[{i}] does not"

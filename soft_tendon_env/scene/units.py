@@ -130,7 +130,8 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
     if not SOFTEST <= E <= STIFFEST or (is_metal and E < IN_MPA):
         reason = f", and its density, {density:g} kg/m^3, that of a metal" if is_metal else ""
         usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
-        yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{_ask(E, usual, MODULI)}"
+        question = _ask(E, usual, MODULI)
+        yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
     if not LIGHTEST <= density <= HEAVIEST:
         question = _ask(density, USUAL_DENSITY, DENSITIES)
         yield f"segments[{i}].density is {density:g} kg/m^3{question}"

@@ -1,0 +1,154 @@
+"""Innovations of the Kalman filter: what is measured less what the model expects of a state, with
+Jacobians and variances."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.protocol import Measurement, SensorNoise
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.terms import Terms
+from soft_tendon_env.tools.types import Array
+
+# relative model noise added to measured velocities, for the neglected dependence of the Jacobian on
+# q
+CHANGING = 0.05
+VELOCITIES = ("tip_twist", "strain_rate")  # among the fields of Measurement
+
+
+class Layout(NamedTuple):
+    """Slices of the filter's state, of m = 2 n + 2 n_a + 7 entries."""
+
+    z: slice  # scaled coordinates (n,)
+    v: slice  # their rates (n,) [1/s]
+    offset: slice  # tensions that are added (n_a,) [N]
+    gain: slice  # gains of the tendons (n_a,), less 1
+    tip: slice  # twist (6,) from the model's tip to the arm's
+    latency: slice  # (1,) [s]
+
+
+def layout_of(model: Model) -> Layout:
+    """Layout of the state of a model's filter."""
+    n = model.coordinate_count
+    n_a = model.tendon_count
+    borders = np.cumsum([0, n, n, n_a, n_a, 6, 1]).tolist()
+    return Layout(*map(slice, borders[:-1], borders[1:]))
+
+
+def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
+    """Variances of measurements by their fields in Measurement: those of the sensors, and of what a
+    reduced model does not know.
+
+    At a point its strains are far less exact than poses and lengths, their integrals: in bending
+    the paper's arm at "fast" is off by 0.11 over its length, and its tip by 0.0002 of it. Unknown
+    loads add to that.
+
+    Args:
+        model: of the filter.
+        noise: standard deviations of the sensors.
+        sensors: number of strain sensors.
+
+    Returns:
+        Variances, each (k,) or a number for all k entries of the field.
+    """
+    length = model.length
+    # of the sensors, and of the model, by field
+    sensor_deviations: dict[str, Any] = {
+        "tip_pose": np.repeat([noise.rotation, noise.position], 3),
+        "tip_twist": 0.0,
+        "tendon_length": noise.length,
+        "strain": noise.of_strains(sensors),
+        "strain_rate": noise.of_strain_rates(sensors),
+    }
+    strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
+    model_deviations: dict[str, Any] = {
+        "tip_pose": np.repeat([1e-3, 1e-4 * length], 3),
+        "tip_twist": np.repeat([1e-2, 1e-3 * length], 3),
+        "tendon_length": 1e-4 * length,
+        "strain": 0.1 * strain_unit,
+        "strain_rate": 0.2 * strain_unit,
+    }
+    variances = dict[str, Array]()
+    for name, deviation in sensor_deviations.items():
+        sensor_variance = np.asarray(deviation) ** 2
+        variances[name] = sensor_variance + np.asarray(model_deviations[name]) ** 2
+    return variances
+
+
+class SensorModel:
+    """What the sensors of an arm measure in a state of the filter.
+
+    Args:
+        model: what the filter believes of the arm.
+        observed: fields of Measurement that are there, besides the tip's pose.
+        sensors: (s,) [m] arc lengths of the strain sensors.
+        noise: standard deviations of the sensors.
+    """
+
+    def __init__(
+        self, model: Model, observed: tuple[str, ...], sensors: Array, noise: SensorNoise
+    ) -> None:
+        self.model = model
+        self.observed = observed
+        self.sensors = sensors
+        self._layout = layout_of(model)
+        self._scale = model.coordinate_scale()
+        self._variance = noise_variances(model, noise, sensors.size)
+
+    def innovations(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+        """Innovations of a measurement.
+
+        Args:
+            mean: state (m,) that is believed, see Layout.
+            measured: with all that is observed.
+
+        Returns:
+            Innovations (k,), the Jacobian (k, m) of what was expected by the state, and the
+            variances (k,) of the noise.
+        """
+        layout = self._layout
+        scale = self._scale
+        q = scale * mean[layout.z]
+        q_dot = scale * mean[layout.v]
+        terms = self.model.terms(q, q_dot, time=measured.time)
+        expected = self._expected(q, q_dot, terms)
+        # the tip's pose, by coordinates and by the displacement between model and arm
+        tip_pose = moved_pose(terms.tip_pose, mean[layout.tip])
+        tip_row = np.zeros((6, mean.size))
+        tip_row[:, layout.z] = terms.tip_jacobian * scale
+        tip_row[:, layout.tip] = np.eye(6)
+        innovations = [pose_error(tip_pose, measured.tip_pose)]
+        rows = [tip_row]
+        variances = [np.broadcast_to(self._variance["tip_pose"], (6,))]
+        for name in self.observed:
+            value, jacobian = expected[name]
+            innovation = (getattr(measured, name) - value).ravel()
+            variance = np.broadcast_to(self._variance[name], innovation.shape)
+            row = np.zeros((innovation.size, mean.size))
+            if name in VELOCITIES:
+                row[:, layout.v] = jacobian * scale
+                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
+            else:
+                row[:, layout.z] = jacobian * scale
+            innovations.append(innovation)
+            rows.append(row)
+            variances.append(variance)
+        return np.concatenate(innovations), np.vstack(rows), np.concatenate(variances)
+
+    def _expected(self, q: Array, q_dot: Array, terms: Terms) -> dict[str, tuple[Array, Array]]:
+        """Expected measurements besides the tip's pose, with Jacobians (k, n) by coordinates, of
+        VELOCITIES by their rates."""
+        if self.sensors.size:
+            strain, slopes = self.model.strain_at(q, self.sensors)
+            slope = slopes.reshape(-1, q.size)
+        else:
+            strain = np.zeros((0, 6))
+            slope = np.zeros((0, q.size))
+        tip = terms.tip_jacobian
+        return {
+            "tip_twist": (tip @ q_dot, tip),
+            "tendon_length": (self.model.tendon_lengths(q), -terms.actuation.T),
+            "strain": (strain, slope),
+            "strain_rate": ((slope @ q_dot).reshape(-1, 6), slope),
+        }
