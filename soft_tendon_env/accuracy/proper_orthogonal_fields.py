@@ -156,7 +156,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     """Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6), tau by least squares in
     the norm of the compliance."""
     scene, grid = model.scene, model.grid
-    fields = grid.unpacked(make_workspace(model.arm).Phi.reshape(model.coordinate_count, -1))
+    fields = grid.unpacked(make_workspace(model.arm).strain.Phi.reshape(model.coordinate_count, -1))
     strain = np.einsum("sj,jpc->spc", q, fields)
     k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
     geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)

@@ -159,9 +159,9 @@ def fluid_wrench(fluid, nodes):
     """Drag, buoyancy and what the current changes of the inertia on every node, with the drag's
     derivative -df/dv in the damping."""
     for pack in range(nodes.packs):
-        at, moment_at, damping_at = pack * LANES, pack * 6 * LANES, pack * 21 * LANES
-        R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-        (w, v), stream = load6(nodes.twist, moment_at), rotate_back(R, fluid.current)
+        at, damping_at = pack * LANES, pack * 21 * LANES
+        R, _ = load_pose(nodes.pose, pack)
+        (w, v), stream = load6(nodes.twist, pack), rotate_back(R, fluid.current)
         x, y, z = minus(v, stream)
         normal_y, normal_z, tangential = (
             load(fluid.normal_y, at),
@@ -176,7 +176,7 @@ def fluid_wrench(fluid, nodes):
         )
         buoyancy = times(load(fluid.displaced, at), rotate_back(R, fluid.gravity))
         force = minus(force, plus((tangential * x, across * drag_y, across * drag_z), buoyancy))
-        store6(nodes.wrench, moment_at, twist_sum(load6(nodes.wrench, moment_at), (moment, force)))
+        store6(nodes.wrench, pack, twist_sum(load6(nodes.wrench, pack), (moment, force)))
         add(
             nodes.damping, damping_at + 9 * LANES, 2.0 * tangential
         )  # the entries xx, yy, zy, zz of forces by velocities

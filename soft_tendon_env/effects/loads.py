@@ -94,7 +94,7 @@ def gravity_wrench(gravity, nodes):
     for pack in range(nodes.packs):
         at, down = (
             (pack * 6 + 3) * LANES,
-            rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration),
+            rotate_back(load_pose(nodes.pose, pack)[0], gravity.acceleration),
         )
         store3(
             nodes.wrench,
@@ -278,13 +278,13 @@ def disturbance_wrench(disturbance, nodes):
         row, weight = disturbance.loads[i], disturbance.weight[i]
         factor = signal_at(row, nodes.time)
         for pack in range(nodes.packs if factor != 0.0 else 0):
-            at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
-            R, _ = load_pose(nodes.pose, pack * 12 * LANES)
+            share = factor * load(weight, pack * LANES)
+            R, _ = load_pose(nodes.pose, pack)
             here = (
                 rotate_back(R, times(share, (row[3], row[4], row[5]))),
                 rotate_back(R, times(share, (row[6], row[7], row[8]))),
             )
-            store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
+            store6(nodes.wrench, pack, twist_sum(load6(nodes.wrench, pack), here))
 
 
 @limits_step(DisturbanceParameters)

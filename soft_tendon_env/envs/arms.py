@@ -195,10 +195,10 @@ class Arms:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions
         (members, n_a) [N], or none, hold them."""
         commands = np.zeros((self.size, self.model.tendon_count))
+        if tension is not None:
+            commands[members] = tension
         if self.model.arm.effects.transmission.acts:
-            held = np.broadcast_to(
-                0.0 if tension is None else tension, (members.size, self.model.tendon_count)
-            )
+            held = commands[members]
             commands[members] = [
                 self._models[row].command(*start)
                 for row, *start in zip(members.tolist(), held, q, strict=True)

@@ -51,7 +51,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     times,
 )
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
@@ -277,7 +277,7 @@ def contact_wrench(contact, nodes):
                     sample = sample_at(contact, m)
                     touch, t = touch_of(body, sample, ends, nodes), sample.t
                     if touch.gap < 0.0:
-                        nodes.contact.touched[0] = 1.0
+                        nodes.contact.touched[0] = YES
                         add_to_node(
                             nodes,
                             i,
@@ -340,7 +340,7 @@ def limit_contact(contact, nodes, longest):
                         sample_at(contact, m), bodies, ends, nodes, energy, longest
                     )
     if landed > MOST_LANDED * energy:
-        nodes.contact.tunnelled[0] = 1.0
+        nodes.contact.tunnelled[0] = YES
 
 
 @kernel
@@ -393,10 +393,10 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
     velocity, _ = motion_at(sample, ends[1], nodes)
     gap, approach = away - radius, -dot(minus(velocity, body.velocity), rotate(body.R, out))
     if goes_through(body, start, end, min(was - radius, 0.0) + (1.0 - THROUGH) * radius):
-        flags.tunnelled[0] = 1.0
+        flags.tunnelled[0] = YES
     room = gap + landing if gap > 0.0 else OVERRUN * radius
     if gap < 0.0 or approach * longest[0] > room:
-        flags.active[0] = 1.0
+        flags.active[0] = YES
     if approach * longest[0] > room:
         longest[0] = room / approach
     return (

@@ -15,7 +15,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
-from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
+from soft_tendon_env.mechanics.effects import BeforeStep, Nodes, make_contact_flags
 from soft_tendon_env.mechanics.terms.kinematics import pose_at, pose_of_base, twist_at
 from soft_tendon_env.mechanics.types import IntVector
 from soft_tendon_env.tools.types import Triple
@@ -118,7 +118,7 @@ def nodes_with(pose, twist, base, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than
     that, their base and time."""
     none = np.zeros(0)
-    check = BeforeStep(none, none, none), ContactFlags(none, none, none)
+    check = BeforeStep(none, none, none), make_contact_flags()
     return Nodes(
         pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check
     )

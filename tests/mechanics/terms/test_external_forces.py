@@ -42,7 +42,7 @@ def with_effects(model, *parameters):
 def evaluate_at(arm, q):
     """The workspace after an evaluation without tensions."""
     work = make_workspace(arm)
-    work.xi[:] = arm.rod.reference_strain
+    work.strain.xi[:] = arm.rod.reference_strain
     assert evaluate(arm, np.zeros(arm.tendons.size), q, np.zeros(q.size), 1e-12, work) == -1
     return work
 

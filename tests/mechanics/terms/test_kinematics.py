@@ -77,7 +77,7 @@ def test_body_jacobian_at_all_nodes_against_differences(
         (model.grid.start + model.grid.length)[model.grid.real],
         workspace_at(model, q, q_dot),
     )
-    J, pose = at_nodes(model, work.J), model.backbone_at(q, nodes)
+    J, pose = at_nodes(model, work.kinematics.J), model.backbone_at(q, nodes)
     step = 1e-4 * np.abs(q).max()
     for j in range(0, q.size, 1 if q.size < 25 else 7):
         change = step * np.eye(q.size)[j]
@@ -88,7 +88,7 @@ def test_body_jacobian_at_all_nodes_against_differences(
             J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max()
         )
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_jacobian, J[:, -1].T)
-    eta = at_nodes(model, work.eta)[0]
+    eta = at_nodes(model, work.kinematics.eta)[0]
     np.testing.assert_allclose(
         eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max()
     )
