@@ -176,8 +176,20 @@ def make_contact_flags() -> ContactFlags:
     return ContactFlags(*(np.zeros(1, dtype=np.int64) for _ in range(3)))
 
 
-_CHECK = BeforeStep(_ROW, _ROW, _ROW), make_contact_flags()
-_NODES = Nodes(1, 0.0, *[_ROW] * 8, *_CHECK)
+_NODES = Nodes(
+    packs=1,
+    time=0.0,
+    mass=_ROW,
+    inertia=_ROW,
+    pose=_ROW,
+    twist=_ROW,
+    base=_ROW,
+    wrench=_ROW,
+    stiffness=_ROW,
+    damping=_ROW,
+    before_step=BeforeStep(_ROW, _ROW, _ROW),
+    contact=make_contact_flags(),
+)
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
     "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),

@@ -375,9 +375,10 @@ def dexp_operator(Omega, c):
     xy = c.b * (x * v + y * u) + g * x * y
     xz = c.b * (x * w + z * u) + g * x * z
     yz = c.b * (y * w + z * v) + g * y * z
-    xx = e + 2.0 * c.b * x * u - g * (y * y + z * z)
-    yy = e + 2.0 * c.b * y * v - g * (x * x + z * z)
-    zz = e + 2.0 * c.b * z * w - g * (x * x + y * y)
+    twice_b = 2.0 * c.b
+    xx = e + twice_b * x * u - g * (y * y + z * z)
+    yy = e + twice_b * y * v - g * (x * x + z * z)
+    zz = e + twice_b * z * w - g * (x * x + y * y)
     C = (
         xx,
         xy - sz,
@@ -415,7 +416,9 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
     by_turn = twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed))
     angular, linear = twist_sum(by_rate, by_turn)
     dual_by_rate = plus(times(a_dual, once[0]), times(b_dual, twice[0]))
-    dual_by_turn = plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0]))
+    a_turn = c.a1 * kp
+    b_turn = c.b1 * kp
+    dual_by_turn = plus(times(a_turn, turned[0]), times(b_turn, mixed[0]))
     dual = plus(dual_by_rate, dual_by_turn)
     return angular, plus(linear, dual)
 
@@ -448,8 +451,9 @@ def dexp_inverse_transposed_apply(Omega, c, sign, psi):
     exact near 0, finite at an angle of pi."""
     kp = dot(Omega[0], Omega[1])
     # e = -a1 / (2 a), and its derivative by theta^2 / 2 times the dual part
-    e_dual = 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a * kp
-    return coad_polynomial(Omega, psi, (0.5 * sign, 0.0), (inverse_coefficient(c), e_dual))
+    e_slope = 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a
+    e = (inverse_coefficient(c), e_slope * kp)
+    return coad_polynomial(Omega, psi, (0.5 * sign, 0.0), e)
 
 
 @kernel
@@ -464,14 +468,18 @@ def quaternion_of(R):
     xy = R[1] + R[3]
     xz = R[2] + R[6]
     yz = R[5] + R[7]
+    ww = 1.0 + trace
+    xx = 1.0 + 2.0 * R[0] - trace
+    yy = 1.0 + 2.0 * R[4] - trace
+    zz = 1.0 + 2.0 * R[8] - trace
     if trace >= R[0] and trace >= R[4] and trace >= R[8]:
-        w, x, y, z = 1.0 + trace, wx, wy, wz
+        w, x, y, z = ww, wx, wy, wz
     elif R[0] >= R[4] and R[0] >= R[8]:
-        w, x, y, z = wx, 1.0 + 2.0 * R[0] - trace, xy, xz
+        w, x, y, z = wx, xx, xy, xz
     elif R[4] >= R[8]:
-        w, x, y, z = wy, xy, 1.0 + 2.0 * R[4] - trace, yz
+        w, x, y, z = wy, xy, yy, yz
     else:
-        w, x, y, z = wz, xz, yz, 1.0 + 2.0 * R[8] - trace
+        w, x, y, z = wz, xz, yz, zz
     if w < 0.0:
         return -w, -x, -y, -z
     return w, x, y, z

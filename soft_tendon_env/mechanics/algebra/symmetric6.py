@@ -88,7 +88,8 @@ def factorise(h, free):
         h43 = h43 - l40 * h30 - l41 * h31 - l42 * h32
         l43 = h43 * i3
         row_4 = (l40, l41, l42, l43)
-        i4 = 1.0 / (h44 - l40 * h40 - l41 * h41 - l42 * h42 - l43 * h43)
+        h44 = h44 - l40 * h40 - l41 * h41
+        i4 = 1.0 / (h44 - l42 * h42 - l43 * h43)
 
         l50 = h50 * i0
         h51 = h51 - l50 * h10
@@ -97,10 +98,12 @@ def factorise(h, free):
         l52 = h52 * i2
         h53 = h53 - l50 * h30 - l51 * h31 - l52 * h32
         l53 = h53 * i3
-        h54 = h54 - l50 * h40 - l51 * h41 - l52 * h42 - l53 * h43
+        h54 = h54 - l50 * h40 - l51 * h41
+        h54 = h54 - l52 * h42 - l53 * h43
         l54 = h54 * i4
         row_5 = (l50, l51, l52, l53, l54)
-        i5 = 1.0 / (h55 - l50 * h50 - l51 * h51 - l52 * h52 - l53 * h53 - l54 * h54)
+        h55 = h55 - l50 * h50 - l51 * h51
+        i5 = 1.0 / (h55 - l52 * h52 - l53 * h53 - l54 * h54)
     return (l10, l20, l21) + row_3 + row_4 + row_5 + (i0, i1, i2, i3, i4, i5)
 
 
@@ -117,9 +120,11 @@ def solve_lower(f, b, free):
         b3 = b3 - l30 * b0 - l31 * b1 - l32 * b2
     if len(free) > 4:
         l40, l41, l42, l43 = f[6:10]
-        b4 = b4 - l40 * b0 - l41 * b1 - l42 * b2 - l43 * b3
+        b4 = b4 - l40 * b0 - l41 * b1
+        b4 = b4 - l42 * b2 - l43 * b3
         l50, l51, l52, l53, l54 = f[10:15]
-        b5 = b5 - l50 * b0 - l51 * b1 - l52 * b2 - l53 * b3 - l54 * b4
+        b5 = b5 - l50 * b0 - l51 * b1
+        b5 = b5 - l52 * b2 - l53 * b3 - l54 * b4
     return (b0, b1, b2), (b3, b4, b5)
 
 

@@ -116,7 +116,8 @@ def rate_change(with_inertia, balance, h, scratch):
         # left of the diagonal too, where nothing is read: whole rows are quicker
         for j in range(n):
             row[j] = share * m[j] + h * (d[j] + h * g[j])
-        system[i * stride + n] = h * (force[i] - h * product(g, scratch.v))
+        stiff = product(g, scratch.v)
+        system[i * stride + n] = h * (force[i] - h * stiff)
     return OK if solve_positive_definite(system, n, scratch.delta) else NOT_POSITIVE
 
 
@@ -159,7 +160,8 @@ def stretch_tendons(arm, command, balance, substep, scratch):
     # x + k h give (x - x_before) = k (u - s - h y) between 0 and the strength
     for i in range(command.size):
         k = path.stiffness[i]
-        ends.right[i] = k * (command[i] - tendons.shortening[i] - h * ends.rate[i])
+        stretched = command[i] - tendons.shortening[i] - h * ends.rate[i]
+        ends.right[i] = k * stretched
         for j in range(command.size):
             give = k * h * ends.give[i, j]
             ends.matrix[i, j] = give + (1.0 if i == j else 0.0)
@@ -221,9 +223,10 @@ def slide_tendons(arm, balance, h, scratch):
     answer_tendons(balance, balance.tendons.rubbing, h, scratch)
     # rates without the friction of the beginning, z(begun)
     for i in range(begun.size):
-        ends.free_rate[i] = ends.rate[i]
+        free = ends.rate[i]
         for j in range(begun.size):
-            ends.free_rate[i] += ends.give[i, j] * begun[j] / math.hypot(begun[j], slow)
+            free += ends.give[i, j] * begun[j] / math.hypot(begun[j], slow)
+        ends.free_rate[i] = free
     # y + give z(y) = free_rate, from y = begun
     copy(begun, ends.rate)
     off = imbalance(ends, slow, ends.rate)

@@ -185,11 +185,15 @@ def _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows):
         side = cross(force, v)
         for i in range(3):
             turn[a, i] = k[i]
-            y = side[i] + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2]
+            y = add_row_product(side[i], Q, i, k)
             columns[a, i] = 0.5 * h * y
-            rows[a, i] = -(
-                side[i] + rows_Q[i, 0] * k[0] + rows_Q[i, 1] * k[1] + rows_Q[i, 2] * k[2]
-            )
+            rows[a, i] = -add_row_product(side[i], rows_Q, i, k)
+
+
+@kernel(inline=True)
+def add_row_product(start, Q, i, k):
+    """Number added to the scalar product of a row of a matrix (3, 3) and a vector."""
+    return start + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2]
 
 
 @kernel(refcount=True)
@@ -269,11 +273,10 @@ def solve_hessian(rod, memory, x, start):
         half = 0.5 * rod.length[node]
         turn = memory.turn[node]
         answer = memory.answer[node]
-        s = p
-        t = q
-        u = r
+        start_turn = (p, q, r)
         for a in range(SIZE):
-            strain = x[at + a * LANES] + answer[a, 0] * s + answer[a, 1] * t + answer[a, 2] * u
+            still = x[at + a * LANES]
+            strain = add_row_product(still, answer, a, start_turn)
             x[at + a * LANES] = c[place(node) + a * LANES] * strain
             p = p + half * turn[a, 0] * strain
             q = q + half * turn[a, 1] * strain

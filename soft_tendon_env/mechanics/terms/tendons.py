@@ -20,8 +20,12 @@ def chord(geometry, at, k, p):
     z = load(geometry, at + LANES)
     y_prime = load(geometry, at + 2 * LANES)
     z_prime = load(geometry, at + 3 * LANES)
-    along = p[0] + k[1] * z - k[2] * y
-    return along, p[1] - k[0] * z + y_prime, p[2] + k[0] * y + z_prime
+    k_x, k_y, k_z = k
+    p_x, p_y, p_z = p
+    along = p_x + k_y * z - k_z * y
+    across_y = p_y - k_x * z + y_prime
+    across_z = p_z + k_x * y + z_prime
+    return along, across_y, across_z
 
 
 @kernel(inline=True)
@@ -29,7 +33,8 @@ def wrench_column(geometry, at, t):
     """Wrench column s = S t = (d x t, t)."""
     y = load(geometry, at)
     z = load(geometry, at + LANES)
-    moment = (y * t[2] - z * t[1], z * t[0], -y * t[0])
+    t_x, t_y, t_z = t
+    moment = (y * t_z - z * t_y, z * t_x, -y * t_x)
     return moment, t
 
 
@@ -38,9 +43,9 @@ def chord_rate(geometry, at, xi_dot):
     """Rate of the chord t_c, S^T xi_dot."""
     y = load(geometry, at)
     z = load(geometry, at + LANES)
-    k, p = xi_dot
-    along = p[0] + k[1] * z - k[2] * y
-    return along, p[1] - k[0] * z, p[2] + k[0] * y
+    (k_x, k_y, k_z), (p_x, p_y, p_z) = xi_dot
+    along = p_x + k_y * z - k_z * y
+    return along, p_y - k_x * z, p_z + k_x * y
 
 
 @kernel(inline=True)
@@ -176,7 +181,8 @@ def actuation_column(arm, i, share, strain, stress, out):
     law = arm.strain
     blocks = 2 * rod.packs
     for block in range(blocks):
-        weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
+        row = i * blocks + block
+        weight = load(rod.weight, block * LANES) * load(share, row * LANES)
         wrench = actuation_wrench(arm.tendons, blocks, block, i, strain.tangent)
         store6(stress, block, scale_twist(weight, wrench))
     project(strain.Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, out)
