@@ -183,12 +183,6 @@ def rotate_back(R, x):
 
 
 @kernel(inline=True)
-def transposed(R):
-    """Transpose of a matrix: the rotation back."""
-    return R[0::3] + R[1::3] + R[2::3]
-
-
-@kernel(inline=True)
 def columns_of(A):
     """Columns of a matrix, three vectors."""
     return A[0::3], A[1::3], A[2::3]

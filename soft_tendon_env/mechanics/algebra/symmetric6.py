@@ -153,15 +153,13 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
-def scale3(s, x):
-    """Component by component product of two vectors."""
-    return s[0] * x[0], s[1] * x[1], s[2] * x[2]
-
-
-@kernel(inline=True)
 def scale6(s, x):
     """Component by component product of two twist-shaped tuples."""
-    return scale3(s[0], x[0]), scale3(s[1], x[1])
+    (s0, s1, s2), (s3, s4, s5) = s
+    (x0, x1, x2), (x3, x4, x5) = x
+    angular = (s0 * x0, s1 * x1, s2 * x2)
+    linear = (s3 * x3, s4 * x4, s5 * x5)
+    return angular, linear
 
 
 @kernel(inline=True)

@@ -207,13 +207,8 @@ def first_limits(arm, motion, control, scratch):
     copy(motion.xi, strain.xi)
     strain_from_guess(arm, motion.q, STEP_TOLERANCE, strain, scratch.work.kinematics)
     find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
-    return limits_found(scratch)
-
-
-@kernel
-def limits_found(scratch):
-    """Limits that find_longest() has left."""
-    return Limits(scratch.longest[0], scratch.work.collision.flags.active[0] == YES)
+    flags = scratch.work.collision.flags
+    return Limits(scratch.longest[0], flags.active[0] == YES)
 
 
 @kernel
@@ -227,14 +222,6 @@ def step_length(step, rest, limits):
         return limits.longest
     # equal steps up to the end
     return rest / math.ceil(rest / limits.longest * (1.0 - SAME))
-
-
-@kernel
-def shortest_step(arm, control, touching):
-    """Step [s] below which to give up."""
-    if touching or arm.effects.transmission.elastic:
-        return SHORTEST_STIFF * control.step
-    return control.smallest
 
 
 @kernel
@@ -268,6 +255,7 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
     control = scheme.control
     columns = scheme.method.columns
     status, row, step, steps, rejected, error, evaluations = progress
+    flags = scratch.work.collision.flags
     start = motion.clock[0]
     begun = 0.0
     limits = first_limits(arm, motion, control, scratch)
@@ -287,20 +275,23 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
         if status != OK:
             # again with a shorter step, unless that is too short
             rejected += 1
-            touched = scratch.work.collision.flags.touched[0] == YES
+            touched = flags.touched[0] == YES
             touching = limits.touching or status == PENETRATED or touched
             limits = Limits(limits.longest, touching)
             smaller = length
             if status == INACCURATE and aim.adaptive:
                 smaller = next_step(aim, columns, length, attempt)
             step = min(0.5 * length, smaller)
-            if step < shortest_step(arm, control, touching):
+            shortest = control.smallest
+            if touching or arm.effects.transmission.elastic:
+                shortest = SHORTEST_STIFF * control.step
+            if step < shortest:
                 break
             continue
         begun += length
         motion.clock[0] = start + begun
         if any_of(arm.effects.limit):
-            limits = limits_found(scratch)
+            limits = Limits(scratch.longest[0], flags.active[0] == YES)
         if steps < scratch.taken.shape[0]:
             scratch.taken[steps, 0] = length
             scratch.taken[steps, 1] = attempt.rows

@@ -11,7 +11,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
     pose_step,
     rotate_back,
     scale_twist,
-    transposed,
     twist_of,
     write_twist,
 )
@@ -35,9 +34,10 @@ def pose_errors(pose, goal, out):
     goals g_bar (rows, m, 4, 4)."""
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
+        R_transposed = R[0::3] + R[1::3] + R[2::3]
         for j in range(goal.shape[1]):
             R_bar, r_bar = pose_at(goal[row], j)
-            turn = matmul(transposed(R), R_bar)
+            turn = matmul(R_transposed, R_bar)
             away = rotate_back(R, minus(r_bar, r))
             write_twist(log_se3(turn, away), out[row, j])
 

@@ -112,12 +112,6 @@ def _write_row(total, i, tile, out):
 
 
 @kernel(inline=True)
-def _tiles(n):
-    """Number of tiles of n columns."""
-    return (n + TILE - 1) // TILE
-
-
-@kernel(inline=True)
 def _reach(tile, pack_begin, pack_end):
     """Range of the packs in which any column of the tile lives."""
     first = TILE * tile
@@ -137,7 +131,8 @@ def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out)
     begin, end = packs
     n = pack_begin.size
     per_column = columns.size // n
-    for tile_i in range(_tiles(n)):
+    tiles = (n + TILE - 1) // TILE
+    for tile_i in range(tiles):
         begin_i, end_i = _reach(tile_i, pack_begin, pack_end)
         at_i = _tile_starts(tile_i, n, per_column)
         # the lower triangle, tile by tile
@@ -172,7 +167,8 @@ def project(columns, field, rows, pack_begin, pack_end, out):
     """Generalised force of a wrench field: out_j = sum over the rows of columns_j field."""
     n = pack_begin.size
     per_column = columns.size // n
-    for tile in range(_tiles(n)):
+    tiles = (n + TILE - 1) // TILE
+    for tile in range(tiles):
         begin, end = _reach(tile, pack_begin, pack_end)
         at = _tile_starts(tile, n, per_column)
         total = _zero_tile()

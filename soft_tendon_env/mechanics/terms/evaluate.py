@@ -72,7 +72,7 @@ def evaluate(arm, tension, q, q_dot, tolerance, work):
     return failed
 
 
-@kernel
+@kernel(inline=True)
 def find_strain(arm, q, tolerance, work):
     """Base at the time of work.inputs, and strain (30) from the guess in work.strain.xi; -1, or the
     block without one."""
