@@ -15,5 +15,5 @@ def evaluate_force_often(arm, u, q, q_dot, scratch, count):
     """Evaluations at slightly different states, each strain found from the one before."""
     for _ in range(count):
         q[0] += 1e-9
-        evaluate_force(arm, METHOD, u, q, q_dot, scratch.work.state, 0.6, scratch)
+        evaluate_force(arm, METHOD, u, q, q_dot, scratch.work.inputs.state, 0.6, scratch)
         later_matrices(arm, METHOD, scratch)

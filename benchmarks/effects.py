@@ -39,7 +39,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
-from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces_of_command, rod_matrices
 from soft_tendon_env.model.model import model_on
 
 
@@ -167,7 +167,8 @@ def evaluate_often(arm, u, q, q_dot, scratch, count):
     """Terms at slightly different states, each strain found from the one before."""
     for _ in range(count):
         q[0] += 1e-9
-        evaluate(arm, u, q, q_dot, STEP_TOLERANCE, scratch.work)
+        evaluate_forces_of_command(arm, u, q, q_dot, STEP_TOLERANCE, scratch.work)
+        rod_matrices(arm, scratch.work)
 
 
 def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float], dict[str, float]]:
@@ -181,8 +182,7 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
                 np.random.default_rng(0),
             )
             scratch = make_scratch(model.arm, 3)
-            scratch.work.xi[:] = model.arm.rod.reference_strain
-            scratch.work.u_is_command[0] = 1.0
+            scratch.work.strain.xi[:] = model.arm.rod.reference_strain
             ready[name] = (
                 model.arm,
                 np.full(10, 3.0),

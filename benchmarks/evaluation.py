@@ -27,8 +27,7 @@ from _trajectory_input import DURATION, tension_table
 import soft_tendon_env as ste
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE, predict_strain
-from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces
-from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
+from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces, rod_matrices
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 STEP = 0.005  # [s] between the states
@@ -107,10 +106,10 @@ def evaluate_along(arm, u, q, q_dot, count, in_step, work):
     stiffness and damping."""
     for i in range(count):
         if i > 0:
-            predict_strain(arm.strain, q[i], q[i - 1], work)
+            predict_strain(arm.strain, q[i], q[i - 1], work.strain, work.spare.stress)
         evaluate_forces(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
         if not in_step:
-            strain_matrices(arm, work)
+            rod_matrices(arm, work)
 
 
 def main() -> None:
@@ -179,7 +178,10 @@ def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared
     motion = ste.simulate(quiet, u, DURATION, STEP)
     u = np.concatenate([u, u[-1:]])
     one, many = make_workspace(model.arm), make_workspace(model.arm)
-    one.xi[:], many.xi[:] = quiet.packed_strain(motion.q[MIDDLE]), quiet.packed_strain(motion.q[0])
+    one.strain.xi[:], many.strain.xi[:] = (
+        quiet.packed_strain(motion.q[MIDDLE]),
+        quiet.packed_strain(motion.q[0]),
+    )
     one_state = model.arm, u[MIDDLE], motion.q[MIDDLE], motion.q_dot[MIDDLE], evaluations, one
 
     def at_one_state() -> None:
@@ -194,7 +196,7 @@ def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared
     ways = at_one_state, along_the_motion, in_a_step
     for way in ways:
         way()
-    if changes and "effects" in next(iter(changes)) and not many.load.any():
+    if changes and "effects" in next(iter(changes)) and not many.forces.load.any():
         raise AssertionError(f"{label}: the effect does nothing")
     return Prepared(label, model.coordinate_count, evaluations, ways)
 

@@ -213,7 +213,7 @@ def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> list[f
             make_scratch(model.arm, 3),
             np.random.default_rng(0),
         )
-        scratch.work.xi[:] = model.arm.rod.reference_strain
+        scratch.work.strain.xi[:] = model.arm.rod.reference_strain
         q = random.uniform(0.0, 1.0, n) * 0.1 * model.coordinate_scale()
         ready.append(
             (model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch)

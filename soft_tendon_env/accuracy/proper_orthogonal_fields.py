@@ -186,7 +186,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     samples = len(q)
 
     # strain xi = xi* + Phi q of every sample, angular and linear components
-    packed = make_workspace(model.arm).Phi
+    packed = make_workspace(model.arm).strain.Phi
     packed = packed.reshape(model.coordinate_count, -1)
     fields = grid.unpacked(packed)
     change = np.einsum("sj,jpc->spc", q, fields)

@@ -76,12 +76,11 @@ def base_poses(
     if not model.arm.effects.base.any():
         return poses
     arm = model.arm if scene == model.scene else make_arm(scene, model.grid, model.arm.strain)
-    work = make_workspace(arm)
+    base = np.zeros(24)
     for pose, time in zip(poses, times, strict=True):
-        work.clock[0] = time
-        place_base(arm, work)
-        pose[:3, :3] = work.base[:9].reshape(3, 3)
-        pose[:3, 3] = work.base[9:12]
+        place_base(arm, time, base)
+        pose[:3, :3] = base[:9].reshape(3, 3)
+        pose[:3, 3] = base[9:12]
     return poses
 
 
@@ -99,13 +98,8 @@ def backbones(
     """
     places = model.grid.places(arc_length, np.empty(0))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
-    read_backbones(
-        model.arm,
-        places,
-        model.grid.packed(strain),
-        make_workspace(model.arm),
-        out,
-    )
+    kinematics = make_workspace(model.arm).kinematics
+    read_backbones(model.arm, places, model.grid.packed(strain), kinematics, out)
     return out if base is None else base[:, None] @ out
 
 

@@ -18,6 +18,7 @@ from soft_tendon_env.tools.types import NotNegative, Number, Positive
 FINEST = 1.0 / 8.0  # of the longest step
 MOST_WAITING = 10_000  # commands
 STEEPEST = 100.0  # mu phi along the stress-free arm
+SAME = 1e-9  # of a number of steps, by which another one may differ and be the same
 
 
 @register_effect("actuators")
@@ -41,29 +42,28 @@ class Actuators(Effect):
     delay: Annotated[float, Field(ge=0, le=100)] = Field(0.0, description="dead time [s]")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
-        if self.delay > (most := MOST_WAITING * rod.step):
+        most = MOST_WAITING * rod.step
+        if self.delay > most:
             text = (
                 f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator"
                 f" steps of {rod.step:g} s"
             )
             raise ConfigurationError([Problem(("effects", "actuators", "delay"), text)])
-        lags, rate = (
-            int(self.time_constant > 0.0 or self.rate_limit is not None),
-            self.rate_limit or math.inf,
-        )
+        lags = self.time_constant > 0.0 or self.rate_limit is not None
         return {
             "delay": self.delay,
-            "lags": lags,
+            "lags": int(lags),
             "time_constant": self.time_constant,
-            "rate_limit": rate,
+            "rate_limit": self.rate_limit or math.inf,
             "finest": FINEST * rod.step,
         }
 
     def state(self, rod: Discretisation) -> Array:
         tendons = rod.tendon_length.size
-        table = np.zeros(
-            (math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons)
-        )
+        rows = 1  # what has arrived
+        if self.delay:  # one on its way for every step of the delay, and one more
+            rows += math.ceil(self.delay / rod.step * (1.0 - SAME)) + 1
+        table = np.zeros((rows, 1 + tendons))
         table[1:, 0] = NEVER
         return np.concatenate([np.zeros(tendons), table.ravel()])
 
@@ -116,11 +116,10 @@ class TendonElasticity(Effect):
             text = f"has {len(self.slack)} entries: it should have one for each tendon, {tendons}"
             raise ConfigurationError([Problem(("effects", "tendon_elasticity", "slack"), text)])
         slack = np.array(self.slack or np.zeros(tendons))
-        strength = (
-            np.maximum(rod.tension_limits[:, 1], 0.0)
-            if self.strength is None
-            else np.full(tendons, self.strength)
-        )
+        if self.strength is None:
+            strength = np.maximum(rod.tension_limits[:, 1], 0.0)
+        else:
+            strength = np.full(tendons, self.strength)
         return {
             "elastic": 1,
             "stiffness": np.full(tendons, self.stiffness),
@@ -154,13 +153,12 @@ class TendonFriction(Effect):
     stiction_speed: Positive = Field(1e-4, description="speed v_s [m/s] below which friction falls")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
-        if self.coefficient * (most := float(rod.tendon_turn.max())) > STEEPEST:
-            turned = (
-                f"tendon {int(np.argmax(rod.tendon_turn))} turns by {most:.3g} rad: it should be at"
-                f" most {STEEPEST / most:.3g}"
-            )
+        most = float(rod.tendon_turn.max())
+        if self.coefficient * most > STEEPEST:
+            tendon = int(np.argmax(rod.tendon_turn))
             text = (
-                f"is {self.coefficient:g}: {turned}, or tensions let out grow by more than"
+                f"is {self.coefficient:g}: tendon {tendon} turns by {most:.3g} rad: it should be"
+                f" at most {STEEPEST / most:.3g}, or tensions let out grow by more than"
                 f" exp({STEEPEST:g})"
             )
             raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), text)])

@@ -42,26 +42,21 @@ class Discretisation:
     borders: Array
     node: Array  # (nodes,) arc lengths [m]
     point: Array  # (nodes, 2) arc lengths [m]
-    radius: Callable[
-        [Array], Array
-    ]  # [m] of the circle around the rod at arc lengths (m,) [m], (m,)
-    hull: Callable[
-        [Array], Array
-    ]  # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
+    # [m] of the circle around the rod at arc lengths (m,) [m], (m,)
+    radius: Callable[[Array], Array]
+    # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
+    hull: Callable[[Array], Array]
     discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
-    elasticity: Callable[
-        [Array], Array
-    ]  # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
+    # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
+    elasticity: Callable[[Array], Array]
     line_mass: Callable[[Array], Array]  # mass per length [kg/m] there, (m,)
-    over_nodes: Callable[
-        [Callable[[Array], Array]], Array
-    ]  # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)
+    # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)
+    over_nodes: Callable[[Callable[[Array], Array]], Array]
     tendon_length: Array  # (n_a,) [m] along the stress-free rod
     tendon_turn: Array  # (n_a,) [rad] by which the tendons turn along it
     tension_limits: Array  # (n_a, 2) [N]
-    effects: (
-        "Effects"  # all of the scene, for those that depend on another one, as buoyancy on gravity
-    )
+    # all of the scene, for those that depend on another one, as buoyancy on gravity
+    effects: "Effects"
     step: float  # [s], the longest time step of the scene's integrator
 
 
@@ -158,23 +153,23 @@ def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
     """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for
     them; warns of one that reads the time, but limits no step."""
     parameters = effect.parameters(rod)
-    kind, kernels = type(parameters).__name__, kernels_of(type(parameters))
+    kind = type(parameters).__name__
+    kernels = kernels_of(type(parameters))
     if not kernels:
         raise TypeError(
             f"the effect {name!r} has no kernel for its parameters: decorate one with"
             f" @adds_wrench({kind})"
         )
-    read = {
-        word
-        for kernel in kernels.values()
-        for word in getattr(kernel, "py_func", kernel).__code__.co_names
-    }
-    if "limit" not in kernels and "time" in read and "time" not in type(parameters).names():
-        text = (
-            "reads the time, but no kernel of it is decorated with @limits_step: steps may pass"
-            " over its changes"
+    names = set[str]()
+    for kernel in kernels.values():
+        names |= {*getattr(kernel, "py_func", kernel).__code__.co_names}
+    reads_time = "time" in names and "time" not in type(parameters).names()
+    if reads_time and "limit" not in kernels:
+        warnings.warn(
+            f"the effect with parameters {kind} reads the time, but no kernel of it is decorated"
+            " with @limits_step: steps may pass over its changes",
+            stacklevel=2,
         )
-        warnings.warn(f"the effect with parameters {kind} {text}", stacklevel=2)
     return parameters
 
 
@@ -182,7 +177,8 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
     """Numbers of the transmission that an effect gives. Raises TypeError for other names or types
     than kernels read."""
     known = {key: type(value) for key, value in DIRECT.fields().items() if key != "filter"}
-    for key, value in (numbers := effect.transmission(rod)).items():
+    numbers = effect.transmission(rod)
+    for key, value in numbers.items():
         if known.get(key) is not type(value):
             allowed = ", ".join(f"{name} ({kind.__name__})" for name, kind in known.items())
             raise TypeError(
@@ -194,9 +190,8 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
 
 Class = TypeVar("Class", bound=type[Effect])
 
-EFFECTS: dict[
-    str, type[Effect]
-] = {}  # every registered effect's configuration class, by the name that scenes use
+EFFECTS: dict[str, type[Effect]] = {}
+"""Every registered effect's configuration class, by the name that scenes use."""
 
 
 def register_effect(name: str) -> Callable[[Class], Class]:
@@ -208,10 +203,9 @@ def register_effect(name: str) -> Callable[[Class], Class]:
 
     def add(effect: Class) -> Class:
         present = EFFECTS.get(name, effect)
-        if hasattr(Effects, name) or (present.__module__, present.__qualname__) != (
-            effect.__module__,
-            effect.__qualname__,
-        ):
+        is_same_module = present.__module__ == effect.__module__
+        is_same_class = is_same_module and present.__qualname__ == effect.__qualname__
+        if hasattr(Effects, name) or not is_same_class:
             raise ValueError(
                 f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or"
                 " a method of Effects"
@@ -230,23 +224,22 @@ class Effects(Configuration):
 
     def __init__(self, /, **tables: Any):
         """Raises ConfigurationError."""
-        chosen, problems = {}, list[Problem]()
+        chosen = {}
+        problems = list[Problem]()
         for name, table in sorted(tables.items()):
-            try:
-                if name not in EFFECTS:
-                    problems.append(
-                        Problem(
-                            (name,),
-                            f"is an unknown key (given {shown(table)}):"
-                            f" {not_registered(name, EFFECTS)}",
-                        )
-                    )
-                elif isinstance(table, dict | EFFECTS[name]):
-                    chosen[name] = EFFECTS[name](**table) if isinstance(table, dict) else table
-                elif table is not None:
-                    problems.append(Problem((name,), f"is {shown(table)}: it should be a table"))
-            except ConfigurationError as error:
-                problems += [Problem((name, *key), text) for key, text in error.problems]
+            if name not in EFFECTS:
+                reason = not_registered(name, EFFECTS)
+                text = f"is an unknown key (given {shown(table)}): {reason}"
+                problems.append(Problem((name,), text))
+            elif isinstance(table, EFFECTS[name]):
+                chosen[name] = table
+            elif isinstance(table, dict):
+                try:
+                    chosen[name] = EFFECTS[name](**table)
+                except ConfigurationError as error:
+                    problems += [Problem((name, *key), text) for key, text in error.problems]
+            elif table is not None:
+                problems.append(Problem((name,), f"is {shown(table)}: it should be a table"))
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
         super().__init__(**chosen)
@@ -263,17 +256,19 @@ class Effects(Configuration):
     def table(self, rod: Discretisation) -> EffectTable:
         """Table of the acting effects for the kernels, in the order of their names. Raises
         TypeError where one has no kernel."""
-        effects, numbers = self.acting(), dict[str, Any]()
-        parameters = [
-            Struct() if effect.is_actuation else _parameters_of(name, effect, rod)
-            for name, effect in effects.items()
-        ]
-        states = [effect.state(rod) for effect in effects.values()]
-        for i, effect in enumerate(effects.values()):
-            numbers.update(
-                _transmission_of(effect, rod),
-                **({"filter": i} if effect.is_actuation and states[i].size else {}),
-            )
+        parameters = list[Struct]()
+        states = list[Array]()
+        numbers = dict[str, Any]()
+        for i, (name, effect) in enumerate(self.acting().items()):
+            state = effect.state(rod)
+            states.append(state)
+            numbers |= _transmission_of(effect, rod)
+            if effect.is_actuation:  # it acts by the transmission alone
+                parameters.append(Struct())
+                if state.size:
+                    numbers["filter"] = i
+            else:
+                parameters.append(_parameters_of(name, effect, rod))
         return EffectTable(parameters, states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
@@ -291,33 +286,28 @@ class Effects(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises
         ValueError where one has none."""
-        effects = self.chosen().values()
-        states = np.split(arm.state, np.cumsum([effect.state(arm.rod).size for effect in effects]))
-        return sum(
-            effect.potential_energy(arm._replace(state=state))
-            for effect, state in zip(effects, states, strict=False)
-        )
+        energy = 0.0
+        first = 0
+        for effect in self.chosen().values():
+            last = first + effect.state(arm.rod).size
+            energy += effect.potential_energy(arm._replace(state=arm.state[first:last]))
+            first = last
+        return energy
 
     @property
     def command_unit(self) -> str:
         """Unit of commands: "N" where they are tensions, as far as the arm is at rest."""
-        return next(
-            (
-                effect.command_unit
-                for effect in self.chosen().values()
-                if effect.command_unit != "N"
-            ),
-            "N",
-        )
+        for effect in self.chosen().values():
+            if effect.command_unit != "N":
+                return effect.command_unit
+        return "N"
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
         elastic = self.tendon_elasticity
-        return (
-            limits
-            if elastic is None
-            else np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
-        )
+        if elastic is None:
+            return limits
+        return np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
 
     def _those(self, keep: Callable[[Effect], bool]) -> "Effects":
         return Effects(**{name: effect for name, effect in self.chosen().items() if keep(effect)})
@@ -336,30 +326,29 @@ class Effects(Configuration):
 
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
-        dead = [loads for effect in self.chosen().values() if (loads := effect.dead_loads())]
-        return DeadLoads(
-            *(
-                tuple(np.sum(vectors, axis=0).tolist())
-                for vectors in zip(DeadLoads(), *dead, strict=True)
-            )
-        )
+        total = np.zeros((len(DeadLoads._fields), 3))
+        for effect in self.chosen().values():
+            loads = effect.dead_loads()
+            if loads is not None:
+                total += np.array(loads)
+        return DeadLoads(*(tuple(vector) for vector in total.tolist()))
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
         """These effects with their `strengths` at a random size up to their own, and vectors in
         random directions."""
         tables = self.model_dump()
         for name, effect in self.chosen().items():
+            table = tables[name]
+            # all sizes are drawn before the directions
             smaller = {
-                key: (1.0 - random.random()) * np.array(tables[name][key])
-                for key in effect.strengths
+                key: (1.0 - random.random()) * np.array(table[key]) for key in effect.strengths
             }
             for key, value in smaller.items():
-                direction = random.normal(size=value.size) if value.ndim else np.ones(1)
-                tables[name][key] = (
-                    (np.linalg.norm(value) / np.linalg.norm(direction) * direction)
-                    if value.ndim
-                    else value
-                )
+                table[key] = value
+                if value.ndim:
+                    direction = random.normal(size=value.size)
+                    size = np.linalg.norm(value) / np.linalg.norm(direction)
+                    table[key] = size * direction
         return Effects(**tables)
 
     def includes(self, other: "Effects") -> bool:
@@ -370,10 +359,11 @@ class Effects(Configuration):
             if name not in most:
                 return False
             for key, value in effect.model_dump().items():
-                is_weaker = key in effect.strengths and np.linalg.norm(value) <= np.linalg.norm(
-                    most[name][key]
+                greatest = most[name][key]
+                is_weaker = key in effect.strengths and (
+                    np.linalg.norm(value) <= np.linalg.norm(greatest)
                 )
-                if not is_weaker and value != most[name][key]:
+                if not is_weaker and value != greatest:
                     return False
         return True
 

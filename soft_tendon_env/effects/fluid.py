@@ -31,11 +31,12 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.effects.loads import weights
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
+from soft_tendon_env.mechanics.terms.transposed_kinematics import add_to_block
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive, Triple
 
@@ -71,18 +72,23 @@ class Fluid(Effect):
     )
 
     def parameters(self, rod: Discretisation) -> "FluidParameters":
-        half, (height, width, perimeter, faces, volume, *added) = 0.5 * self.density, _outside(rod)
-        normal = (half * self.normal_drag * np.stack([height, width])) ** (2.0 / 3.0)
+        height, width, perimeter, faces, volume, added_y, added_z = _outside(rod)
+        half = 0.5 * self.density
+        added = self.added_mass * self.density
+        # a and c of the drag across, 1/3 (a v_y^2 + c v_z^2)^(3/2)
+        normal_y = (half * self.normal_drag * height) ** (2.0 / 3.0)
+        normal_z = (half * self.normal_drag * width) ** (2.0 / 3.0)
         tangential = half * (self.tangential_drag * perimeter + self.disc_drag * faces)
         gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
-        slices = (
-            self.density * volume,
-            *(self.added_mass * self.density * part for part in added),
-            *normal,
-            tangential,
-        )
         return FluidParameters(
-            *(node_field(values[:, None]) for values in slices), self.current, gravity
+            displaced=node_field((self.density * volume)[:, None]),
+            added_y=node_field((added * added_y)[:, None]),
+            added_z=node_field((added * added_z)[:, None]),
+            normal_y=node_field(normal_y[:, None]),
+            normal_z=node_field(normal_z[:, None]),
+            tangential=node_field(tangential[:, None]),
+            current=self.current,
+            gravity=gravity,
         )
 
     def displaced_mass(self, rod: Discretisation) -> Array:
@@ -96,10 +102,9 @@ class Fluid(Effect):
     def potential_energy(self, arm: Configured) -> float:
         if any(self.current):
             raise ValueError("a fluid that streams has no potential energy")
-        return float(
-            self.displaced_mass(arm.rod)[:, 0]
-            @ (arm.pose[:, :3, 3] @ np.array(self.parameters(arm.rod).gravity))
-        )
+        displaced = self.displaced_mass(arm.rod)[:, 0]
+        gravity = np.array(self.parameters(arm.rod).gravity)
+        return float(displaced @ (arm.pose[:, :3, 3] @ gravity))
 
 
 def _outside(rod: Discretisation) -> Array:
@@ -109,35 +114,25 @@ def _outside(rod: Discretisation) -> Array:
 
     def per_length(arc_length: Array) -> Array:
         width, height, perimeter, area = rod.hull(arc_length)
-        return np.stack(
-            [
-                height,
-                width,
-                perimeter,
-                0.0 * area,
-                area,
-                0.25 * np.pi * height**2,
-                0.25 * np.pi * width**2,
-            ],
-            axis=1,
-        )
+        no_faces = 0.0 * area
+        added_y = 0.25 * np.pi * height**2
+        added_z = 0.25 * np.pi * width**2
+        columns = [height, width, perimeter, no_faces, area, added_y, added_z]
+        return np.stack(columns, axis=1)
 
-    found = rod.over_nodes(per_length).T
+    slices = rod.over_nodes(per_length).T
     if rod.discs.size:
+        # what a disc has beyond the outline of the rod
         place, _, radius, thickness = rod.discs.T
         height, width, _, _, area, added_y, added_z = per_length(place).T
         full = np.pi * radius**2
-        met = np.stack(
-            [
-                (2.0 * radius - height) * thickness,
-                (2.0 * radius - width) * thickness,
-                0.0 * full,
-                full - area,
-            ]
-        )
-        found[:4] += met @ weights(rod, place, 2)  # of two nodes none is negative
-        found[4:] += thickness * (full - np.stack([area, added_y, added_z])) @ weights(rod, place)
-    return found
+        met_y = (2.0 * radius - height) * thickness
+        met_z = (2.0 * radius - width) * thickness
+        areas = np.stack([met_y, met_z, 0.0 * full, full - area])
+        volumes = thickness * (full - np.stack([area, added_y, added_z]))
+        slices[:4] += areas @ weights(rod, place, 2)  # of two nodes none is negative
+        slices[4:] += volumes @ weights(rod, place)
+    return slices
 
 
 class FluidParameters(Struct):
@@ -159,27 +154,30 @@ def fluid_wrench(fluid, nodes):
     """Drag, buoyancy and what the current changes of the inertia on every node, with the drag's
     derivative -df/dv in the damping."""
     for pack in range(nodes.packs):
-        at, moment_at, damping_at = pack * LANES, pack * 6 * LANES, pack * 21 * LANES
-        R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-        (w, v), stream = load6(nodes.twist, moment_at), rotate_back(R, fluid.current)
+        at = pack * LANES
+        R, _ = load_pose(nodes.pose, pack)
+        w, v = load6(nodes.twist, pack)
+        stream = rotate_back(R, fluid.current)
         x, y, z = minus(v, stream)
-        normal_y, normal_z, tangential = (
-            load(fluid.normal_y, at),
-            load(fluid.normal_z, at),
-            load(fluid.tangential, at) * sqrt(x * x),
-        )
-        drag_y, drag_z = normal_y * y, normal_z * z
+        # drag along the rod, and across it the gradient of 1/3 (a v_y^2 + c v_z^2)^(3/2)
+        tangential = load(fluid.tangential, at) * sqrt(x * x)
+        normal_y = load(fluid.normal_y, at)
+        normal_z = load(fluid.normal_z, at)
+        drag_y = normal_y * y
+        drag_z = normal_z * z
         squared = drag_y * y + drag_z * z
-        across, slope = sqrt(squared), 1.0 / sqrt(squared + STILL)
-        moment, force = stream_wrench(
-            (load(fluid.added_y, at), load(fluid.added_z, at)), w, v, stream
-        )
+        across = sqrt(squared)
+        drag = (tangential * x, across * drag_y, across * drag_z)
+        # added mass and buoyancy
+        added = (load(fluid.added_y, at), load(fluid.added_z, at))
+        moment, force = stream_wrench(added, w, v, stream)
         buoyancy = times(load(fluid.displaced, at), rotate_back(R, fluid.gravity))
-        force = minus(force, plus((tangential * x, across * drag_y, across * drag_z), buoyancy))
-        store6(nodes.wrench, moment_at, twist_sum(load6(nodes.wrench, moment_at), (moment, force)))
-        add(
-            nodes.damping, damping_at + 9 * LANES, 2.0 * tangential
-        )  # the entries xx, yy, zy, zz of forces by velocities
+        force = minus(force, plus(drag, buoyancy))
+        add_to_block(nodes.wrench, pack, (moment, force))
+        # -df/dv: the entries xx, yy, zy, zz of forces by velocities
+        slope = 1.0 / sqrt(squared + STILL)
+        damping_at = pack * 21 * LANES
+        add(nodes.damping, damping_at + 9 * LANES, 2.0 * tangential)
         add(nodes.damping, damping_at + 14 * LANES, normal_y * across + slope * drag_y * drag_y)
         add(nodes.damping, damping_at + 19 * LANES, slope * drag_z * drag_y)
         add(nodes.damping, damping_at + 20 * LANES, normal_z * across + slope * drag_z * drag_z)
@@ -190,19 +188,23 @@ def stream_wrench(added, w, v, stream):
     """Wrench of the added mass on a slice that moves with (w, v), less that in fluid at rest: with
     A = diag(0, *added) and s = v - stream, from the kinetic energies 1/2 s A s and 1/2 v A v, (v x
     A v - s x A s, w x A stream - A (w x stream))."""
-    (a, b), s = added, minus(v, stream)
+    a, b = added
     more = b - a
+    v_x, v_y, v_z = v
+    s_x, s_y, s_z = minus(v, stream)
     moment = (
-        more * (v[1] * v[2] - s[1] * s[2]),
-        b * (s[0] * s[2] - v[0] * v[2]),
-        a * (v[0] * v[1] - s[0] * s[1]),
+        more * (v_y * v_z - s_y * s_z),
+        b * (s_x * s_z - v_x * v_z),
+        a * (v_x * v_y - s_x * s_y),
     )
-    along = b * (w[1] * stream[2]) - a * (w[2] * stream[1])
-    return moment, (
-        along,
-        -(more * (w[0] * stream[2])) - a * (w[2] * stream[0]),
-        b * (w[1] * stream[0]) - more * (w[0] * stream[1]),
+    w_x, w_y, w_z = w
+    u_x, u_y, u_z = stream
+    force = (
+        b * (w_y * u_z) - a * (w_z * u_y),
+        -(more * (w_x * u_z)) - a * (w_z * u_x),
+        b * (w_y * u_x) - more * (w_x * u_y),
     )
+    return moment, force
 
 
 @kernel(inline=True)

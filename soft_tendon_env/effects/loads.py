@@ -32,10 +32,11 @@ from soft_tendon_env.mechanics.algebra.lie import (
     plus,
     rotate_back,
     times,
-    twist_sum,
+    twist_of,
+    write_twist,
 )
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import (
     Base,
     adds_wrench,
@@ -44,6 +45,11 @@ from soft_tendon_env.mechanics.effects import (
     moves_base,
 )
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, pose_of_base, tip_pose_of
+from soft_tendon_env.mechanics.terms.transposed_kinematics import (
+    add_at,
+    add_to_block,
+    index_of_node,
+)
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.types import (
@@ -58,8 +64,11 @@ from soft_tendon_env.tools.types import (
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
-PULSE, SINE = 1.0, 2.0
-ALWAYS = 0.0, 0.0, 0.0
+PULSE = 1.0
+SINE = 2.0
+"""Kinds of signals, the first number of a load's row."""
+ALWAYS = (0.0, 0.0, 0.0)
+"""Numbers of a load without a signal."""
 
 
 @register_effect("gravity")
@@ -92,15 +101,11 @@ class GravityParameters(Struct):
 def gravity_wrench(gravity, nodes):
     """The force m R^T g on every node."""
     for pack in range(nodes.packs):
-        at, down = (
-            (pack * 6 + 3) * LANES,
-            rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration),
-        )
-        store3(
-            nodes.wrench,
-            at,
-            plus(load3(nodes.wrench, at), times(load(nodes.mass, pack * LANES), down)),
-        )
+        R, _ = load_pose(nodes.pose, pack)
+        down = rotate_back(R, gravity.acceleration)
+        weight = times(load(nodes.mass, pack * LANES), down)
+        force_at = (pack * 6 + 3) * LANES
+        store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
 
 
 @register_effect("tip_load")
@@ -139,11 +144,9 @@ class TipLoad(Effect):
         return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
 
     def dead_loads(self) -> DeadLoads | None:
-        return (
-            None
-            if self.frame == "tip" and self.acts
-            else DeadLoads(force=self.force, moment=self.moment)
-        )
+        if self.frame == "tip" and self.acts:
+            return None
+        return DeadLoads(force=self.force, moment=self.moment)
 
 
 class TipLoadParameters(Struct):
@@ -158,14 +161,14 @@ class TipLoadParameters(Struct):
 @kernel
 def tip_load_wrench(tip_load, nodes):
     """The wrench in the tip frame, on the last node."""
-    moment, force = tip_load.moment, tip_load.force
+    moment = tip_load.moment
+    force = tip_load.force
     if not tip_load.follows_tip:
         R, _ = tip_pose_of(nodes.pose)
-        moment, force = rotate_back(R, moment), rotate_back(R, force)
-    at = (nodes.packs - 1) * 6 * LANES + LANES - 1
-    for i in range(3):
-        nodes.wrench[at + i * LANES] += moment[i]
-        nodes.wrench[at + (3 + i) * LANES] += force[i]
+        moment = rotate_back(R, moment)
+        force = rotate_back(R, force)
+    tip = nodes.packs * LANES - 1
+    add_at(nodes.wrench, index_of_node(tip), (moment, force))
 
 
 class Pulse(Configuration):
@@ -213,46 +216,43 @@ class Disturbance(Effect):
     loads: tuple[Load, ...] = Field(min_length=1, description="the loads")
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
+        rows = []
         for i, push in enumerate(self.loads):
             if push.at > rod.length * (1.0 + SAME):
-                problem = Problem(
-                    ("effects", "disturbance", "loads", i, "at"),
-                    f"is {push.at:g} m: the rod has {rod.length:g} m",
-                )
-                raise ConfigurationError([problem])
-        rows = [
-            [*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force]
-            for push in self.loads
-        ]
+                key = ("effects", "disturbance", "loads", i, "at")
+                text = f"is {push.at:g} m: the rod has {rod.length:g} m"
+                raise ConfigurationError([Problem(key, text)])
+            signal = push.signal.numbers if push.signal else ALWAYS
+            rows.append([*signal, *push.moment, *push.force])
         shares = weights(rod, [push.at for push in self.loads])
-        return DisturbanceParameters(
-            np.array(rows), np.array([node_field(share[:, None]) for share in shares])
-        )
+        packed = [node_field(share[:, None]) for share in shares]
+        return DisturbanceParameters(np.array(rows), np.array(packed))
 
 
 def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:
     """Weights (m, nodes) with which values at the nodes, 0 at the base, add up to those at arc
     lengths (m,) [m], of the `most` nodes that are nearest: exact for functions that are cubic
     between the borders, or linear with 2."""
-    places, same = np.append(0.0, rod.node), SAME * rod.length
-    found = np.zeros((np.size(arc_length), places.size))
-    for row, at in zip(found, np.ravel(arc_length), strict=True):
-        border = min(
-            int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1
-        )
-        inside = np.flatnonzero(
-            (places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same)
-        )
-        piece = inside[
-            np.append(True, np.diff(places[inside]) > same)
-        ]  # without the empty intervals at the tip
-        nearest = piece[np.argsort(np.abs(places[piece] - at), kind="stable")[:most]]
-        away = (places[nearest] - min(at, places[piece[-1]])) / (
-            places[piece[1]] - places[piece[0]]
-        )
+    places = np.append(0.0, rod.node)
+    same = SAME * rod.length
+    result = np.zeros((np.size(arc_length), places.size))
+    for row, place in zip(result, np.ravel(arc_length), strict=True):
+        # nodes of the smooth piece that holds the place, without the empty intervals at the tip
+        after = int(np.searchsorted(rod.borders, place + same, side="right"))
+        border = min(after, rod.borders.size - 1)
+        begin = rod.borders[border - 1] - same
+        end = rod.borders[border] + same
+        inside = np.flatnonzero((places > begin) & (places < end))
+        is_new = np.append(True, np.diff(places[inside]) > same)
+        piece = inside[is_new]
+        # weights that are exact for powers of the distance from the place
+        order = np.argsort(np.abs(places[piece] - place), kind="stable")
+        nearest = piece[order[:most]]
+        unit = places[piece[1]] - places[piece[0]]
+        away = (places[nearest] - min(place, places[piece[-1]])) / unit
         powers = np.arange(nearest.size)
         row[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
-    return found[:, 1:]
+    return result[:, 1:]
 
 
 class DisturbanceParameters(Struct):
@@ -266,8 +266,14 @@ class DisturbanceParameters(Struct):
 def signal_at(row, time):
     """The signal of a load, from the first three numbers of its row, at a time [s]."""
     if row[0] == PULSE:
-        return 1.0 if row[1] <= time + EDGE and time + EDGE < row[2] else 0.0
-    return math.sin(row[1] * time + row[2]) if row[0] == SINE else 1.0
+        begin = row[1]
+        end = row[2]
+        return 1.0 if begin <= time + EDGE < end else 0.0
+    if row[0] == SINE:
+        omega = row[1]
+        phase = row[2]
+        return math.sin(omega * time + phase)
+    return 1.0
 
 
 @adds_wrench(DisturbanceParameters)
@@ -275,16 +281,18 @@ def signal_at(row, time):
 def disturbance_wrench(disturbance, nodes):
     """All loads at the nodes' time."""
     for i in range(disturbance.loads.shape[0]):
-        row, weight = disturbance.loads[i], disturbance.weight[i]
+        row = disturbance.loads[i]
+        weight = disturbance.weight[i]
         factor = signal_at(row, nodes.time)
-        for pack in range(nodes.packs if factor != 0.0 else 0):
-            at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
-            R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-            here = (
-                rotate_back(R, times(share, (row[3], row[4], row[5]))),
-                rotate_back(R, times(share, (row[6], row[7], row[8]))),
-            )
-            store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
+        if factor == 0.0:
+            continue
+        moment, force = twist_of(row[3:])
+        for pack in range(nodes.packs):
+            share = factor * load(weight, pack * LANES)
+            R, _ = load_pose(nodes.pose, pack)
+            moment_here = rotate_back(R, times(share, moment))
+            force_here = rotate_back(R, times(share, force))
+            add_to_block(nodes.wrench, pack, (moment_here, force_here))
 
 
 @limits_step(DisturbanceParameters)
@@ -296,9 +304,10 @@ def limit_disturbance_step(disturbance, nodes, longest):
         row = disturbance.loads[i]
         if row[0] == SINE:
             allow_turning(row[1], longest)
-        for edge in (row[1], row[2]):
-            if row[0] == PULSE and edge > nodes.time + EDGE:
-                longest[0] = min(longest[0], edge - nodes.time)
+        if row[0] == PULSE:
+            for edge in (row[1], row[2]):
+                if edge > nodes.time + EDGE:
+                    longest[0] = min(longest[0], edge - nodes.time)
 
 
 @register_effect("moving_base")
@@ -335,14 +344,16 @@ class MovingBase(Effect):
         return self
 
     def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
-        x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
-        turning = (
-            (x, y, z),
-            self.angular_velocity,
-            self.angular_amplitude,
-            2.0 * math.pi * self.frequency,
+        length = math.hypot(*self.axis)
+        return MovingBaseParameters(
+            velocity=self.velocity,
+            acceleration=self.acceleration,
+            amplitude=self.amplitude,
+            axis=tuple(part / length for part in self.axis),
+            angular_velocity=self.angular_velocity,
+            angular_amplitude=self.angular_amplitude,
+            omega=2.0 * math.pi * self.frequency,
         )
-        return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
 
 
 class MovingBaseParameters(Struct):
@@ -362,34 +373,36 @@ class MovingBaseParameters(Struct):
 def move(motion, base: Base):
     """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x
     r_dot)."""
-    t, phase = base.time, motion.omega * base.time
-    sine, cosine = math.sin(phase), math.cos(phase)
-    angle = motion.angular_velocity * t + motion.angular_amplitude * sine
-    rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
-    rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
+    t = base.time
+    omega = motion.omega
+    sine = math.sin(omega * t)
+    cosine = math.cos(omega * t)
     R_rest, r_rest = pose_of_base(base.pose)
-    r = plus(
-        plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)),
-        times(sine, motion.amplitude),
-    )
-    r = plus(r_rest, r)
-    r_dot = plus(
-        plus(motion.velocity, times(t, motion.acceleration)),
-        times(motion.omega * cosine, motion.amplitude),
-    )
-    r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
-    w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
-    v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
-    R = matmul(
-        exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))[0],
-        R_rest,
-    )
+    # theta, with its rates
+    swing = motion.angular_amplitude
+    angle = motion.angular_velocity * t + swing * sine
+    rate = motion.angular_velocity + swing * omega * cosine
+    rate_dot = -swing * omega * omega * sine
+    w = times(rate, motion.axis)
+    w_dot = times(rate_dot, motion.axis)
+    turn, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    R = matmul(turn, R_rest)
+    # r, with its rates
+    smooth = plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration))
+    r = plus(r_rest, plus(smooth, times(sine, motion.amplitude)))
+    smooth_dot = plus(motion.velocity, times(t, motion.acceleration))
+    r_dot = plus(smooth_dot, times(omega * cosine, motion.amplitude))
+    r_ddot = minus(motion.acceleration, times(omega * omega * sine, motion.amplitude))
+    # of the point of the base that is at the world's origin
+    v = minus(r_dot, cross(w, r))
+    turning = minus(r_ddot, cross(w_dot, r))
+    v_dot = minus(turning, cross(w, r_dot))
     for i in range(9):
         base.pose[i] = R[i]
     for i in range(3):
         base.pose[9 + i] = r[i]
-        base.twist[i], base.twist[3 + i] = w[i], v[i]
-        base.acceleration[i], base.acceleration[3 + i] = w_dot[i], v_dot[i]
+    write_twist((w, v), base.twist)
+    write_twist((w_dot, v_dot), base.acceleration)
 
 
 @limits_step(MovingBaseParameters)

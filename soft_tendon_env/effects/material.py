@@ -19,6 +19,7 @@ from soft_tendon_env.tools.types import Positive
 # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a
 # spring and a damper
 SHORT = 0.25
+SMALL_TIME = 1e-3  # relaxation times, below which a mean is its series
 
 
 @register_effect("nonlinear_elasticity")
@@ -69,13 +70,17 @@ def stiffening_stress(law, points):
     for block in range(2 * points.packs):
         for i in range(6):
             at = (block * 6 + i) * LANES
-            strain, root = (
-                load(points.strain, at) - load(points.reference, at),
-                load(points.root_stiffness, at),
-            )
+            strain = load(points.strain, at) - load(points.reference, at)
+            root = load(points.root_stiffness, at)
             slope = law.rate[i] * root * root * strain * strain
-            store(points.stress, at, load(points.stress, at) + slope * strain)
-            store(points.stiffness, at, load(points.stiffness, at) + 3.0 * slope)
+            add(points.stress, at, slope * strain)
+            add(points.stiffness, at, 3.0 * slope)
+
+
+@kernel(inline=True)
+def add(field, at, value):
+    """field[at ..] += value."""
+    store(field, at, load(field, at) + value)
 
 
 class Branch(Configuration):
@@ -106,29 +111,25 @@ class ViscoelasticMemory(Effect):
     )
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
-        moduli, time = np.array(
-            [[branch.modulus, branch.relaxation_time] for branch in self.branches]
-        ).T.copy()
-        lasting = np.where(
-            rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0
-        )  # substeps are shorter than steps
-        return MemoryParameters(moduli, time, lasting * moduli, (1.0 - lasting) * time * moduli)
+        moduli = np.array([branch.modulus for branch in self.branches])
+        time = np.array([branch.relaxation_time for branch in self.branches])
+        # what lasts over a substep, which is shorter than a step
+        lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)
+        damper = (1.0 - lasting) * time * moduli
+        return MemoryParameters(moduli, time, lasting * moduli, damper)
 
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
 
     def potential_energy(self, arm: Configured) -> float:
-        strain, stiffness = (
-            point_field(field.reshape(-1, 2, 6))
-            for field in (arm.strain, arm.weight[:, None] * arm.stiffness)
-        )
-        energies = (strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness
-        return 0.5 * float(
-            sum(
-                branch.modulus * energy
-                for branch, energy in zip(self.branches, energies, strict=True)
-            )
-        )
+        strain = point_field(arm.strain.reshape(-1, 2, 6))
+        weighted = arm.weight[:, None] * arm.stiffness
+        stiffness = point_field(weighted.reshape(-1, 2, 6))
+        lag = strain - arm.state.reshape(-1, strain.size)
+        energy = 0.0
+        for branch, squares in zip(self.branches, lag**2 @ stiffness, strict=True):
+            energy += branch.modulus * squares
+        return 0.5 * float(energy)
 
 
 class MemoryParameters(Struct):
@@ -144,10 +145,16 @@ class MemoryParameters(Struct):
 def lag_weights(x):
     """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the
     change of strain, and of the product of that time and the rate."""
-    if x == 0.0 or x == math.inf:
-        return (1.0, 1.0, 0.0) if x == 0.0 else (0.0, 0.0, 0.0)
+    if x == 0.0:
+        return 1.0, 1.0, 0.0
+    if x == math.inf:
+        return 0.0, 0.0, 0.0
+    # means of exp(-x s) and of s exp(-x (1 - s)) over s from 0 to 1
     mean = -math.expm1(-x) / x
-    slope = (1.0 - mean) / x if x > 1e-3 else 0.5 - x / 6.0 + x * x / 24.0
+    if x > SMALL_TIME:
+        slope = (1.0 - mean) / x
+    else:
+        slope = 0.5 - x / 6.0 + x * x / 24.0
     return math.exp(-x), 2.0 * (mean - slope), 2.0 * slope - mean
 
 
@@ -155,20 +162,22 @@ def lag_weights(x):
 @kernel
 def remembered_stress(memory, points):
     """sum_k m_k Sigma (e - s_k) at every point, beside the linear stress, with s_k as it is now."""
-    per_branch, h = points.strain.size, points.since
+    per_branch = points.strain.size
+    h = points.since
     for k in range(memory.time.size):
         kept, changed, rated = lag_weights(h / memory.time[k])
         for at in range(0, per_branch, LANES):
-            root, place = load(points.root_stiffness, at), k * per_branch + at
-            stiffness = root * root
+            state_at = k * per_branch + at
             strain = load(points.strain, at) - load(points.reference, at)
-            lag = strain - load(points.state, place)
+            lag = strain - load(points.state, state_at)  # e - s_k, before the time h
             if h > 0.0:
                 change = load(points.strain, at) - load(points.before, at)
                 lag = kept * (lag - change) + changed * change
                 if h < math.inf:
                     lag = lag + (rated * h) * load(points.rate, at)
-                store(points.state, place, strain - lag)
-            store(points.stress, at, load(points.stress, at) + memory.modulus[k] * stiffness * lag)
-            store(points.stiffness, at, load(points.stiffness, at) + memory.spring[k] * stiffness)
-            store(points.damping, at, load(points.damping, at) + memory.damper[k] * stiffness)
+                store(points.state, state_at, strain - lag)
+            root = load(points.root_stiffness, at)
+            stiffness = root * root
+            add(points.stress, at, memory.modulus[k] * stiffness * lag)
+            add(points.stiffness, at, memory.spring[k] * stiffness)
+            add(points.damping, at, memory.damper[k] * stiffness)

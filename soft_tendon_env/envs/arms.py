@@ -198,12 +198,12 @@ class Arms:
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions
         (members, n_a) [N], or none, hold them."""
-        tendons = self.model.tendon_count
-        commands = np.zeros((self.size, tendons))
+        commands = np.zeros((self.size, self.model.tendon_count))
+        if tension is not None:
+            commands[members] = tension
         if self.model.arm.effects.transmission.acts:
-            held = np.broadcast_to(0.0 if tension is None else tension, (members.size, tendons))
-            for i, row in enumerate(members.tolist()):
-                commands[row] = self._models[row].command(held[i], q[i])
+            for row, coordinates in zip(members.tolist(), q, strict=True):
+                commands[row] = self._models[row].command(commands[row], coordinates)
         self.rows.q[members] = q
         self.rows.q_dot[members] = 0.0
         self.rows.step[members] = self._scheme.control.step

@@ -12,37 +12,53 @@ import functools
 import math
 from collections.abc import Callable, Hashable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from types import CodeType
+from typing import Annotated, Any, NamedTuple
 
 import numba
 import numpy as np
 from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
+from numpy.typing import NDArray
 
 from soft_tendon_env.compiler.compilation import address_of, emit_call_at, kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct, StructType, struct_at
 
 TURN = 2.0 * math.pi / 16.0  # [rad] by which what is periodic may go on within one integrator step
 
+IntArray = NDArray[np.int64]
+"""Marks fields of integers for workspace.zeros(): `Annotated[IntArray, "n"]`."""
+
+NO = 0
+YES = 1
+"""Values of a flag."""
+
 
 class BeforeStep(Struct):
     """Poses before the step that was just taken."""
 
-    time: np.ndarray  # (1) [s]
-    pose: np.ndarray  # as in Nodes
-    base: np.ndarray  # (24)
+    time: Annotated[np.ndarray, "1"]  # [s]
+    pose: Annotated[np.ndarray, "nodes x 12"]  # as in Nodes
+    base: Annotated[np.ndarray, "24"]
 
 
 class ContactFlags(Struct):
-    """Flags of a step, 1 or 0: whether the arm touches something or goes through it."""
+    """Flags of a step, YES or NO: whether the arm touches something or goes through it."""
 
-    touched: np.ndarray  # (1) the arm touched something within the step
-    # (1) the arm went through something on its way: the step is tried again at half of its length
-    tunnelled: np.ndarray
-    # (1) it touches something or is about to: the next step is as short as its error calls for,
-    # with fixed steps too
-    active: np.ndarray
+    touched: Annotated[IntArray, "1"]  # the arm touched something within the step
+    # the arm went through something on its way: the step is tried again at half of its length
+    tunnelled: Annotated[IntArray, "1"]
+    # it touches something or is about to: the next step is as short as its error calls for, with
+    # fixed steps too
+    active: Annotated[IntArray, "1"]
+
+
+class Collision(Struct):
+    """What the check for collisions reads and says."""
+
+    before_step: BeforeStep
+    flags: ContactFlags
 
 
 class Nodes(NamedTuple):
@@ -147,11 +163,33 @@ DIRECT = Transmission(
 """Commands that are tensions at once."""
 
 
-EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
+EXPLICIT = 0
+IMPLICIT_TWIST = 1
+IMPLICIT_POSE = 2
 """Bits of what a wrench is differentiated by for the implicit step."""
+
 _ROW = np.zeros(1)
-_CHECK = BeforeStep(_ROW, _ROW, _ROW), ContactFlags(_ROW, _ROW, _ROW)
-_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, *_CHECK)
+
+
+def make_contact_flags() -> ContactFlags:
+    """Flags that say NO."""
+    return ContactFlags(*(np.zeros(1, dtype=np.int64) for _ in range(3)))
+
+
+_NODES = Nodes(
+    packs=1,
+    time=0.0,
+    mass=_ROW,
+    inertia=_ROW,
+    pose=_ROW,
+    twist=_ROW,
+    base=_ROW,
+    wrench=_ROW,
+    stiffness=_ROW,
+    damping=_ROW,
+    before_step=BeforeStep(_ROW, _ROW, _ROW),
+    contact=make_contact_flags(),
+)
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
     "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),
@@ -163,12 +201,11 @@ arguments after the parameters."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _IMPLICIT: dict[type, int] = {}
-_PARAMETERS = StructType(
-    Struct, ()
-)  # numba's type of parameters, of which a call passes the address alone
-_FUNCTIONS: list[
-    Callable[..., None]
-] = []  # kernels by their addresses less 1, where nothing is compiled
+_PARAMETERS = StructType(Struct, ())
+"""Numba's type of parameters, of which a call passes the address alone."""
+
+_FUNCTIONS: list[Callable[..., None]] = []
+"""Kernels by their addresses less 1, where nothing is compiled."""
 
 Decorator = Callable[[Any], Any]
 
@@ -204,12 +241,12 @@ class EffectTable(Struct):
         their kernels when needed. Those whose parameters no kernel reads act by the transmission
         alone."""
         self.__dict__["_structs"] = tuple(structs)  # which their addresses do not keep
+        kernels = {
+            hook: _words(_address_of_kernel(hook, struct) for struct in structs) for hook in HOOKS
+        }
         super().__init__(
             count=len(structs),
-            **{
-                hook: _words(_address_of_kernel(hook, struct) for struct in structs)
-                for hook in HOOKS
-            },
+            **kernels,
             implicit=_words(_IMPLICIT.get(type(struct), EXPLICIT) for struct in structs),
             parameters=_words(struct.address for struct in structs),
             transmission=transmission,
@@ -277,7 +314,8 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
     ValueError for another name, and where both would count.
     """
     bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
-    if odd := {*implicit} - {*bits}:
+    odd = {*implicit} - {*bits}
+    if odd:
         raise ValueError(
             f"implicit is {implicit!r}: it should name pose, twist or both, as in"
             f" implicit=('twist',), not {min(odd)!r}"
@@ -285,26 +323,29 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
     register = _register("wrench", kind)
 
     def register_once(function: Any) -> Any:
-        steps = pairwise(
-            dis.get_instructions(code := getattr(function, "py_func", function).__code__)
-        )
-        stiff = {
-            now.argval
-            for before, now in steps
-            if before.argrepr.split(", ")[-1] == code.co_varnames[1]
-        } & {"stiffness", "damping"}
+        code = getattr(function, "py_func", function).__code__
+        stiff = _attributes_of_nodes(code) & {"stiffness", "damping"}
         if stiff and implicit:
-            text = (
-                f"adds to nodes.{min(stiff)} what implicit={implicit!r} finds by differences: leave"
-                " out one of the two"
-            )
             raise ValueError(
-                f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice"
+                f"the kernel {code.co_name} for {kind.__name__} adds to nodes.{min(stiff)} what"
+                f" implicit={implicit!r} finds by differences: leave out one of the two, or it"
+                " counts twice"
             )
         _IMPLICIT[kind] = sum(bits[name] for name in {*implicit})
         return register(function)
 
     return register_once
+
+
+def _attributes_of_nodes(code: CodeType) -> set[Any]:
+    """Names that the code of a kernel (parameters, nodes) reads of its nodes."""
+    nodes = code.co_varnames[1]
+    names = set()
+    for before, now in pairwise(dis.get_instructions(code)):
+        # an instruction may load two variables, of which the last one is on top
+        if before.argrepr.split(", ")[-1] == nodes:
+            names.add(now.argval)
+    return names
 
 
 adds_stress = functools.partial(_register, "stress")
@@ -332,17 +373,17 @@ def allow_turning(rate, longest):
 
 def kernels_of(kind: type) -> dict[str, Any]:
     """The kernels for parameters of this class, by hook."""
-    return {
-        hook: function for hook in HOOKS if (function := _KERNELS.get((hook, kind))) is not None
-    }
+    return {hook: _KERNELS[hook, kind] for hook in HOOKS if (hook, kind) in _KERNELS}
 
 
 def _address_of_kernel(hook: str, parameters: Struct) -> int:
     """The address of the kernel for these parameters, 0 where there is none; compiles it when
     needed."""
     function = _KERNELS.get((hook, type(parameters)))
+    if function is None:
+        return 0
     kind: Any = type(parameters) if config.DISABLE_JIT else numba.typeof(parameters)
-    return 0 if function is None else _address(hook, function, kind)
+    return _address(hook, function, kind)
 
 
 @functools.cache
@@ -367,16 +408,11 @@ def call(address, parameters, arguments):
 @intrinsic
 def _call(typingctx, address, parameters, arguments):
     def emit(context, builder, signature, given):
+        address_value, parameters_value, arguments_value = given
         kinds = (_PARAMETERS, *signature.args[2].types)
-        pointer = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
-        return emit_call_at(
-            context,
-            builder,
-            given[0],
-            types.none,
-            kinds,
-            [pointer, *cgutils.unpack_tuple(builder, given[2])],
-        )
+        pointer = builder.inttoptr(parameters_value, context.get_value_type(_PARAMETERS))
+        values = [pointer, *cgutils.unpack_tuple(builder, arguments_value)]
+        return emit_call_at(context, builder, address_value, types.none, kinds, values)
 
     return types.none(address, parameters, arguments), emit
 

@@ -1,5 +1,23 @@
-"""Workspace of one evaluation: the arrays that the kernels write; layout and letters as in
-types.py."""
+"""Workspace of one evaluation: the arrays that the kernels write, a struct for every stage; layout
+and letters as in types.py.
+
+A stage gets the structs, or the arrays, that it reads and then those that it writes, and nothing
+else. Every field has one writer:
+
+| struct | is written by |
+|---|---|
+| `inputs` | whoever asks for an evaluation |
+| `strain` | the functions of the arm's parametrisation, see terms/parametrisation.py |
+| `kinematics` | place_base() its base, poses() the poses, sweep() the rest |
+| `loads` | effect_loads(), to whose derivatives differ_wrenches() adds |
+| `forces` | driving_force(), bias_force() and external_force(), a field each |
+| `matrices` | mass_matrix() and the parametrisation; add_implicit() adds the effects' share |
+| `tendons` | transmit(), find_shares() the rate at which tendons are pulled in, find_columns() |
+| `friction` | find_shares() |
+| `collision` | effects that limit steps; advance.py resets it |
+| `spare` | any kernel, in which nothing lasts |
+| `ones` | nobody |
+"""
 
 import inspect
 import math
@@ -10,7 +28,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags
+from soft_tendon_env.mechanics.effects import Collision, IntArray
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 
 Kind = TypeVar("Kind", bound=Struct)
@@ -18,32 +36,50 @@ Kind = TypeVar("Kind", bound=Struct)
 
 def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
     """A struct of the fields given, and of zeros of the shapes that the annotations name: aligned
-    to cache lines, in one piece of memory.
+    to cache lines, in one piece of memory. Structs in it are made likewise.
 
     A shape is a text for each dimension, a size or a product of sizes and numbers,
     `Annotated[np.ndarray, "n", "points x 6"]`.
     """
-    size, places = _places(kind, tuple(sizes.items()), tuple(fields))  # type: ignore[arg-type]  # mypy takes no class as hashable
-    memory = aligned_zeros(size)
-    return kind(**{name: memory[place].reshape(shape) for name, place, shape in places}, **fields)
-
-
-@lru_cache(maxsize=64)
-def _places(
-    kind: type[Struct], sizes: tuple[tuple[str, int], ...], given: tuple[str, ...]
-) -> tuple[int, list[tuple[str, slice, list[int]]]]:
-    """Numbers in all, and name, place and shape of the arrays of a struct, but for the fields that
-    are given."""
-    known, size, places = dict(sizes) | {str(number): number for number in range(25)}, 0, []
-    line = LINE // 8  # numbers of a cache line
     for name, annotation in inspect.get_annotations(kind).items():
-        if name not in given:
-            shape = [
-                math.prod(known[factor] for factor in text.split(" x "))
-                for text in annotation.__metadata__
-            ]
-            places.append((name, slice(size, size + math.prod(shape)), shape))
-            size += -(-math.prod(shape) // line) * line
+        if name not in fields and _is_struct(annotation):
+            fields[name] = zeros(annotation, sizes)
+    # mypy takes no class as hashable
+    size, places = _places(kind, tuple(sizes.items()), tuple(fields))  # type: ignore[arg-type]
+    memory = aligned_zeros(size)
+    arrays = {}
+    for name, place, shape, is_int in places:
+        numbers = memory[place].reshape(shape)
+        arrays[name] = numbers.view(np.int64) if is_int else numbers
+    return kind(**arrays, **fields)
+
+
+def _is_struct(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Struct)
+
+
+@lru_cache(maxsize=256)
+def _places(
+    kind: type[Struct], sizes: tuple[tuple[str, int], ...], made: tuple[str, ...]
+) -> tuple[int, list[tuple[str, slice, list[int], bool]]]:
+    """Numbers in all, and name, place, shape and whether they are integers of the arrays of a
+    struct, but for the fields that are made already."""
+    known = dict(sizes)
+    known |= {str(number): number for number in range(25)}
+    line = LINE // 8  # numbers of a cache line
+    places = []
+    size = 0
+    for name, annotation in inspect.get_annotations(kind).items():
+        if name in made:
+            continue
+        shape = [
+            math.prod(known[factor] for factor in text.split(" x "))
+            for text in annotation.__metadata__
+        ]
+        count = math.prod(shape)
+        is_int = annotation.__origin__ == IntArray
+        places.append((name, slice(size, size + count), shape, is_int))
+        size += math.ceil(count / line) * line
     return size, places
 
 
@@ -60,115 +96,161 @@ def sizes_of(arm: Arm) -> dict[str, int]:
     }
 
 
+class Inputs(Struct):
+    """Time of an evaluation and internal states of the effects, beside coordinates, rates and
+    tensions."""
+
+    clock: Annotated[np.ndarray, "1"]  # time [s]
+    state: Annotated[np.ndarray, "states"]  # internal states of the effects
+    # the strain to which they belong; empty where no effect remembers it
+    before: Annotated[np.ndarray, "remembered x 6"]
+    since: Annotated[np.ndarray, "1"]  # time since then [s]; infinity: the arm has rested
+
+
 class LoadMemory(Struct):
     """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other
     strains."""
 
-    e: Annotated[np.ndarray, "points x 6"]  # the scaled strain
-    step: Annotated[np.ndarray, "points x 6"]  # residual of the balance and its correction
-    inverse: Annotated[
-        np.ndarray, "nodes", "12", "12"
-    ]  # of the blocks on the diagonal: the two points of an interval have 12 unknowns
-    turn: Annotated[
-        np.ndarray, "nodes", "12", "3"
-    ]  # turn of what is beyond by the unknowns, over the weight
-    columns: Annotated[np.ndarray, "nodes", "12", "3"]  # y of the unknowns
-    answer: Annotated[np.ndarray, "nodes", "12", "3"]  # unknowns by a turn of the interval's start
+    e: Annotated[np.ndarray, "loaded x 2 x 6"]  # the scaled strain
+    step: Annotated[np.ndarray, "loaded x 2 x 6"]  # residual of the balance and its correction
+    # inverse of the blocks on the diagonal: the two points of an interval have 12 unknowns
+    inverse: Annotated[np.ndarray, "loaded", "12", "12"]
+    # turn of what is beyond by the unknowns, over the weight
+    turn: Annotated[np.ndarray, "loaded", "12", "3"]
+    columns: Annotated[np.ndarray, "loaded", "12", "3"]  # y of the unknowns
+    # unknowns by a turn of the interval's start
+    answer: Annotated[np.ndarray, "loaded", "12", "3"]
 
 
-class Workspace(Struct):
-    """Arrays that one evaluation fills. Kernels read what the same evaluation has written, and
-    besides xi, the guess of Newton's method, clock, state, before and since; and what nothing
-    writes: ones, twist and acceleration of a base that stands still, Phi of explicit strains, and
-    zeros."""
+class StrainFields(Struct):
+    """Strain at the coordinates, its rate, and its derivatives by the coordinates."""
 
-    tau: Annotated[
-        np.ndarray, "n_a"
-    ]  # tensions of the strain law [N]; of explicit strains those that pull
-    tau_dot: Annotated[np.ndarray, "n_a"]
-    Phi: Annotated[np.ndarray, "n x points x 6"]
-    Y: Annotated[
-        np.ndarray, "n x points x 6"
-    ]  # wrenches of the coordinates times the weight, Phi^T Y = G
-    mismatch: Annotated[
-        np.ndarray, "points x 6"
-    ]  # the stress that drives the coordinates, times the weight
-    factor: Annotated[np.ndarray, "points x 21"]  # L below the diagonal then 1 / D
-    tangent: Annotated[np.ndarray, "n_a x points x 4"]  # unit tangent t and 1 / |t_c|
+    # solve: from a guess in xi, which it overwrites by the strain
     xi: Annotated[np.ndarray, "points x 6"]
+    under_loads: LoadMemory  # of a strain with loads inside
+    factor: Annotated[np.ndarray, "points x 21"]  # L below the diagonal then 1 / D
+    # solve; of explicit strains, which no tension changes, columns
+    tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; explicit: those that pull
+    tangent: Annotated[np.ndarray, "n_a x points x 4"]  # unit tangent t and 1 / |t_c|
+    # rate, or columns
+    tau_dot: Annotated[np.ndarray, "n_a"]
     xi_dot: Annotated[np.ndarray, "points x 6"]
+    # columns
+    Phi: Annotated[np.ndarray, "n x points x 6"]  # of explicit strains the arm's own
+    Y: Annotated[np.ndarray, "n x points x 6"]  # their wrenches times the weight, Phi^T Y = G
+    mismatch: Annotated[np.ndarray, "points x 6"]  # stress that drives them, times the weight
     xi_bias: Annotated[np.ndarray, "points x 6"]  # the part of xi_ddot without q_ddot
-    base: Annotated[
-        np.ndarray,
-        "24",
-        # pose of the base, R rows and r; its twist and the rate of that, world frame, at the
-        # world's origin
-    ]
-    relative: Annotated[np.ndarray, "nodes x 12"]  # exp(Omega) of each interval: R rows, r
+
+
+class Kinematics(Struct):
+    """Poses in the world frame, R rows and r, and body twists, of base and nodes."""
+
+    # pose of the base; its twist and the rate of that, world frame, at the world's origin
+    base: Annotated[np.ndarray, "24"]
+    relative: Annotated[np.ndarray, "nodes x 12"]  # exp(Omega) of each interval
     start: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's start
     pose: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's end
-    J: Annotated[np.ndarray, "n x nodes x 6"]
-    carry: Annotated[np.ndarray, "columns x 6"]  # running sums of the sweep
     eta: Annotated[np.ndarray, "nodes x 6"]
     eta_bias: Annotated[np.ndarray, "nodes x 6"]  # J_dot q_dot
-    wrench: Annotated[np.ndarray, "nodes x 6"]
-    node_stiffness: Annotated[np.ndarray, "nodes x 21"]  # of the effects
+    J: Annotated[np.ndarray, "n x nodes x 6"]
+    carry: Annotated[np.ndarray, "columns x 6"]  # running sums of the sweep
+
+
+class Forces(Struct):
+    """Generalised forces of (23)."""
+
+    drive: Annotated[np.ndarray, "n"]  # B u - K - D q_dot
+    bias: Annotated[np.ndarray, "n"]  # C q_dot
+    load: Annotated[np.ndarray, "n"]  # F
+
+
+class Loads(Struct):
+    """Wrenches and stresses of the effects, at the nodes and at the points, with the derivatives
+    that they give themselves, times the weight of the point."""
+
+    wrench: Annotated[np.ndarray, "nodes x 6"]  # body frame
+    node_stiffness: Annotated[np.ndarray, "nodes x 21"]
     node_damping: Annotated[np.ndarray, "nodes x 21"]
-    stress: Annotated[np.ndarray, "points x 6"]  # of the effects
+    stress: Annotated[np.ndarray, "points x 6"]
     point_stiffness: Annotated[np.ndarray, "points x 6"]
     point_damping: Annotated[np.ndarray, "points x 6"]
-    state: Annotated[np.ndarray, "states"]  # internal states of the effects
-    before: Annotated[
-        np.ndarray, "remembered x 6"
-    ]  # the strain to which they belong; empty where no effect remembers it
-    since: Annotated[np.ndarray, "1"]  # time since then [s]
-    clock: Annotated[np.ndarray, "1"]  # time [s]
-    before_step: BeforeStep
-    contact: ContactFlags
-    beside_pose: Annotated[np.ndarray, "nodes x 12"]  # where effects are differentiated
-    beside_twist: Annotated[np.ndarray, "nodes x 6"]
-    here_wrench: Annotated[np.ndarray, "nodes x 6"]  # that of one effect
-    loaded: Annotated[np.ndarray, "n x nodes x 6"]  # node stiffness times J
-    extra: Annotated[np.ndarray, "n", "n"]  # share of the effects in D or G
-    unit: Annotated[np.ndarray, "points x 6"]  # ones
+
+
+class Matrices(Struct):
+    """Mass, damping and stiffness matrix of (23)."""
+
     M: Annotated[np.ndarray, "n", "n"]
     D: Annotated[np.ndarray, "n", "n"]
     G: Annotated[np.ndarray, "n", "n"]
-    bias: Annotated[np.ndarray, "n"]  # C q_dot
-    drive: Annotated[np.ndarray, "n"]  # B u - K - D q_dot
-    u_is_command: Annotated[np.ndarray, "1"]  # 1 where u is a command, 0 where it is the tensions
-    tension: Annotated[np.ndarray, "n_a"]  # [N] that come of a command, where effects are between
+
+
+class TendonForces(Struct):
+    """Tensions that come of a command, and forces on the coordinates by them, of tendons that are
+    elastic or rub."""
+
+    tension: Annotated[np.ndarray, "n_a"]  # [N] at the actuators
     shortening: Annotated[np.ndarray, "n_a"]  # [m] of elastic tendons beside the stress-free rod
     pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which tendons that rub are pulled in
-    grip: Annotated[
-        np.ndarray, "n_a"
-    ]  # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
-    columns: Annotated[np.ndarray, "n_a", "n"]  # B_i of tendons that are elastic or rub
+    columns: Annotated[np.ndarray, "n_a", "n"]  # B_i
     rubbed: Annotated[np.ndarray, "n_a", "n"]  # the same, with what friction leaves of the tension
     rubbing: Annotated[np.ndarray, "n_a", "n"]  # -d force / d direction of sliding
-    share: Annotated[np.ndarray, "n_a x points"]  # of the tension
-    whole: Annotated[np.ndarray, "n_a x points"]  # ones
+
+
+class Friction(Struct):
+    """Friction along the tendons."""
+
+    share: Annotated[np.ndarray, "n_a x points"]  # of the tension that is left
     slip: Annotated[np.ndarray, "n_a x points"]  # -d share / d direction of sliding
-    load: Annotated[np.ndarray, "n"]  # F
-    under_loads: LoadMemory  # of a strain with loads inside
+    # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
+    grip: Annotated[np.ndarray, "n_a"]
+
+
+class Ones(Struct):
+    """Fields of ones: weights that change nothing."""
+
+    point: Annotated[np.ndarray, "points x 6"]
+    tendon: Annotated[np.ndarray, "n_a x points"]
+
+
+class Spare(Struct):
+    """Scratch of one kernel at a time: nothing in it lasts."""
+
+    stress: Annotated[np.ndarray, "points x 6"]
+    wrench: Annotated[np.ndarray, "nodes x 6"]
+    loaded: Annotated[np.ndarray, "n x nodes x 6"]  # node stiffness times J
+    matrix: Annotated[np.ndarray, "n", "n"]
+    # where effects are differentiated
+    pose: Annotated[np.ndarray, "nodes x 12"]
+    twist: Annotated[np.ndarray, "nodes x 6"]
+
+
+class Workspace(Struct):
+    """Structs that the stages of one evaluation fill, see the head of this file."""
+
+    inputs: Inputs
+    strain: StrainFields
+    kinematics: Kinematics
+    loads: Loads
+    forces: Forces
+    matrices: Matrices
+    tendons: TendonForces
+    friction: Friction
+    collision: Collision
+    spare: Spare
+    ones: Ones
 
 
 def make_workspace(arm: Arm) -> Workspace:
     """Zeroed Workspace for one arm."""
-    strain, sizes = arm.strain, sizes_of(arm)
-    loaded = sizes["nodes"] if isinstance(strain, Loaded) else 0
-    work = zeros(
-        Workspace,
-        {
-            **sizes,
-            "columns": strain.size + 2,
-            "remembered": sizes["points"] if arm.effects.remembers else 0,
-        },
-        **({"Phi": strain.field} if isinstance(strain, Explicit) else {}),
-        before_step=BeforeStep(np.zeros(1), np.zeros(12 * sizes["nodes"]), np.zeros(24)),
-        contact=ContactFlags(np.zeros(1), np.zeros(1), np.zeros(1)),
-        under_loads=zeros(LoadMemory, {"nodes": loaded, "points": 2 * loaded}),
-    )
-    work.state[:] = arm.effects.state
-    work.base[:9:4], work.unit[:], work.share[:], work.whole[:] = 1.0, 1.0, 1.0, 1.0
+    sizes = sizes_of(arm)
+    sizes["columns"] = arm.strain.size + 2  # running sums: those of J, eta, and its bias
+    sizes["loaded"] = sizes["nodes"] if isinstance(arm.strain, Loaded) else 0
+    sizes["remembered"] = sizes["points"] if arm.effects.remembers else 0
+    fields = {"Phi": arm.strain.field} if isinstance(arm.strain, Explicit) else {}
+    work = zeros(Workspace, sizes, strain=zeros(StrainFields, sizes, **fields))
+    work.inputs.state[:] = arm.effects.state
+    work.kinematics.base[:9:4] = 1.0  # the diagonal of R
+    work.friction.share[:] = 1.0
+    work.ones.point[:] = 1.0
+    work.ones.tendon[:] = 1.0
     return work

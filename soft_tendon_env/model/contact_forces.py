@@ -36,16 +36,17 @@ def contact_forces(model: Model, state: State) -> ContactForces:
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")
     parameters = contact.parameters(model.discretisation)
-    work.xi[:], work.clock[0] = model.grid.packed(state.strain), state.time
+    work.strain.xi[:] = model.grid.packed(state.strain)
+    work.inputs.clock[0] = state.time
     evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, TOLERANCE, work)
     gap, position = (
         np.empty((len(parameters.obstacles), len(parameters.samples))),
         np.empty((len(parameters.samples), 3)),
     )
     force, places = np.empty((*gap.shape, 3)), contact.sample_places(model.discretisation)
-    read_contacts(
-        parameters, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force
-    )
+    kinematics = work.kinematics
+    nodes = nodes_with(kinematics.pose, kinematics.eta, kinematics.base, state.time)
+    read_contacts(parameters, nodes, gap, position, force)
     least = gap.min(axis=1)
     return ContactForces(
         force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap

@@ -179,7 +179,9 @@ class Balance:
             self.model.arm, self.tension, q, part, with_rate, directions, self.work, out
         )
         if block >= 0:
-            limit = nearest_limit(self.model.arm, self.model.grid, q, self.work.xi, reached, block)
+            limit = nearest_limit(
+                self.model.arm, self.model.grid, q, self.work.strain.xi, reached, block
+            )
             self.obstacle = f"no strain balances the coordinates: {limit}"
             return None
         try:
@@ -214,7 +216,13 @@ class Balance:
 
     def is_continuous(self, q_from: Array, q: Array) -> bool:
         """Whether the strain changes continuously from that at q_from (n,) to that at q (n,)."""
-        if not (found := bool(strain_is_continuous(self.model.arm, q_from, q, self.work))):
+        if not (
+            found := bool(
+                strain_is_continuous(
+                    self.model.arm, q_from, q, self.work.strain, self.work.kinematics
+                )
+            )
+        ):
             self.obstacle = (
                 "no strain balances the coordinates on the way: the tendons push past the section's"
                 " stiffness"

@@ -71,7 +71,9 @@ def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
     StrainLimitError."""
     places = fine.grid.points[fine.grid.real].ravel()
     wanted = model.strain_at(q, places)[0] - fine.grid.unpacked(fine.arm.rod.reference_strain)
-    fields = fine.grid.unpacked(make_workspace(fine.arm).Phi.reshape(fine.coordinate_count, -1))
+    fields = fine.grid.unpacked(
+        make_workspace(fine.arm).strain.Phi.reshape(fine.coordinate_count, -1)
+    )
     return np.asarray(np.linalg.lstsq(fields.reshape(len(fields), -1).T, wanted.ravel())[0])
 
 

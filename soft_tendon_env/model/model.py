@@ -142,7 +142,7 @@ class Model:
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
         with self.configuration(q) as work:
-            return _poses(work.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
+            return _poses(work.kinematics.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points,
@@ -156,7 +156,9 @@ class Model:
         places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
         with self.configuration(q) as work:
-            poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
+            xi = work.strain.xi
+            located = self.grid.locate(places)
+            poses_inside(self.grid.length, *located, xi, work.kinematics, poses)
         return poses
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
@@ -168,9 +170,13 @@ class Model:
         )
         found = np.empty((1 + q.size, places.size, 6))
         with self.configuration(q) as work:
-            strain_from_guess(self.arm, q, TOLERANCE, work)
-            strain_columns(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), work)
-            for values, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
+            strain = work.strain
+            still = np.zeros_like(q)
+            no_tension = np.zeros(self.tendon_count)
+            strain_from_guess(self.arm, q, TOLERANCE, strain, work.kinematics)
+            strain_columns(self.arm, no_tension, q, still, strain, work.kinematics)
+            fields = [strain.xi, *strain.Phi.reshape(q.size, -1)]
+            for values, out in zip(fields, found, strict=True):
                 strains_inside(self.grid.length, *self.grid.locate(places), values, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
 
@@ -240,13 +246,13 @@ class Model:
         """The strain at the points in the kernels' flat layout (points * 6,), see
         mechanics.types."""
         with self.configuration(q) as work:
-            return work.xi.copy()
+            return work.strain.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]."""
         lengths = np.empty(self.tendon_count)
         with self.configuration(q) as work:
-            tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
+            tendon_lengths(self.arm.rod, self.arm.tendons, work.strain.xi, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
@@ -260,10 +266,10 @@ class Model:
         with self.workspace() as work:
             mass = self._evaluate(None, q, rate, 0.0, work).mass
             strain, state = (
-                grid.at_points(work.xi - rod.reference_strain, 6).reshape(-1, 6),
-                work.state.copy(),
+                grid.at_points(work.strain.xi - rod.reference_strain, 6).reshape(-1, 6),
+                work.inputs.state.copy(),
             )
-            by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
+            by_node = work.kinematics.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         state = state if effects is None else checked_array("effects", effects, state.shape)
         stiffness, weight = (
             grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2,
@@ -339,8 +345,8 @@ class Model:
             work = self._idle.pop()
         except IndexError:  # asked for and taken at once, for threads
             work = make_workspace(self.arm)
-        work.state[:] = self.arm.effects.state
-        work.clock[:] = 0.0
+        work.inputs.state[:] = self.arm.effects.state
+        work.inputs.clock[:] = 0.0
         try:
             yield work
         finally:
@@ -352,14 +358,14 @@ class Model:
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
-            self._check(q, work, block, reached, bool(np.isfinite(work.pose).all()))
+            self._check(q, work, block, reached, bool(np.isfinite(work.kinematics.pose).all()))
             yield work
 
     def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:
         """Raises StrainLimitError where the strain could not be found at a block, of -1 for none,
         or the rod could not be placed."""
         if block >= 0:
-            nearest = nearest_limit(self.arm, self.grid, q, work.xi, reached, block)
+            nearest = nearest_limit(self.arm, self.grid, q, work.strain.xi, reached, block)
             what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
             raise StrainLimitError(
                 f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}"
@@ -381,7 +387,7 @@ class Model:
             if u is None
             else checked_array("tension", u, (self.tendon_count,))
         )
-        work.clock[0] = time
+        work.inputs.clock[0] = time
         n, n_a = self.coordinate_count, self.tendon_count
         shapes: list[tuple[int, ...]] = [
             (n, n),
@@ -399,7 +405,7 @@ class Model:
         ]
         out = Terms(*(np.empty(shape) for shape in shapes))
         block, reached, placed = equation_of_motion(
-            self.arm, tension, q, q_dot, work.state.size > 0, TOLERANCE, work, out
+            self.arm, tension, q, q_dot, work.inputs.state.size > 0, TOLERANCE, work, out
         )
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:

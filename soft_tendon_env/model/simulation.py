@@ -173,17 +173,22 @@ class Simulation:
         command = self.model.command(
             np.zeros(self.model.tendon_count) if tension is None else tension, start
         )
-        strain, work = self.model.packed_strain(start), self._scratch.work
-        if effects is None and work.state.size:
-            work.xi[:] = strain
-            rest_states(self.model.arm, command, work)
-        states = (
-            work.state.copy()
-            if effects is None
-            else checked_array("effects", effects, work.state.shape)
-        )
+        strain = self.model.packed_strain(start)
+        if effects is None:
+            states = self._rest_states(strain, command)
+        else:
+            states = checked_array("effects", effects, self.model.arm.effects.state.shape)
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
+
+    def _rest_states(self, strain: Array, command: Array) -> Array:
+        """Internal states (m,) of the effects where a command (n_a,) has always held the arm at a
+        packed strain."""
+        work = self._scratch.work
+        if work.inputs.state.size:
+            work.strain.xi[:] = strain
+            rest_states(self.model.arm, command, work.inputs, work.strain, work.loads)
+        return work.inputs.state.copy()
 
     def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
         """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the

@@ -86,9 +86,11 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
     with model.workspace() as work:
-        work.xi[:] = motion.xi
-        failed = strain_from_guess(model.arm, motion.q, STEP_TOLERANCE, work)
-        found = model.grid.unpacked(work.xi)  # empty intervals have no strain that matters
+        work.strain.xi[:] = motion.xi
+        failed = strain_from_guess(
+            model.arm, motion.q, STEP_TOLERANCE, work.strain, work.kinematics
+        )
+        found = model.grid.unpacked(work.strain.xi)  # empty intervals have no strain that matters
     if failed >= 0 or not np.allclose(
         found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()
     ):

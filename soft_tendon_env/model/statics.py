@@ -175,7 +175,11 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         return static_equilibrium(model, given), given
     limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
     warn_beyond_limits(limits.tolist(), given, model.command_unit)
-    u, guess, scratch = np.zeros(n_a), None, (np.zeros(n_a), np.zeros((n_a, n_a + 1)))
+    u, guess, scratch = (
+        np.zeros(n_a),
+        None,
+        (np.zeros(n_a, dtype=np.int64), np.zeros((n_a, n_a + 1))),
+    )
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
             found = static_equilibrium(model, u, guess)

@@ -120,15 +120,15 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     q, still, work, h = np.array([1.0, 0.5, 2.0]), np.zeros(3), make_workspace(model.arm), 1e-4
 
     def node(time):
-        work.xi[:] = model.arm.rod.reference_strain
-        work.clock[0] = time
+        work.strain.xi[:] = model.arm.rod.reference_strain
+        work.inputs.clock[0] = time
         assert evaluate(model.arm, still, q, still, 1e-12, work) == -1
-        g, tip = np.eye(4), work.pose.reshape(-1, 12, 4)[-1, :, -1]
+        g, tip = np.eye(4), work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
         g[:3, :3], g[:3, 3] = tip[:9].reshape(3, 3), tip[9:]
         return (
             g,
-            work.eta.reshape(-1, 6, 4)[-1, :, -1].copy(),
-            work.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy(),
+            work.kinematics.eta.reshape(-1, 6, 4)[-1, :, -1].copy(),
+            work.kinematics.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy(),
         )
 
     (before, eta_before, _), (g, eta, eta_bias), (after, eta_after, _) = (

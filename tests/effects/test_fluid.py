@@ -53,8 +53,8 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
 
     def parts(q):
         work = workspace_at(model, q)
-        pose = np.moveaxis(work.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
-        J = np.moveaxis(work.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
+        pose = np.moveaxis(work.kinematics.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
+        J = np.moveaxis(work.kinematics.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
         U = np.einsum("iab,a->ib", pose[:, :9].reshape(-1, 3, 3), current) * [0.0, 1.0, 1.0]
         return np.append(
             -np.einsum("i,nia,ia->n", mass, J, U), 0.5 * np.einsum("i,ia,ia->", mass, U, U)
@@ -105,9 +105,9 @@ def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, sha
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
     q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
     work = workspace_at(model, q, v)
-    D = work.D.copy()
+    D = work.matrices.D.copy()
     add_implicit(model.arm, work)
-    found = work.D - D
+    found = work.matrices.D - D
     expected = -slope(lambda rates: model.terms(q, rates).external_force, v, 1e-5)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8 * np.abs(expected).max())
     assert np.linalg.eigvalsh(found).min() > -1e-12 * np.abs(found).max()

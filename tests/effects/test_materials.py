@@ -51,10 +51,12 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
     np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
     work = workspace_at(model, q)
-    G = work.G.copy()
+    G = work.matrices.G.copy()
     add_implicit(model.arm, work)
     expected = -slope(lambda at: model.terms(at, 0 * at).external_force, q, 1e-5)
-    np.testing.assert_allclose(work.G - G, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        work.matrices.G - G, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.no_jit
@@ -64,11 +66,11 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
     model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
     work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
-    work.before[:], work.since[0] = work.xi, step
+    work.inputs.before[:], work.inputs.since[0] = work.strain.xi, step
     for i in range(1, 4):
-        external_force(model.arm, work)
+        external_force(model.arm, False, work)
         left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
-        np.testing.assert_allclose(work.load, -left * elastic, rtol=1e-9, atol=1e-14)
+        np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
 
 @pytest.mark.no_jit
@@ -78,13 +80,15 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
     model, unit = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
     a, b, tau, end = 1.0, 3.0, 0.1, 0.3
     for steps in (1, 7):
-        before, state = workspace_at(model, 0.0 * unit).xi, np.zeros(model.arm.effects.state.size)
+        before = workspace_at(model, 0.0 * unit).strain.xi
+        state = np.zeros(model.arm.effects.state.size)
         for i in range(steps):
             time = end * (i + 1) / steps
             work = workspace_at(model, (a * time + b * time**2) * unit, (a + 2.0 * b * time) * unit)
-            work.state[:], work.before[:], work.since[0] = state, before, end / steps
-            remember(model.arm, work)
-            before, state = work.xi, work.state.copy()
+            inputs = work.inputs
+            inputs.state[:], inputs.before[:], inputs.since[0] = state, before, end / steps
+            remember(model.arm, inputs, work.strain, work.loads)
+            before, state = work.strain.xi, inputs.state.copy()
         settled = 1.0 - np.exp(-end / tau)
         expected = a * (end - tau * settled) + b * (
             end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled

@@ -222,8 +222,8 @@ def shares(model, q, coefficient, direction):
     work = make_workspace(model.arm)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
     assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
-    find_share(model.arm, 0, coefficient, direction, work)
-    rows = model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[0, ..., 0]
+    find_share(model.arm, 0, coefficient, direction, work.strain, work.friction)
+    rows = model.grid.at_points(work.friction.share.reshape(model.tendon_count, -1), 1)[0, ..., 0]
     return rows.ravel()[: model.grid.points[model.grid.real].size]
 
 

@@ -36,7 +36,7 @@ def check_derivatives(workspace_at, at_points):
 
     def check(model, q, q_dot, rounding=0.0):
         unit, work = model.coordinate_scale(), workspace_at(model, q, q_dot)
-        Phi, xi_dot = at_points(model, work.Phi), at_points(model, work.xi_dot)[0]
+        Phi, xi_dot = at_points(model, work.strain.Phi), at_points(model, work.strain.xi_dot)[0]
         for j in range(0, q.size, 1 if q.size < 20 else 7):
             step = 1e-4 * unit[j] * np.eye(q.size)[j]
             difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
@@ -49,17 +49,21 @@ def check_derivatives(workspace_at, at_points):
         )
         h = 1e-4 / np.abs(q_dot / unit).max()
         ahead, behind = (
-            at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1)
+            at_points(model, workspace_at(model, q + s * h * q_dot).strain.Phi) for s in (1, -1)
         )
         expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
         atol = 1e-6 * np.abs(expected).max() + rounding * np.abs(xi_dot).max() / h
-        np.testing.assert_allclose(at_points(model, work.xi_bias)[0], expected, atol=atol)
+        np.testing.assert_allclose(at_points(model, work.strain.xi_bias)[0], expected, atol=atol)
         alone = make_workspace(model.arm)
-        alone.xi[:] = model.packed_strain(q)
-        assert strain_from_guess(model.arm, q, TOLERANCE, alone) == -1
-        strain_rate(model.arm, q_dot, alone)
+        strain = alone.strain
+        strain.xi[:] = model.packed_strain(q)
+        assert strain_from_guess(model.arm, q, TOLERANCE, strain, alone.kinematics) == -1
+        strain_rate(model.arm, q_dot, strain)
         np.testing.assert_allclose(
-            at_points(model, alone.xi_dot)[0], xi_dot, rtol=1e-10, atol=1e-11 * np.abs(xi_dot).max()
+            at_points(model, strain.xi_dot)[0],
+            xi_dot,
+            rtol=1e-10,
+            atol=1e-11 * np.abs(xi_dot).max(),
         )
 
     return check

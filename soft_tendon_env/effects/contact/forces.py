@@ -23,6 +23,8 @@ from pydantic import Field
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.effects.contact.obstacles import (
+    AMPLITUDE,
+    OMEGA,
     AnyObstacle,
     body_at,
     distance,
@@ -51,36 +53,30 @@ from soft_tendon_env.mechanics.algebra.lie import (
     times,
 )
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, index_of_node
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
-FREE, WALL = (
-    0.2,
-    0.45,
-    # depths in radii of the rod between which the wall stops what would go through: a wire between
-    # samples is 0.5 deep
-)
-WALL_DISSIPATION = (
-    1.0  # [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
-)
-OVERRUN, THROUGH = (
-    0.1,
-    0.15,
-    # of the radius: how much deeper a step in contact may lead, and from where on it is tried again
-    # shorter
-)
-LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
-"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes
-upon; how many such shares all may store; and the speed of the arm, in its lengths per second, that
-counts besides: at rest steps need not end where a contact begins."""
-CUTS, SAME = (
-    64,
-    1e-3,
-    # places at which the way of a sample is looked at, at most; and the share of the way that
-    # counts as none
-)
+# depths in radii of the rod between which the wall stops what would go through: a wire between
+# samples is 0.5 deep
+FREE = 0.2
+WALL = 0.45
+# [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
+WALL_DISSIPATION = 1.0
+OVERRUN = 0.1  # of the radius: how much deeper a step in contact may lead
+THROUGH = 0.15  # of the radius: from where on a step is tried again shorter
+# share of the arm's kinetic energy that a sample is to store where a step ends in what it comes
+# upon
+LANDED = 0.01
+MOST_LANDED = 8.0  # such shares that all samples may store
+# [1/s] lengths per second, the speed of the arm that counts besides: at rest steps need not end
+# where a contact begins
+IDLE = 0.05
+CUTS = 64  # places at which the way of a sample is looked at, at most
+SAME = 1e-3  # of the way, what counts as none
+MOST_HERMITE = 4.0 / 27.0  # the largest value of the Hermite polynomials of tangents
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -100,7 +96,8 @@ class Contact(Effect):
     dissipation: NotNegative = Field(1.0, description="damping c [s/m] of the normal force")
 
     def parameters(self, rod: Discretisation) -> "ContactParameters":
-        return ContactParameters(*make_samples(rod)[:2], self.rows())
+        intervals, samples, _ = make_samples(rod)
+        return ContactParameters(intervals, samples, self.rows())
 
     def rows(self) -> Array:
         """Rows of `ContactParameters.obstacles`."""
@@ -110,31 +107,31 @@ class Contact(Effect):
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
-        return make_samples(rod)[2]
+        _, _, places = make_samples(rod)
+        return places
 
     def potential_energy(self, arm: Configured) -> float:
         """That of the normal forces: friction stores none."""
         if any(obstacle.moves for obstacle in self.obstacles):
             raise ValueError("contact with obstacles that move has no potential energy")
-        pose = node_field(
-            np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1)
-        )
-        base, parameters = np.append(arm.base, np.zeros(12)), self.parameters(arm.rod)
-        nodes, gap = (
-            nodes_with(pose, np.zeros(pose.size // 2), base, 0.0),
-            np.empty((len(self.obstacles), len(parameters.samples))),
-        )
-        return float(
-            read_contacts(
-                parameters, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))
-            )
-        )
+        rotations = arm.pose[:, :3, :3].reshape(-1, 9)
+        pose = node_field(np.concatenate([rotations, arm.pose[:, :3, 3]], axis=1))
+        at_rest = np.zeros(pose.size // 2)
+        base = np.append(arm.base, np.zeros(12))
+        nodes = nodes_with(pose, at_rest, base, 0.0)
+        parameters = self.parameters(arm.rod)
+        count = len(parameters.samples)
+        gap = np.empty((len(self.obstacles), count))
+        position = np.empty((count, 3))
+        force = np.empty((*gap.shape, 3))
+        return float(read_contacts(parameters, nodes, gap, position, force))
 
     def distances(self, positions: Array, time: float = 0.0) -> Array:
         """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m]
         at a time [s], negative inside."""
         out = np.empty((len(self.obstacles), len(positions)))
-        read_distances(self.rows(), positions, time, out, np.empty((*out.shape, 3)))
+        nearest = np.empty((*out.shape, 3))
+        read_distances(self.rows(), positions, time, out, nearest)
         return out
 
 
@@ -142,9 +139,8 @@ class ContactParameters(Struct):
     """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at
     the end without samples."""
 
-    intervals: (
-        Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    )
+    # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    intervals: Array
     samples: Array  # (samples, 9): see Sample
     obstacles: Array  # (obstacles, 28): see Obstacle.row
 
@@ -172,11 +168,10 @@ def size(x):
 def reach_of(intervals, ends):
     """No point of an interval's samples is farther [m] from its end: the polygon of the curve's
     Bezier points holds it."""
-    return (
-        size(minus(ends.r_b, ends.r_a))
-        + intervals[ends.interval, 0] / 3.0
-        + intervals[ends.interval, 3]
-    )
+    chord = size(minus(ends.r_b, ends.r_a))
+    length = intervals[ends.interval, 0]
+    radius = intervals[ends.interval, 3]
+    return chord + length / 3.0 + radius
 
 
 @kernel(inline=True)
@@ -184,60 +179,67 @@ def normal_law(body, sample, depth, approach):
     """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy
     [J] stored: the penalty, and a wall S x^3 / width that stops what would go through, each damped;
     x is 0 at FREE and 1 at WALL, less deep in what is thin."""
-    k, e, smooth, c = (
-        sample.stiffness,
-        sample.smoothing,
-        min(depth, sample.smoothing),
-        body.dissipation,
-    )
+    k = sample.stiffness
+    e = sample.smoothing
+    # penalty p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond, and its energy
+    smooth = min(depth, e)
+    linear = depth - smooth
+    penalty = k * (0.5 * smooth * smooth / e + linear)
+    penalty_energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear)
+    # wall S x^3 / width, with energy S x^4 / 4
     thick = 0.5 * min(sample.radius, body.thickness)
-    width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
+    width = (WALL - FREE) * sample.radius + thick
     x = max(depth - FREE * sample.radius - thick, 0.0) / width
-    scale, c_wall = sample.wall * x * x, max(c, WALL_DISSIPATION)
-    penalty, wall = k * (0.5 * smooth * smooth / e + linear), scale * x / width
-    energy = (
-        k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * scale * x * x
-    )
-    factor, stop = max(1.0 + c * approach, 0.0), max(1.0 + c_wall * approach, 0.0)
+    scale = sample.wall * x * x
+    wall = scale * x / width
+    energy = penalty_energy + 0.25 * scale * x * x
+    # each times max(0, 1 + c d_dot)
+    c = body.dissipation
+    c_wall = max(c, WALL_DISSIPATION)
+    factor = max(1.0 + c * approach, 0.0)
+    stop = max(1.0 + c_wall * approach, 0.0)
+    force = penalty * factor + wall * stop
+    # derivatives by d and by d_dot
     stiffness = k * smooth / e * factor + 3.0 * scale / (width * width) * stop
-    damping = (c * penalty if factor > 0.0 else 0.0) + (c_wall * wall if stop > 0.0 else 0.0)
-    return penalty * factor + wall * stop, stiffness, damping, energy
+    penalty_damping = c * penalty if factor > 0.0 else 0.0
+    wall_damping = c_wall * wall if stop > 0.0 else 0.0
+    return force, stiffness, penalty_damping + wall_damping, energy
 
 
 @kernel(inline=True)
 def touch_of(body, sample, ends, nodes):
     """The contact of a sample between two nodes with an obstacle, without forces where they do not
     touch."""
-    x = position_of(sample, ends)
-    _, away, out = place_in(body, x)
-    gap, normal = away - sample.radius, rotate(body.R, out)
+    position = position_of(sample, ends)
+    _, away, out = place_in(body, position)
+    gap = away - sample.radius
+    normal = rotate(body.R, out)
+    # relative velocity of the surfaces, along the normal and across
     velocity, turning = motion_at(sample, ends, nodes)
-    slip = minus(plus(velocity, cross(turning, times(-sample.radius, normal))), body.velocity)
-    approach = -dot(slip, normal)
-    slip = plus(slip, times(approach, normal))
-    pressure, stiffness, damping, energy = normal_law(body, sample, max(-gap, 0.0), approach)
-    drag = body.friction * pressure / math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
-    return Touch(
-        x,
-        gap,
-        normal,
-        minus(times(pressure, normal), times(drag, slip)),
-        stiffness,
-        damping,
-        drag,
-        energy,
-    )
+    lever = times(-sample.radius, normal)
+    surface = plus(velocity, cross(turning, lever))
+    relative = minus(surface, body.velocity)
+    approach = -dot(relative, normal)
+    slip = plus(relative, times(approach, normal))
+    # pressure and friction
+    depth = max(-gap, 0.0)
+    pressure, stiffness, damping, energy = normal_law(body, sample, depth, approach)
+    speed = math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
+    drag = body.friction * pressure / speed
+    force = minus(times(pressure, normal), times(drag, slip))
+    return Touch(position, gap, normal, force, stiffness, damping, drag, energy)
 
 
 @kernel(inline=True)
 def add_along(field, node, lever, share, n, k):
     """k w w^T, w = (lever x n, share n), added to the block of a node: of what resists motion along
     n."""
-    moment, begin = cross(lever, n), (node // LANES) * 21 * LANES + node % LANES
-    w = moment[0], moment[1], moment[2], share * n[0], share * n[1], share * n[2]
+    begin = (node // LANES) * 21 * LANES + node % LANES
+    w = cross(lever, n) + times(share, n)
     for i in range(6):
         for j in range(i + 1):
-            field[begin + (i * (i + 1) // 2 + j) * LANES] += k * w[i] * w[j]
+            entry = i * (i + 1) // 2 + j
+            field[begin + entry * LANES] += k * w[i] * w[j]
 
 
 @kernel(inline=True)
@@ -250,13 +252,13 @@ def add_to_node(nodes, node, R, weights, radius, touch):
     parts that add up to 1: no motion then meets less stiffness than there is.
     """
     share, reach, turn, part = weights
-    n, force = rotate_back(R, touch.normal), rotate_back(R, touch.force)
+    n = rotate_back(R, touch.normal)
+    force = rotate_back(R, touch.force)
     lever = minus((reach, 0.0, 0.0), times(turn * radius, n))
-    moment, at_node = cross(lever, force), (node // LANES) * 6 * LANES + node % LANES
-    for k in range(3):
-        nodes.wrench[at_node + k * LANES] += moment[k]
-        nodes.wrench[at_node + (3 + k) * LANES] += share * force[k]
+    wrench = (cross(lever, force), times(share, force))
+    add_at(nodes.wrench, index_of_node(node), wrench)
     add_along(nodes.stiffness, node, lever, share, n, touch.stiffness / part)
+    # friction resists motion along all axes, and so the normal one is counted less it
     add_along(nodes.damping, node, lever, share, n, (touch.damping - touch.drag) / part)
     if touch.drag > 0.0:
         for axis in AXES:
@@ -272,29 +274,35 @@ def contact_wrench(contact, nodes):
         body = body_at(contact.obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
             ends = ends_of(nodes, i)
-            if place_in(body, ends.r_b)[1] < reach_of(intervals, ends):
-                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+            _, away, _ = place_in(body, ends.r_b)
+            if away < reach_of(intervals, ends):
+                for m in samples_of(intervals, i):
                     sample = sample_at(contact, m)
-                    touch, t = touch_of(body, sample, ends, nodes), sample.t
+                    touch = touch_of(body, sample, ends, nodes)
                     if touch.gap < 0.0:
-                        nodes.contact.touched[0] = 1.0
-                        add_to_node(
-                            nodes,
-                            i,
-                            ends.R_b,
-                            (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0),
-                            sample.radius,
-                            touch,
-                        )
-                        if i > 0 and t < 1.0:
-                            add_to_node(
-                                nodes,
-                                i - 1,
-                                ends.R_a,
-                                (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t),
-                                sample.radius,
-                                touch,
-                            )
+                        nodes.contact.touched[0] = YES
+                        add_to_nodes(nodes, sample, ends, touch)
+
+
+@kernel(inline=True)
+def samples_of(intervals, i):
+    """Range of the samples of an interval."""
+    return range(int(intervals[i, 1]), int(intervals[i, 2]))
+
+
+@kernel(inline=True)
+def add_to_nodes(nodes, sample, ends, touch):
+    """The wrenches of a sample's force on both nodes of its interval; the base takes what it
+    gets."""
+    i = ends.interval
+    t = sample.t
+    radius = sample.radius
+    part = t if i > 0 else 1.0  # of the blocks
+    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, part), radius, touch)
+    if i > 0 and t < 1.0:
+        rest = 1.0 - t
+        weights = (sample.h_a, sample.reach_a, rest, rest)
+        add_to_node(nodes, i - 1, ends.R_a, weights, radius, touch)
 
 
 @kernel
@@ -307,11 +315,13 @@ def read_contacts(contact, nodes, gap, position, force):
         body = body_at(contact.obstacles, j, nodes.time)
         for i in range(contact.intervals.shape[0]):
             ends = ends_of(nodes, i)
-            for m in range(int(contact.intervals[i, 1]), int(contact.intervals[i, 2])):
+            for m in samples_of(contact.intervals, i):
                 touch = touch_of(body, sample_at(contact, m), ends, nodes)
-                gap[j, m], energy = touch.gap, energy + touch.energy
+                energy += touch.energy
+                gap[j, m] = touch.gap
                 for k in range(3):
-                    position[m, k], force[j, m, k] = touch.position[k], touch.force[k]
+                    position[m, k] = touch.position[k]
+                    force[j, m, k] = touch.force[k]
     return energy
 
 
@@ -321,42 +331,44 @@ def limit_contact(contact, nodes, longest):
     """Steps are short beside the periods of obstacles that swing, and the next one ends where
     something is met. The last one was too long if a sample went through something, or if all that
     met something came to store more than a share of the arm's energy."""
-    intervals, landed, fastest = contact.intervals, 0.0, 0.0
-    for j in range(contact.obstacles.shape[0]):
-        fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))
-        if size(triple(contact.obstacles, j, 25)) > 0.0:
-            allow_turning(contact.obstacles[j, 4], longest)
+    intervals = contact.intervals
+    obstacles = contact.obstacles
+    fastest = 0.0
+    for j in range(obstacles.shape[0]):
+        velocity = body_at(obstacles, j, nodes.time).velocity
+        fastest = max(fastest, size(velocity))
+        if size(triple(obstacles, j, AMPLITUDE)) > 0.0:
+            allow_turning(obstacles[j, OMEGA], longest)
     energy = landing_energy(nodes, intervals, fastest)
-    for j in range(contact.obstacles.shape[0]):
-        bodies = (
-            body_at(contact.obstacles, j, nodes.before_step.time[0]),
-            body_at(contact.obstacles, j, nodes.time),
-        )
+    landed = 0.0
+    for j in range(obstacles.shape[0]):
+        body_before = body_at(obstacles, j, nodes.before_step.time[0])
+        bodies = (body_before, body_at(obstacles, j, nodes.time))
         for i in range(intervals.shape[0]):
-            ends = ends_of(nodes.before_step, i), ends_of(nodes, i)
+            ends = (ends_of(nodes.before_step, i), ends_of(nodes, i))
             if not is_far(bodies, ends, intervals, nodes, longest):
-                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                    landed += check_sample(
-                        sample_at(contact, m), bodies, ends, nodes, energy, longest
-                    )
+                for m in samples_of(intervals, i):
+                    sample = sample_at(contact, m)
+                    landed += check_sample(sample, bodies, ends, nodes, energy, longest)
     if landed > MOST_LANDED * energy:
-        nodes.contact.tunnelled[0] = 1.0
+        nodes.contact.tunnelled[0] = YES
 
 
 @kernel
 def landing_energy(nodes, intervals, fastest):
     """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at
     most at a speed [m/s]."""
-    energy, mass, length = 0.0, 0.0, 0.0
+    kinetic = 0.0
+    mass = 0.0
+    length = 0.0
     for i in range(intervals.shape[0]):
         R, r = pose_of(nodes, i)
         _, v = motion_of(nodes, i, R, r)
-        energy, mass, length = (
-            energy + 0.5 * nodes.mass[i] * dot(v, v),
-            mass + nodes.mass[i],
-            length + intervals[i, 0],
-        )
-    return LANDED * (energy + 0.5 * mass * max(IDLE * length, fastest) ** 2)
+        kinetic += 0.5 * nodes.mass[i] * dot(v, v)
+        mass += nodes.mass[i]
+        length += intervals[i, 0]
+    speed = max(IDLE * length, fastest)
+    return LANDED * (kinetic + 0.5 * mass * speed**2)
 
 
 @kernel(inline=True)
@@ -364,19 +376,21 @@ def is_far(bodies, ends, intervals, nodes, longest):
     """Whether no sample of an interval can have met an obstacle in the last step, nor does in the
     next one: the Hermite polynomials of tangents stay below 4/27, and the signed distance changes
     no faster than a point moves. Bodies and ends: before the step and now."""
-    body, now, before = bodies[1], ends[1], ends[0]
-    w, v = motion_of(nodes, now.interval, now.R_b, now.r_b)
+    body_before, body = bodies
+    before, now = ends
+    # the most by which a sample moves in the next step, as seen by the obstacle
     w_a, v_a = motion_of(nodes, now.interval - 1, now.R_a, now.r_a)
-    speed = (
-        max(size(v), size(v_a))
-        + 4.0 / 27.0 * intervals[now.interval, 0] * (size(w) + size(w_a))
-        + size(body.velocity)
-    )
+    w_b, v_b = motion_of(nodes, now.interval, now.R_b, now.r_b)
+    length = intervals[now.interval, 0]
+    turning = MOST_HERMITE * length * (size(w_b) + size(w_a))
+    speed = max(size(v_b), size(v_a)) + turning + size(body.velocity)
+    ahead = reach_of(intervals, now) + speed * longest[0]
+    # and that by which the interval's end has moved in the last one
     place, away, _ = place_in(body, now.r_b)
-    moved = size(minus(rotate_back(bodies[0].R, minus(before.r_b, bodies[0].r)), place))
-    return away >= max(
-        reach_of(intervals, before) + moved, reach_of(intervals, now) + speed * longest[0]
-    )
+    place_before = rotate_back(body_before.R, minus(before.r_b, body_before.r))
+    moved = size(minus(place_before, place))
+    behind = reach_of(intervals, before) + moved
+    return away >= max(behind, ahead)
 
 
 @kernel(inline=True)
@@ -384,38 +398,49 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
     """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies
     and ends: before the step and now. The energy [J] that it has come to store in the step, if it
     met the obstacle there."""
-    body, radius, flags = bodies[1], sample.radius, nodes.contact
-    landing = min(
-        sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0)
-    )
-    start, was, _ = place_in(bodies[0], position_of(sample, ends[0]))
-    end, away, out = place_in(body, position_of(sample, ends[1]))
-    velocity, _ = motion_at(sample, ends[1], nodes)
-    gap, approach = away - radius, -dot(minus(velocity, body.velocity), rotate(body.R, out))
-    if goes_through(body, start, end, min(was - radius, 0.0) + (1.0 - THROUGH) * radius):
-        flags.tunnelled[0] = 1.0
+    body_before, body = bodies
+    before, now = ends
+    radius = sample.radius
+    flags = nodes.contact
+    start, away_before, _ = place_in(body_before, position_of(sample, before))
+    end, away, out = place_in(body, position_of(sample, now))
+    gap = away - radius
+    velocity, _ = motion_at(sample, now, nodes)
+    relative = minus(velocity, body.velocity)
+    approach = -dot(relative, rotate(body.R, out))
+    # in the last step
+    allowed = min(away_before - radius, 0.0) + (1.0 - THROUGH) * radius
+    if goes_through(body, start, end, allowed):
+        flags.tunnelled[0] = YES
+    # in the next one: up to where the energy k d^3 / 6 e is stored
+    smoothing = sample.smoothing
+    landing = min(smoothing, (6.0 * smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
     room = gap + landing if gap > 0.0 else OVERRUN * radius
-    if gap < 0.0 or approach * longest[0] > room:
-        flags.active[0] = 1.0
-    if approach * longest[0] > room:
+    is_met = approach * longest[0] > room
+    if gap < 0.0 or is_met:
+        flags.active[0] = YES
+    if is_met:
         longest[0] = room / approach
-    return (
-        normal_law(body, sample, -gap, 0.0)[3]
-        if was > radius and gap < 0.0 and approach > 0.0
-        else 0.0
-    )
+    has_landed = away_before > radius and gap < 0.0 and approach > 0.0
+    if not has_landed:
+        return 0.0
+    _, _, _, stored = normal_law(body, sample, -gap, 0.0)
+    return stored
 
 
 @kernel
 def goes_through(body, start, end, allowed):
     """Whether the distance from a body falls below `allowed` [m] on the straight way between two
     points in its frame: it falls no faster than the way goes on."""
-    way, s = minus(end, start), 0.0
+    way = minus(end, start)
     length = size(way)
-    if distance(body, end)[0] < allowed:
+    away_at_end, _ = distance(body, end)
+    if away_at_end < allowed:
         return True
+    s = 0.0  # share of the way
     for _ in range(CUTS):
-        room = distance(body, plus(start, times(s, way)))[0] - allowed
+        away, _ = distance(body, plus(start, times(s, way)))
+        room = away - allowed
         if room > length * (1.0 - s):
             return False
         if room < SAME * length:

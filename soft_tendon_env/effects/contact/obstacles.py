@@ -12,7 +12,7 @@ from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import (
-    coefficients,
+    angle_coefficients,
     dot,
     exp_se3,
     minus,
@@ -24,38 +24,59 @@ from soft_tendon_env.mechanics.algebra.lie import (
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array, Direction, Frequency, Length, Number, Triple
 
-PLANE, BOX, CYLINDER = (
-    0.0,
-    1.0,
-    2.0,
-)  # kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges
+PLANE = 0.0
+BOX = 1.0
+CYLINDER = 2.0
+"""Kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges."""
+
+# columns of Obstacle.row
+OMEGA = 4  # [rad/s] of the sinusoidal motion
+PHASE = 5  # [rad]
+SIZES = 6  # to 9 [m]
+POSITION = 10  # to 12 [m]
+ORIENTATION = 13  # to 21, rows of the rotation
+VELOCITY = 22  # to 24 [m/s]
+AMPLITUDE = 25  # to 27 [m]
 
 
 @kernel(inline=True)
 def from_box(sizes, x):
     """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius,
     `sizes`: from spheres and capsules too."""
-    a, b, c = abs(x[0]) - sizes[0], abs(x[1]) - sizes[1], abs(x[2]) - sizes[2]
+    # in the octant where all coordinates are positive
+    a = abs(x[0]) - sizes[0]
+    b = abs(x[1]) - sizes[1]
+    c = abs(x[2]) - sizes[2]
     away = max(a, b, c)
-    n = (1.0, 0.0, 0.0) if a == away else (0.0, 1.0, 0.0) if b == away else (0.0, 0.0, 1.0)
-    if away > 0.0:
-        out = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+    if away > 0.0:  # outside: from the nearest point of face, edge or corner
+        out = (max(a, 0.0), max(b, 0.0), max(c, 0.0))
         away = math.sqrt(dot(out, out))
         n = times(1.0 / away, out)
-    return away - sizes[3], (
+    elif a == away:
+        n = (1.0, 0.0, 0.0)
+    elif b == away:
+        n = (0.0, 1.0, 0.0)
+    else:
+        n = (0.0, 0.0, 1.0)
+    normal = (
         math.copysign(n[0], x[0]),
         math.copysign(n[1], x[1]),
         math.copysign(n[2], x[2]),
     )
+    return away - sizes[3], normal
 
 
 @kernel(inline=True)
 def from_cylinder(sizes, x):
     """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius,
     radius, half length)."""
-    size = math.sqrt(x[0] * x[0] + x[1] * x[1])
-    out_x, out_y = (x[0] / size, x[1] / size) if size > 0.0 else (1.0, 0.0)
-    away, n = from_box(sizes, (size, 0.0, x[2]))
+    radius = math.sqrt(x[0] * x[0] + x[1] * x[1])
+    out_x = 1.0
+    out_y = 0.0
+    if radius > 0.0:
+        out_x = x[0] / radius
+        out_y = x[1] / radius
+    away, n = from_box(sizes, (radius, 0.0, x[2]))
     return away, (out_x * n[0], out_y * n[0], n[2])
 
 
@@ -81,12 +102,26 @@ def triple(rows, i, first):
 @kernel
 def body_at(obstacles, j, time):
     """The obstacle of a row at a time [s]."""
-    o, rate = obstacles[j], obstacles[j, 4]
-    angle, v, amplitude = rate * time + o[5], triple(obstacles, j, 22), triple(obstacles, j, 25)
-    r = plus(plus(triple(obstacles, j, 10), times(time, v)), times(math.sin(angle), amplitude))
-    v = plus(v, times(rate * math.cos(angle), amplitude))
-    R = o[13], o[14], o[15], o[16], o[17], o[18], o[19], o[20], o[21]
-    return Body(o[0], o[1], o[2], o[3], (o[6], o[7], o[8], o[9]), R, r, v)
+    row = obstacles[j]
+    shape = row[0]
+    thickness = row[1]
+    friction = row[2]
+    dissipation = row[3]
+    sizes = (row[SIZES], row[SIZES + 1], row[SIZES + 2], row[SIZES + 3])
+    # r(t) = r(0) + v t + amplitude sin(omega t + phase)
+    omega = row[OMEGA]
+    angle = omega * time + row[PHASE]
+    amplitude = triple(obstacles, j, AMPLITUDE)
+    constant = triple(obstacles, j, VELOCITY)
+    carried = plus(triple(obstacles, j, POSITION), times(time, constant))
+    r = plus(carried, times(math.sin(angle), amplitude))
+    velocity = plus(constant, times(omega * math.cos(angle), amplitude))
+    R = (
+        triple(obstacles, j, ORIENTATION)
+        + triple(obstacles, j, ORIENTATION + 3)
+        + triple(obstacles, j, ORIENTATION + 6)
+    )
+    return Body(shape, thickness, friction, dissipation, sizes, R, r, velocity)
 
 
 @kernel(inline=True)
@@ -95,7 +130,9 @@ def distance(body, x):
     gradient: outwards, of length 1."""
     if body.shape == PLANE:
         return x[2], (0.0, 0.0, 1.0)
-    return from_box(body.sizes, x) if body.shape == BOX else from_cylinder(body.sizes, x)
+    if body.shape == BOX:
+        return from_box(body.sizes, x)
+    return from_cylinder(body.sizes, x)
 
 
 @kernel(inline=True)
@@ -116,7 +153,8 @@ def read_distances(obstacles, positions, time, out, nearest):
         for m in range(positions.shape[0]):
             x = triple(positions, m, 0)
             _, away, normal = place_in(body, x)
-            surface, out[j, m] = minus(x, times(away, rotate(body.R, normal))), away
+            out[j, m] = away
+            surface = minus(x, times(away, rotate(body.R, normal)))
             for k in range(3):
                 nearest[j, m, k] = surface[k]
 
@@ -157,25 +195,28 @@ class Obstacle(Configuration):
 
     def row(self, friction: float, dissipation: float) -> list[float]:
         """Numbers for `body_at`."""
-        sizes, motion = self.sizes(), (2.0 * math.pi * self.frequency, math.radians(self.phase))
-        numbers = (
+        sizes = self.sizes()
+        thickness = min(sizes[:3]) + sizes[3]
+        return [
             self.kind,
-            min(sizes[:3]) + sizes[3],
+            thickness,
             friction,
             dissipation,
-            *motion,
+            2.0 * math.pi * self.frequency,
+            math.radians(self.phase),
             *sizes,
             *self.position,
-        )
-        return [*numbers, *self.orientation.ravel().tolist(), *self.velocity, *self.amplitude]
+            *self.orientation.ravel().tolist(),
+            *self.velocity,
+            *self.amplitude,
+        ]
 
     def pose(self, time: float) -> Array:
         """Pose (4, 4) of its frame at a time [s]."""
+        rows = np.array([self.row(0.0, 0.0)])
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = (
-            self.orientation,
-            body_at(np.array([self.row(0.0, 0.0)]), 0, time).r,
-        )
+        pose[:3, :3] = self.orientation
+        pose[:3, 3] = body_at(rows, 0, time).r
         return pose
 
 
@@ -227,10 +268,10 @@ class Box(Obstacle):
 
     @property
     def orientation(self) -> Array:
-        x, y, z = np.radians(self.rotation).tolist()
-        return np.array(
-            exp_se3(((x, y, z), (0.0, 0.0, 0.0)), coefficients(x * x + y * y + z * z))[0]
-        ).reshape(3, 3)
+        turn = tuple(np.radians(self.rotation).tolist())
+        twist = (turn, (0.0, 0.0, 0.0))
+        R, _ = exp_se3(twist, angle_coefficients(twist))
+        return np.array(R).reshape(3, 3)
 
 
 class Capsule(Directed):

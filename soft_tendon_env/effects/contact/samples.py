@@ -14,20 +14,18 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
-from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
+from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times, twist_of
+from soft_tendon_env.mechanics.effects import BeforeStep, Nodes, make_contact_flags
 from soft_tendon_env.mechanics.terms.kinematics import pose_at, pose_of_base, twist_at
 from soft_tendon_env.mechanics.types import IntVector
 from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
 SMOOTHING = 0.01  # depth over which the stiffness grows to its full size, in radii of the rod
-WALL_SPEED, WALL_MASS = (
-    30.0,
-    8.0,
-    # [m/s] of so many times the mass of its share: an impact that the wall of a sample stops by
-    # itself
-)
+# an impact that the wall of a sample stops by itself: at a speed [m/s], of so many times the mass
+# of its share
+WALL_SPEED = 30.0
+WALL_MASS = 8.0
 
 
 @kernel(inline=True)
@@ -40,9 +38,9 @@ def pose_of(nodes, node):
 def motion_of(nodes, node, R, r):
     """Angular and linear velocity, in the world frame, of a node at a pose (R, r); node -1 is the
     base."""
-    if node < 0:
-        w = nodes.base[12], nodes.base[13], nodes.base[14]
-        return w, plus((nodes.base[15], nodes.base[16], nodes.base[17]), cross(w, r))
+    if node < 0:  # the velocity is that of the point of the base at the world's origin
+        w, v = twist_of(nodes.base[12:18])
+        return w, plus(v, cross(w, r))
     w, v = twist_at(nodes.twist, node // LANES, node % LANES)
     return rotate(R, w), rotate(R, v)
 
@@ -82,15 +80,16 @@ def ends_of(nodes, i):
 @kernel(inline=True)
 def sample_at(contact, m):
     """The sample of a row."""
-    s = contact.samples
-    return Sample(s[m, 0], s[m, 1], s[m, 2], s[m, 3], s[m, 4], s[m, 5], s[m, 6], s[m, 7], s[m, 8])
+    row = contact.samples[m]
+    return Sample(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
 
 
 @kernel(inline=True)
 def hermite(sample, a, tangent_a, b, tangent_b):
     """The cubic between vectors a and b, with these tangents, at a sample."""
-    before = plus(times(sample.h_a, a), times(sample.reach_a, tangent_a))
-    return plus(before, plus(times(sample.h_b, b), times(sample.reach_b, tangent_b)))
+    of_a = plus(times(sample.h_a, a), times(sample.reach_a, tangent_a))
+    of_b = plus(times(sample.h_b, b), times(sample.reach_b, tangent_b))
+    return plus(of_a, of_b)
 
 
 @kernel(inline=True)
@@ -108,19 +107,34 @@ def position_of(sample, ends):
 @kernel(inline=True)
 def motion_at(sample, ends, nodes):
     """Velocity of a sample's middle, and angular velocity, in the world frame."""
-    w, v = motion_of(nodes, ends.interval, ends.R_b, ends.r_b)
-    w_a, v_a = motion_of(nodes, ends.interval - 1, ends.R_a, ends.r_a)
-    velocity = hermite(sample, v_a, cross(w_a, tangent(ends.R_a)), v, cross(w, tangent(ends.R_b)))
-    return velocity, plus(times(sample.t, w), times(1.0 - sample.t, w_a))
+    before = ends.interval - 1
+    t = sample.t
+    w_a, v_a = motion_of(nodes, before, ends.R_a, ends.r_a)
+    w_b, v_b = motion_of(nodes, ends.interval, ends.R_b, ends.r_b)
+    turning_a = cross(w_a, tangent(ends.R_a))
+    turning_b = cross(w_b, tangent(ends.R_b))
+    velocity = hermite(sample, v_a, turning_a, v_b, turning_b)
+    turning = plus(times(t, w_b), times(1.0 - t, w_a))
+    return velocity, turning
 
 
 def nodes_with(pose, twist, base, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than
     that, their base and time."""
     none = np.zeros(0)
-    check = BeforeStep(none, none, none), ContactFlags(none, none, none)
     return Nodes(
-        pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check
+        packs=pose.size // (12 * LANES),
+        time=time,
+        mass=none,
+        inertia=none,
+        pose=pose,
+        twist=twist,
+        base=base,
+        wrench=none,
+        stiffness=none,
+        damping=none,
+        before_step=BeforeStep(none, none, none),
+        contact=make_contact_flags(),
     )
 
 
@@ -129,33 +143,37 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     [m], a radius apart at most."""
     start = np.concatenate([[0.0], rod.node[:-1]])
     h = rod.node - start
-    counts = np.ceil(
-        h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)
-    ).astype(int)
-    last = np.cumsum(counts)
+    # how many to an interval, and where in it
+    middle = 0.5 * (start + rod.node)
+    apart = np.maximum(rod.radius(middle), rod.length / MOST_SAMPLES)
+    counts = np.ceil(h / apart).astype(int)
     t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
-    length, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
+    length = np.repeat(h, counts)
     place = np.repeat(start, counts) + t * length
     radius = sample_radius(rod, place)
-    share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
-    stiffness = (
-        rod.elasticity(place)[:, 3] / (2.0 * rod.radius(place)) ** 2 * share
-    )  # E A / (2 r)^2 per length and depth
-    wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
-    np.add.at(wall, _nearest(rod, place), WALL_MASS * WALL_SPEED**2 * rod.discs[:, 1])
-    bases = (
-        (1 + 2 * t) * (1 - t) ** 2,
-        length * t * (1 - t) ** 2,
-        t**2 * (3 - 2 * t),
-        length * t**2 * (t - 1),
-    )
-    samples = np.stack(
-        [*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1
-    )  # in the order of Sample
-    largest = [
-        radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)
-    ]
-    return np.stack([h, last - counts, last, largest], axis=1), samples, place
+    # the length of rod that each stands for, the last one for the tip's round cap too
+    share = np.repeat(h / np.maximum(counts, 1), counts)
+    share[-1] = 0.5 * share[-1] + radius[-1]
+    # E A / (2 r)^2 per length and depth
+    axial = rod.elasticity(place)[:, 3]
+    stiffness = axial / (2.0 * rod.radius(place)) ** 2 * share
+    # energy of the wall: of the rod, and of the discs at the nearest samples
+    unit = WALL_MASS * WALL_SPEED**2
+    wall = unit * rod.line_mass(place) * share
+    np.add.at(wall, _nearest(rod, place), unit * rod.discs[:, 1])
+    # the Hermite polynomials H00, h H10, H01, h H11
+    h_a = (1 + 2 * t) * (1 - t) ** 2
+    reach_a = length * t * (1 - t) ** 2
+    h_b = t**2 * (3 - 2 * t)
+    reach_b = length * t**2 * (t - 1)
+    smoothing = SMOOTHING * radius
+    # in the order of Sample
+    columns = [h_a, reach_a, h_b, reach_b, t, radius, stiffness, smoothing, wall]
+    last = np.cumsum(counts)
+    first = last - counts
+    largest = [radius[begin:end].max(initial=0.0) for begin, end in zip(first, last, strict=True)]
+    intervals = np.stack([h, first, last, largest], axis=1)
+    return intervals, np.stack(columns, axis=1), place
 
 
 def sample_radius(rod: Discretisation, arc_length: Array) -> Array:

@@ -17,6 +17,7 @@ from numba.core import cgutils
 from numba.extending import lower_builtin, models, overload, register_model, type_callable
 
 LANES = 4
+"""Numbers of a pack."""
 WIDE = 2 * LANES
 """Numbers of a wide pack, of which sums of products take two packs at once: one instruction on
 processors of 512 bits, two on others."""
@@ -31,10 +32,12 @@ class Pack(types.Type):
 
     def __init__(self, lanes: int) -> None:
         super().__init__(name=f"Pack{lanes}")
-        self.lanes, self.vector = lanes, ir.VectorType(ir.DoubleType(), lanes)
+        self.lanes = lanes
+        self.vector = ir.VectorType(ir.DoubleType(), lanes)
 
 
-pack, wide = Pack(LANES), Pack(WIDE)
+pack = Pack(LANES)
+wide = Pack(WIDE)
 
 
 @register_model(Pack)
@@ -43,37 +46,48 @@ class PackModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, fe_type.vector)
 
 
-def _shuffled(builder, one, other, lanes):
-    return builder.shuffle_vector(
-        one, other, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes)
-    )
+def _shuffled(builder, first, second, lanes):
+    """Vector of these lanes of two vectors, those of the second one after those of the first."""
+    kind = ir.VectorType(ir.IntType(32), len(lanes))
+    return builder.shuffle_vector(first, second, ir.Constant(kind, lanes))
 
 
 def _splat(builder, number, kind):
     undefined = ir.Constant(kind.vector, ir.Undefined)
-    vector = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    lane_0 = ir.Constant(ir.IntType(32), 0)
+    vector = builder.insert_element(undefined, number, lane_0)
     return _shuffled(builder, vector, undefined, [0] * kind.lanes)
 
 
 def _register_operator(python_operator, instruction):
+    """Machine code of an operator on packs of a kind, or a pack and a float."""
+
     @type_callable(python_operator)
     def type_packs(context):
-        def signature_of(one, other):
-            kinds = {of for of in (one, other) if isinstance(of, Pack)}
-            if len(kinds) == 1:  # else it is no matter of packs
-                (kind,) = kinds
-                return kind(*(of if of == kind else types.float64 for of in (one, other)))
-
-        return signature_of
+        return _signature_of_packs
 
     def emit(context, builder, sig, args):
-        kind, given = sig.return_type, zip(sig.args, args, strict=True)
-        packs = (value if of == kind else _splat(builder, value, kind) for of, value in given)
-        return getattr(builder, instruction)(*packs, flags=_FLAGS)
+        kind = sig.return_type
+        operands = []
+        for operand_type, value in zip(sig.args, args, strict=True):
+            is_pack = operand_type == kind
+            operands.append(value if is_pack else _splat(builder, value, kind))
+        return getattr(builder, instruction)(*operands, flags=_FLAGS)
 
     for kind in (pack, wide):
-        for given in ((kind, kind), (kind, types.float64), (types.float64, kind)):
-            lower_builtin(python_operator, *given)(emit)
+        lower_builtin(python_operator, kind, kind)(emit)
+        lower_builtin(python_operator, kind, types.float64)(emit)
+        lower_builtin(python_operator, types.float64, kind)(emit)
+
+
+def _signature_of_packs(left, right):
+    """Signature of an operator, None where it has no packs, or packs of two kinds."""
+    operands = (left, right)
+    kinds = {operand for operand in operands if isinstance(operand, Pack)}
+    if len(kinds) != 1:
+        return None
+    (kind,) = kinds
+    return kind(*(kind if operand == kind else types.float64 for operand in operands))
 
 
 for _operator, _instruction in (
@@ -228,20 +242,21 @@ def _with_lane(context, builder, sig, args):
 
 @_emits(prefix_sum, lambda value: value(value) if value == pack else None)
 def _prefix_sum(context, builder, sig, args):
-    zero, total, step = ir.Constant(pack.vector, [0.0] * LANES), args[0], 1
+    zero = ir.Constant(pack.vector, [0.0] * LANES)
+    total = args[0]
+    step = 1
+    # sums over 2, 4, ... lanes up to each: zeros, of the first vector, move in from below
     while step < LANES:
-        total = builder.fadd(
-            total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)])
-        )
+        lanes = [i + LANES - step for i in range(LANES)]
+        total = builder.fadd(total, _shuffled(builder, zero, total, lanes))
         step *= 2
     return total
 
 
 @_emits(lane_sum, lambda value: types.float64(value) if value == pack else None)
 def _lane_sum(context, builder, sig, args):
-    return builder.extract_element(
-        _prefix_sum(context, builder, sig, args), ir.Constant(ir.IntType(32), LANES - 1)
-    )
+    last = ir.Constant(ir.IntType(32), LANES - 1)
+    return builder.extract_element(_prefix_sum(context, builder, sig, args), last)
 
 
 @_emits(
@@ -253,35 +268,46 @@ def _lane_sum(context, builder, sig, args):
     ),
 )
 def _lane_sums(context, builder, sig, args):
-    packs, size = cgutils.unpack_tuple(builder, args[0]), 1
-    if sig.args[0].dtype == wide:  # its halves are added
-        packs = [
-            builder.fadd(
-                *(_shuffled(builder, of, of, [*range(at, at + LANES)]) for at in (0, LANES))
-            )
-            for of in packs
-        ]
-    while size < LANES:  # pairs of packs are added, with blocks of each in turn, until one is left
-        even = [
-            start + of + i
-            for start in range(0, LANES, 2 * size)
-            for of in (0, LANES)
-            for i in range(size)
-        ]
+    packs = cgutils.unpack_tuple(builder, args[0])
+    if sig.args[0].dtype == wide:
+        packs = [_sum_of_halves(builder, vector) for vector in packs]
+    # pairs of packs are added, with blocks of each in turn, until one pack is left
+    size = 1
+    while size < LANES:
+        even, odd = _blocks_in_turn(size)
         pairs = zip(packs[::2], packs[1::2], strict=True)
         packs = [
             builder.fadd(
-                _shuffled(builder, *pair, even), _shuffled(builder, *pair, [i + size for i in even])
+                _shuffled(builder, first, second, even),
+                _shuffled(builder, first, second, odd),
             )
-            for pair in pairs
+            for first, second in pairs
         ]
         size *= 2
     return packs[0]
 
 
+def _sum_of_halves(builder, vector):
+    """Sum, a pack, of the two halves of a wide pack."""
+    lower = _shuffled(builder, vector, vector, [*range(LANES)])
+    upper = _shuffled(builder, vector, vector, [*range(LANES, WIDE)])
+    return builder.fadd(lower, upper)
+
+
+def _blocks_in_turn(size):
+    """Lanes of two packs: every other block of `size` lanes of the first one and of the second one,
+    in turn; and the blocks in between."""
+    even = []
+    for start in range(0, LANES, 2 * size):
+        for offset in (0, LANES):
+            even += range(start + offset, start + offset + size)
+    return even, [lane + size for lane in even]
+
+
 @_emits(sqrt, lambda value: value(value) if value == pack else types.float64(types.float64))
 def _sqrt(context, builder, sig, args):
-    kind, name = args[0].type, f"v{LANES}f64" if sig.return_type == pack else "f64"
+    kind = args[0].type
+    name = f"v{LANES}f64" if sig.return_type == pack else "f64"
     function = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}"
     )
@@ -294,11 +320,12 @@ def _largest_overload(value):
         return lambda value: value
 
     def pick(value):
-        found = lane(value, 0)
+        most = lane(value, 0)
         for i in range(1, LANES):
             number = lane(value, i)
-            if found == found and not number <= found:  # a NaN stays
-                found = number
-        return found
+            is_nan = most != most  # it stays
+            if not is_nan and not number <= most:
+                most = number
+        return most
 
     return pick

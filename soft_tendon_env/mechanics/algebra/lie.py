@@ -39,18 +39,30 @@ class Coefficients(NamedTuple):
 
 def _taylor_table():
     """Rows a, b, a1, b1, a2, b2: coefficients of theta^(2m), highest m first."""
-    terms = range(SERIES_TERMS + 2)
+    # a = sum (-1)^m theta^(2m) / (2m + 2)!, b = sum (-1)^m theta^(2m) / (2m + 3)!
+    terms = range(SERIES_TERMS + 2)  # each derivative takes one off
     a = [(-1) ** m / math.factorial(2 * m + 2) for m in terms]
     b = [(-1) ** m / math.factorial(2 * m + 3) for m in terms]
-    rows = [a, b]
-    for _ in range(2):
-        a, b = ([2 * (m + 1) * f[m + 1] for m in range(len(f) - 1)] for f in (a, b))
-        rows += [a, b]
-    return tuple(tuple(reversed(row[:SERIES_TERMS])) for row in rows)
+    a1 = _twice_derivative(a)
+    b1 = _twice_derivative(b)
+    a2 = _twice_derivative(a1)
+    b2 = _twice_derivative(b1)
+    rows = (a, b, a1, b1, a2, b2)
+    return [tuple(reversed(row[:SERIES_TERMS])) for row in rows]
+
+
+def _twice_derivative(series):
+    """Coefficients of 2 df/dx, of those of f(x)."""
+    return [2 * m * series[m] for m in range(1, len(series))]
 
 
 _TAYLOR = _taylor_table()
-_A, _B, _A1, _B1, _A2, _B2 = _TAYLOR
+_A = _TAYLOR[0]
+_B = _TAYLOR[1]
+_A1 = _TAYLOR[2]
+_B1 = _TAYLOR[3]
+_A2 = _TAYLOR[4]
+_B2 = _TAYLOR[5]
 
 
 @kernel(inline=True)
@@ -83,7 +95,9 @@ def _closed(x):
     b = (1.0 - s) / x
     a1 = (s - 2.0 * a) / x
     b1 = (a - 3.0 * b) / x
-    return Coefficients(a, b, a1, b1, (b - a - 4.0 * a1) / x, (a1 - 5.0 * b1) / x)
+    a2 = (b - a - 4.0 * a1) / x
+    b2 = (a1 - 5.0 * b1) / x
+    return Coefficients(a, b, a1, b1, a2, b2)
 
 
 def coefficients(x):
@@ -105,12 +119,21 @@ def _coefficients_number(x):
 def _coefficients_pack(x):
     if largest(x) < SERIES_LIMIT:
         return _series(x)
-    a, b, a1, b1, a2, b2 = x, x, x, x, x, x
+    # lane by lane, in packs whose lanes are all written over
+    a = x
+    b = x
+    a1 = x
+    b1 = x
+    a2 = x
+    b2 = x
     for i in range(LANES):
         c = _coefficients_number(lane(x, i))
-        a, b = with_lane(a, i, c.a), with_lane(b, i, c.b)
-        a1, b1 = with_lane(a1, i, c.a1), with_lane(b1, i, c.b1)
-        a2, b2 = with_lane(a2, i, c.a2), with_lane(b2, i, c.b2)
+        a = with_lane(a, i, c.a)
+        b = with_lane(b, i, c.b)
+        a1 = with_lane(a1, i, c.a1)
+        b1 = with_lane(b1, i, c.b1)
+        a2 = with_lane(a2, i, c.a2)
+        b2 = with_lane(b2, i, c.b2)
     return Coefficients(a, b, a1, b1, a2, b2)
 
 
@@ -128,7 +151,10 @@ def dot(x, y):
 
 @kernel(inline=True)
 def cross(x, y):
-    return x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
+    first = x[1] * y[2] - x[2] * y[1]
+    second = x[2] * y[0] - x[0] * y[2]
+    third = x[0] * y[1] - x[1] * y[0]
+    return first, second, third
 
 
 @kernel(inline=True)
@@ -157,73 +183,78 @@ def rotate_back(R, x):
 
 
 @kernel(inline=True)
-def columns_of(x, y, z):
+def columns_of(A):
+    """Columns of a matrix, three vectors."""
+    return A[0::3], A[1::3], A[2::3]
+
+
+@kernel(inline=True)
+def matrix_of(x, y, z):
+    """Matrix of three columns."""
     return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
 
 
 @kernel(inline=True)
 def matmul(A, B):
-    x = rotate(A, (B[0], B[3], B[6]))
-    y = rotate(A, (B[1], B[4], B[7]))
-    z = rotate(A, (B[2], B[5], B[8]))
-    return columns_of(x, y, z)
+    x, y, z = columns_of(B)
+    return matrix_of(rotate(A, x), rotate(A, y), rotate(A, z))
 
 
 @kernel(inline=True)
-def skew_times(x, B):
-    """Product x~ B of a skew matrix and a matrix."""
-    return columns_of(
-        cross(x, (B[0], B[3], B[6])), cross(x, (B[1], B[4], B[7])), cross(x, (B[2], B[5], B[8]))
-    )
+def skew_times(k, B):
+    """Product k~ B of a skew matrix and a matrix."""
+    x, y, z = columns_of(B)
+    return matrix_of(cross(k, x), cross(k, y), cross(k, z))
 
 
 @kernel(inline=True)
-def times_skew(A, x):
-    """Product A x~ of a matrix and a skew matrix."""
-    u, v, w = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
-    return columns_of(
-        minus(times(x[2], v), times(x[1], w)),
-        minus(times(x[0], w), times(x[2], u)),
-        minus(times(x[1], u), times(x[0], v)),
-    )
+def times_skew(A, k):
+    """Product A k~ of a matrix and a skew matrix."""
+    x, y, z = columns_of(A)
+    # the columns of k~ are (0, k_z, -k_y), (-k_z, 0, k_x), (k_y, -k_x, 0)
+    first = minus(times(k[2], y), times(k[1], z))
+    second = minus(times(k[0], z), times(k[2], x))
+    third = minus(times(k[1], x), times(k[0], y))
+    return matrix_of(first, second, third)
 
 
 @kernel(inline=True)
 def matrix_sum(A, B):
-    return (
-        A[0] + B[0],
-        A[1] + B[1],
-        A[2] + B[2],
-        A[3] + B[3],
-        A[4] + B[4],
-        A[5] + B[5],
-        A[6] + B[6],
-        A[7] + B[7],
-        A[8] + B[8],
-    )
+    first = plus(A[0:3], B[0:3])
+    second = plus(A[3:6], B[3:6])
+    third = plus(A[6:9], B[6:9])
+    return first + second + third
 
 
 @kernel(inline=True)
 def scale_matrix(s, A):
-    return s * A[0], s * A[1], s * A[2], s * A[3], s * A[4], s * A[5], s * A[6], s * A[7], s * A[8]
+    return times(s, A[0:3]) + times(s, A[3:6]) + times(s, A[6:9])
 
 
 @kernel(inline=True)
 def rodrigues(f, g, k):
     """Matrix I + f k~ + g k~^2: a rotation, or its tangent operator, by Rodrigues' formula."""
+    # k~^2 = k k^T - |k|^2 I, of which the diagonal is -(y^2 + z^2), -(x^2 + z^2), -(x^2 + y^2)
     x, y, z = k
-    xx, yy, zz, xy, xz, yz = g * x * x, g * y * y, g * z * z, g * x * y, g * x * z, g * y * z
-    fx, fy, fz = f * x, f * y, f * z
+    fx = f * x
+    fy = f * y
+    fz = f * z
+    gxx = g * x * x
+    gyy = g * y * y
+    gzz = g * z * z
+    gxy = g * x * y
+    gxz = g * x * z
+    gyz = g * y * z
     return (
-        1.0 - yy - zz,
-        xy - fz,
-        xz + fy,
-        xy + fz,
-        1.0 - xx - zz,
-        yz - fx,
-        xz - fy,
-        yz + fx,
-        1.0 - xx - yy,
+        1.0 - gyy - gzz,
+        gxy - fz,
+        gxz + fy,
+        gxy + fz,
+        1.0 - gxx - gzz,
+        gyz - fx,
+        gxz - fy,
+        gyz + fx,
+        1.0 - gxx - gyy,
     )
 
 
@@ -238,21 +269,44 @@ def scale_twist(s, x):
 
 
 @kernel(inline=True)
+def twist_difference(x, y):
+    """Twist or wrench x - y."""
+    return twist_sum(x, scale_twist(-1.0, y))
+
+
+@kernel(inline=True)
+def twist_of(x):
+    """Six numbers in a row as a twist or a wrench."""
+    return (x[0], x[1], x[2]), (x[3], x[4], x[5])
+
+
+@kernel(inline=True)
+def write_twist(x, out):
+    """Writes a twist or a wrench as six numbers in a row."""
+    for i in range(3):
+        out[i] = x[0][i]
+        out[3 + i] = x[1][i]
+
+
+@kernel(inline=True)
 def ad_apply(x, y):
     """Lie bracket ad_x y of twists (Appendix A)."""
-    return cross(x[0], y[0]), plus(cross(x[1], y[0]), cross(x[0], y[1]))
+    linear = plus(cross(x[1], y[0]), cross(x[0], y[1]))
+    return cross(x[0], y[0]), linear
 
 
 @kernel(inline=True)
 def coad_apply(x, w):
     """Coadjoint ad*_x w = -ad_x^T w of a wrench w (Appendix A)."""
-    return plus(cross(x[0], w[0]), cross(x[1], w[1])), cross(x[0], w[1])
+    moment = plus(cross(x[0], w[0]), cross(x[1], w[1]))
+    return moment, cross(x[0], w[1])
 
 
 @kernel(inline=True)
 def operator_apply(A, C, x):
     """Product [[A, 0], [C, A]] x of a 6x6 operator and a twist."""
-    return rotate(A, x[0]), plus(rotate(C, x[0]), rotate(A, x[1]))
+    linear = plus(rotate(C, x[0]), rotate(A, x[1]))
+    return rotate(A, x[0]), linear
 
 
 @kernel(inline=True)
@@ -265,84 +319,176 @@ def Ad_apply(R, r, x):
 @kernel(inline=True)
 def Ad_inverse_apply(R, r, x):
     """Inverse adjoint Ad_g^-1 x: a twist x of the base frame seen in the frame g."""
-    return rotate_back(R, x[0]), rotate_back(R, minus(x[1], cross(r, x[0])))
+    linear = minus(x[1], cross(r, x[0]))
+    return rotate_back(R, x[0]), rotate_back(R, linear)
+
+
+@kernel(inline=True)
+def angle_coefficients(Omega):
+    """Coefficients of a twist, at theta^2 = |k|^2 of its angular part."""
+    return coefficients(dot(Omega[0], Omega[0]))
 
 
 @kernel(inline=True)
 def exp_se3(Omega, c):
-    """Pose (R, r) = exp(Omega^) (Appendix B); c = coefficients(|k|^2)."""
+    """Pose (R, r) = exp(Omega^) (Appendix B); c = angle_coefficients(Omega)."""
+    # R = I + sin/theta k~ + a k~^2 and r = (I + a k~ + b k~^2) p
     k, p = Omega
     R = rodrigues(1.0 - c.b * dot(k, k), c.a, k)
-    u = cross(k, p)
-    return R, plus(p, plus(times(c.a, u), times(c.b, cross(k, u))))
+    once = cross(k, p)
+    twice = cross(k, once)
+    turned = plus(times(c.a, once), times(c.b, twice))
+    return R, plus(p, turned)
+
+
+@kernel(inline=True)
+def pose_step(R, r, Omega):
+    """Pose g exp(Omega^), of a pose g = (R, r)."""
+    R_step, r_step = exp_se3(Omega, angle_coefficients(Omega))
+    return matmul(R, R_step), plus(r, rotate(R, r_step))
 
 
 @kernel(inline=True)
 def dexp_operator(Omega, c):
     """The tangent operator T_Omega as the pair (A, C) (Appendix B)."""
     k, p = Omega
-    kp = dot(k, p)
+    A = rodrigues(c.a, c.b, k)
+    # C = a p~ + b (k~ p~ + p~ k~) + (k.p) (a1 k~ + b1 k~^2),
+    # with k~ p~ + p~ k~ = k p^T + p k^T - 2 (k.p) I
     x, y, z = k
     u, v, w = p
-    A = rodrigues(c.a, c.b, k)
-    # C = a p~ + b (k~ p~ + p~ k~) + (k.p) (a1 k~ + b1 k~^2), with k~ p~ + p~ k~ = k p^T + p k^T - 2
-    # (k.p) I
-    f, g, e = c.a1 * kp, c.b1 * kp, -2.0 * c.b * kp
-    sx, sy, sz = c.a * u + f * x, c.a * v + f * y, c.a * w + f * z
-    xy, xz, yz = (
-        c.b * (x * v + y * u) + g * x * y,
-        c.b * (x * w + z * u) + g * x * z,
-        c.b * (y * w + z * v) + g * y * z,
+    kp = dot(k, p)
+    f = c.a1 * kp
+    g = c.b1 * kp
+    e = -2.0 * c.b * kp
+    # its skew part, a p~ + f k~
+    sx = c.a * u + f * x
+    sy = c.a * v + f * y
+    sz = c.a * w + f * z
+    # its symmetric part, b (k p^T + p k^T) + e I + g k~^2
+    xy = c.b * (x * v + y * u) + g * x * y
+    xz = c.b * (x * w + z * u) + g * x * z
+    yz = c.b * (y * w + z * v) + g * y * z
+    twice_b = 2.0 * c.b
+    xx = e + twice_b * x * u - g * (y * y + z * z)
+    yy = e + twice_b * y * v - g * (x * x + z * z)
+    zz = e + twice_b * z * w - g * (x * x + y * y)
+    C = (
+        xx,
+        xy - sz,
+        xz + sy,
+        xy + sz,
+        yy,
+        yz - sx,
+        xz - sy,
+        yz + sx,
+        zz,
     )
-    xx = e + 2.0 * c.b * x * u - g * (y * y + z * z)
-    yy = e + 2.0 * c.b * y * v - g * (x * x + z * z)
-    zz = e + 2.0 * c.b * z * w - g * (x * x + y * y)
-    return A, (xx, xy - sz, xz + sy, xy + sz, yy, yz - sx, xz - sy, yz + sx, zz)
+    return A, C
 
 
 @kernel(inline=True)
 def dexp_dot_apply(Omega, Omega_dot, c, x):
     """Derivative T_dot x of the tangent operator, along Omega_dot with x held (Appendix B,
     corrected)."""
-    kp = dot(Omega[0], Omega[1])
-    rate = dot(Omega[0], Omega_dot[0])  # d(theta^2)/dt / 2, its dual part next
-    rate_dual = dot(Omega[0], Omega_dot[1]) + dot(Omega[1], Omega_dot[0])
+    # T = I + a ad + b ad^2, so T_dot = a_dot ad + b_dot ad^2 + a ad' + b (ad' ad + ad ad'),
+    # where ad' is that of Omega_dot
     once = ad_apply(Omega, x)
     twice = ad_apply(Omega, once)
     turned = ad_apply(Omega_dot, x)
     mixed = twist_sum(ad_apply(Omega_dot, once), ad_apply(Omega, turned))
-    a_dot, b_dot = c.a1 * rate, c.b1 * rate
-    a_dual, b_dual = c.a2 * kp * rate + c.a1 * rate_dual, c.b2 * kp * rate + c.b1 * rate_dual
-    y = twist_sum(
-        twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice)),
-        twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed)),
-    )
-    dual = plus(
-        plus(times(a_dual, once[0]), times(b_dual, twice[0])),
-        plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0])),
-    )
-    return y[0], plus(y[1], dual)
+    # half of d(theta^2)/dt, and its dual part
+    kp = dot(Omega[0], Omega[1])
+    rate = dot(Omega[0], Omega_dot[0])
+    rate_dual = dot(Omega[0], Omega_dot[1]) + dot(Omega[1], Omega_dot[0])
+    a_dot = c.a1 * rate
+    b_dot = c.b1 * rate
+    a_dual = c.a2 * kp * rate + c.a1 * rate_dual
+    b_dual = c.b2 * kp * rate + c.b1 * rate_dual
+    # numbers times operators, then the dual parts of the numbers, which meet angular parts alone
+    by_rate = twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice))
+    by_turn = twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed))
+    angular, linear = twist_sum(by_rate, by_turn)
+    dual_by_rate = plus(times(a_dual, once[0]), times(b_dual, twice[0]))
+    a_turn = c.a1 * kp
+    b_turn = c.b1 * kp
+    dual_by_turn = plus(times(a_turn, turned[0]), times(b_turn, mixed[0]))
+    dual = plus(dual_by_rate, dual_by_turn)
+    return angular, plus(linear, dual)
+
+
+@kernel(inline=True)
+def coad_polynomial(Omega, psi, a, b):
+    """Wrench psi + a ad* psi + b ad* ad* psi of a wrench psi, where ad* is that of Omega and a, b
+    are dual numbers (real, dual)."""
+    once = coad_apply(Omega, psi)
+    twice = coad_apply(Omega, once)
+    powers = twist_sum(scale_twist(a[0], once), scale_twist(b[0], twice))
+    moment, force = twist_sum(psi, powers)
+    # the dual parts turn forces into moments
+    dual = plus(times(a[1], once[1]), times(b[1], twice[1]))
+    return plus(moment, dual), force
+
+
+@kernel(inline=True)
+def dexp_transposed_apply(Omega, c, psi):
+    """Transposed tangent operator times a wrench, T^T psi, with ad^T = -ad*."""
+    kp = dot(Omega[0], Omega[1])
+    a = (-c.a, -c.a1 * kp)
+    b = (c.b, c.b1 * kp)
+    return coad_polynomial(Omega, psi, a, b)
+
+
+@kernel(inline=True)
+def dexp_inverse_transposed_apply(Omega, c, sign, psi):
+    """Transposed inverse T^-T psi of the tangent operator of sign Omega, T^-1 = I - ad/2 + e ad^2;
+    exact near 0, finite at an angle of pi."""
+    kp = dot(Omega[0], Omega[1])
+    # e = -a1 / (2 a), and its derivative by theta^2 / 2 times the dual part
+    e_slope = 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a
+    e = (inverse_coefficient(c), e_slope * kp)
+    return coad_polynomial(Omega, psi, (0.5 * sign, 0.0), e)
+
+
+@kernel
+def quaternion_of(R):
+    """Quaternion (w, x, y, z) of R (9-tuple of floats), of any length: the row of 4 w (w, x, y, z)
+    to 4 z (w, x, y, z) whose square is largest, so that nothing cancels; w is not negative."""
+    trace = R[0] + R[4] + R[8]
+    # 4 times products of its components
+    wx = R[7] - R[5]
+    wy = R[2] - R[6]
+    wz = R[3] - R[1]
+    xy = R[1] + R[3]
+    xz = R[2] + R[6]
+    yz = R[5] + R[7]
+    ww = 1.0 + trace
+    xx = 1.0 + 2.0 * R[0] - trace
+    yy = 1.0 + 2.0 * R[4] - trace
+    zz = 1.0 + 2.0 * R[8] - trace
+    if trace >= R[0] and trace >= R[4] and trace >= R[8]:
+        w, x, y, z = ww, wx, wy, wz
+    elif R[0] >= R[4] and R[0] >= R[8]:
+        w, x, y, z = wx, xx, xy, xz
+    elif R[4] >= R[8]:
+        w, x, y, z = wy, xy, yy, yz
+    else:
+        w, x, y, z = wz, xz, yz, zz
+    if w < 0.0:
+        return -w, -x, -y, -z
+    return w, x, y, z
 
 
 @kernel
 def rotation_log(R):
     """Rotation vector of R (9-tuple of floats), by the largest quaternion component: exact near 0
     and near pi."""
-    trace = R[0] + R[4] + R[8]
-    if trace >= R[0] and trace >= R[4] and trace >= R[8]:
-        w, x, y, z = 1.0 + trace, R[7] - R[5], R[2] - R[6], R[3] - R[1]
-    elif R[0] >= R[4] and R[0] >= R[8]:
-        w, x, y, z = R[7] - R[5], 1.0 + 2.0 * R[0] - trace, R[1] + R[3], R[2] + R[6]
-    elif R[4] >= R[8]:
-        w, x, y, z = R[2] - R[6], R[1] + R[3], 1.0 + 2.0 * R[4] - trace, R[5] + R[7]
-    else:
-        w, x, y, z = R[3] - R[1], R[2] + R[6], R[5] + R[7], 1.0 + 2.0 * R[8] - trace
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
+    w, x, y, z = quaternion_of(R)
     sine = sqrt(x * x + y * y + z * z)
-    factor = (
-        2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0 / w
-    )  # the squares of a tiny rotation underflow
+    if sine > 0.0:
+        factor = 2.0 * math.atan2(sine, w) / sine
+    else:  # the squares of a tiny rotation underflow
+        factor = 2.0 / w
     return factor * x, factor * y, factor * z
 
 
@@ -351,8 +497,15 @@ def log_se3(R, r):
     """Twist Omega with exp(Omega^) = (R, r) (floats), |k| <= pi: the robust logarithm that replaces
     Appendix B's closed form."""
     k = rotation_log(R)
-    x = dot(k, k)
-    c = coefficients(x)
-    u = cross(k, r)
-    # the inverse of T on SO(3) is I - k~/2 + e k~^2 with e = -a1 / (2 a)
-    return k, plus(minus(r, times(0.5, u)), times(-0.5 * c.a1 / c.a, cross(k, u)))
+    c = coefficients(dot(k, k))
+    # the inverse of T on SO(3) is I - k~/2 + e k~^2
+    once = cross(k, r)
+    twice = cross(k, once)
+    e = inverse_coefficient(c)
+    return k, plus(minus(r, times(0.5, once)), times(e, twice))
+
+
+@kernel(inline=True)
+def inverse_coefficient(c):
+    """Coefficient e of the inverse tangent operator T^-1 = I - ad/2 + e ad^2, -a1 / (2 a)."""
+    return -0.5 * c.a1 / c.a

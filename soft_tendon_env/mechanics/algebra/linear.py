@@ -6,10 +6,13 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 
-MOST_AT_ONCE, MOST_ONE_BY_ONE = (
-    12,
-    200,
-)  # solutions before each of which all, or one, of the unknowns beyond a bound are moved to it
+MOST_AT_ONCE = 12  # solutions before each of which all unknowns beyond a bound are moved to it
+MOST_ONE_BY_ONE = 200  # solutions after those, before each of which one such unknown is moved
+
+AT_LEAST = -1
+BETWEEN = 0
+AT_GREATEST = 1
+"""Where an unknown of solve_bounded() is: at its least, between its bounds, at its greatest."""
 
 
 @kernel
@@ -32,27 +35,28 @@ def copy_matrix(source, out):
 def total(x):
     """Sum of a vector; numba's own brings SciPy's linear algebra with it, a tenth of a warm
     start."""
-    found = 0.0
+    result = 0.0
     for i in range(x.size):
-        found += x[i]
-    return found
+        result += x[i]
+    return result
 
 
 @kernel(inline=True)
 def product(x, y):
     """Scalar product x . y of two vectors, in four sums that do not wait for each other."""
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    first = 0.0
+    second = 0.0
+    third = 0.0
+    fourth = 0.0
     whole = x.size // 4 * 4
     for i in range(0, whole, 4):
-        a, b, c, d = (
-            a + x[i] * y[i],
-            b + x[i + 1] * y[i + 1],
-            c + x[i + 2] * y[i + 2],
-            d + x[i + 3] * y[i + 3],
-        )
+        first = first + x[i] * y[i]
+        second = second + x[i + 1] * y[i + 1]
+        third = third + x[i + 2] * y[i + 2]
+        fourth = fourth + x[i + 3] * y[i + 3]
     for i in range(whole, x.size):
-        a += x[i] * y[i]
-    return (a + b) + (c + d)
+        first += x[i] * y[i]
+    return (first + second) + (third + fourth)
 
 
 @kernel
@@ -71,23 +75,22 @@ def solve_positive_definite(a, n, x):
     """
     stride = row_stride(n + 1)
     for j in range(n):
-        pivot = a[j * stride + j]
+        pivot_row = j * stride
+        pivot = a[pivot_row + j]
         if not (pivot > 0.0 and pivot < math.inf):
             return False
         inverse = 1.0 / pivot
-        a[j * stride + j] = inverse
+        a[pivot_row + j] = inverse
         for i in range(j + 1, n):
-            share = -inverse * a[j * stride + i]
-            for m in range(
-                i // LANES * LANES, stride, LANES
-            ):  # left of the diagonal too, where nothing is read
-                store(a, i * stride + m, load(a, i * stride + m) + share * load(a, j * stride + m))
+            row = i * stride
+            share = -inverse * a[pivot_row + i]
+            # whole packs: left of the diagonal too, where nothing is read
+            for m in range(i // LANES * LANES, stride, LANES):
+                reduced = load(a, row + m) + share * load(a, pivot_row + m)
+                store(a, row + m, reduced)
     for i in range(n):
         x[i] = a[i * stride + n]
-    for i in range(n - 1, -1, -1):
-        x[i] *= a[i * stride + i]
-        for k in range(i):
-            x[k] -= a[k * stride + i] * x[i]
+    _substitute_back(a, n, x)
     return True
 
 
@@ -97,9 +100,17 @@ def solve_again(a, n, x):
     solve_positive_definite() has eliminated."""
     stride = row_stride(n + 1)
     for j in range(n):
-        share = a[j * stride + j] * x[j]
+        row = j * stride
+        share = a[row + j] * x[j]
         for i in range(j + 1, n):
-            x[i] -= a[j * stride + i] * share
+            x[i] -= a[row + i] * share
+    _substitute_back(a, n, x)
+
+
+@kernel
+def _substitute_back(a, n, x):
+    """Overwrite L^-1 b, x (n), by L^-T D^-1 L^-1 b, by the factors that elimination left in a."""
+    stride = row_stride(n + 1)
     for i in range(n - 1, -1, -1):
         x[i] *= a[i * stride + i]
         for k in range(i):
@@ -112,8 +123,9 @@ def add_product(a, b, out):
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             share = a[i, j]
-            for k in range(b.shape[1] if share != 0.0 else 0):
-                out[i, k] += share * b[j, k]
+            if share != 0.0:
+                for k in range(b.shape[1]):
+                    out[i, k] += share * b[j, k]
 
 
 @kernel
@@ -122,6 +134,7 @@ def solve_symmetric(a, x):
     upper triangle is read: by L D L^T elimination, in place too. Of a system that is singular they
     are not finite."""
     n, m = x.shape
+    # elimination: 1 / D on the diagonal, D L^T above it, and L^-1 x
     for j in range(n):
         a[j, j] = 1.0 / a[j, j]
         for i in range(j + 1, n):
@@ -130,6 +143,7 @@ def solve_symmetric(a, x):
                 a[i, k] -= share * a[j, k]
             for k in range(m):
                 x[i, k] -= share * x[j, k]
+    # substitution from the last unknown to the first
     for i in range(n - 1, -1, -1):
         for j in range(i + 1, n):
             for k in range(m):
@@ -139,51 +153,83 @@ def solve_symmetric(a, x):
 
 
 @kernel
+def place_between(x, least, greatest):
+    """Where a number is: AT_LEAST or below, AT_GREATEST or above, or BETWEEN."""
+    if x <= least:
+        return AT_LEAST
+    if x >= greatest:
+        return AT_GREATEST
+    return BETWEEN
+
+
+@kernel
 def solve_bounded(a, b, least, greatest, x, part, system):
     """Solution x (m) of a x = b, but a x > b where x is at its least and a x < b where it is at its
     greatest: linear complementarity.
 
     a (m, m): a matrix whose principal minors are positive. By Newton's method on which unknowns are
     at a bound, from where the x that is given is, and where that goes in circles one at a time,
-    which comes to an end (K. G. Murty 1974). part (m), system (m, m + 1): scratch.
+    which comes to an end (K. G. Murty 1974). part (m) int64, system (m, m + 1): scratch.
     """
     m = x.size
     for i in range(m):
-        part[i] = -1.0 if x[i] <= least[i] else 1.0 if x[i] >= greatest[i] else 0.0
+        part[i] = place_between(x[i], least[i], greatest[i])
     for repeat in range(MOST_AT_ONCE + MOST_ONE_BY_ONE):
         solve_part(a, b, least, greatest, x, part, system)
+        one_by_one = repeat >= MOST_AT_ONCE
         changed = False
         for i in range(m):
-            missing = b[i]
-            for j in range(m):
-                missing -= a[i, j] * x[j]
-            change = 0.0
-            if part[i] == 0.0:
-                change = 1.0 if x[i] > greatest[i] else -1.0 if x[i] < least[i] else 0.0
-            elif part[i] * missing < 0.0:
-                change = -part[i]
-            if change != 0.0 and not (changed and repeat >= MOST_AT_ONCE):
+            change = _change_of_part(a, b, least, greatest, x, part, i)
+            if change != 0 and not (changed and one_by_one):
                 part[i] += change
                 changed = True
         if not changed:
             break
+    # where the search has ended at its most solutions, an unknown may be beyond a bound
     for i in range(m):
         x[i] = min(max(x[i], least[i]), greatest[i])
+
+
+@kernel
+def _change_of_part(a, b, least, greatest, x, part, i):
+    """Change of part[i] that the solution x of solve_part() calls for: to the bound that an unknown
+    between them has passed, or off the bound that its row pushes it away from."""
+    if part[i] == BETWEEN:
+        if x[i] > greatest[i]:
+            return 1
+        if x[i] < least[i]:
+            return -1
+        return 0
+    missing = b[i]
+    for j in range(x.size):
+        missing -= a[i, j] * x[j]
+    if part[i] * missing < 0.0:
+        return -part[i]
+    return 0
 
 
 @kernel
 def solve_part(a, b, least, greatest, x, part, system):
     """x (m) with those at a bound there, and the rows of the others solved by elimination."""
     m = x.size
+    # rows of the system: a x = b of unknowns between their bounds, x = bound of the others
     for i in range(m):
-        for j in range(m):
-            system[i, j] = a[i, j] if part[i] == 0.0 else 1.0 if i == j else 0.0
-        system[i, m] = b[i] if part[i] == 0.0 else least[i] if part[i] < 0.0 else greatest[i]
+        if part[i] == BETWEEN:
+            for j in range(m):
+                system[i, j] = a[i, j]
+            system[i, m] = b[i]
+        else:
+            for j in range(m):
+                system[i, j] = 0.0
+            system[i, i] = 1.0
+            system[i, m] = least[i] if part[i] == AT_LEAST else greatest[i]
+    # Gauss elimination without pivoting: the principal minors are positive
     for j in range(m):
         for i in range(j + 1, m):
             share = system[i, j] / system[j, j]
-            for k in range(j if share != 0.0 else m + 1, m + 1):
-                system[i, k] -= share * system[j, k]
+            if share != 0.0:
+                for k in range(j, m + 1):
+                    system[i, k] -= share * system[j, k]
     for i in range(m - 1, -1, -1):
         x[i] = system[i, m]
         for k in range(i + 1, m):

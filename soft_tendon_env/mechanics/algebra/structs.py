@@ -29,11 +29,11 @@ from numba.extending import (
     unbox,
 )
 
-_WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
+_WORD = ir.IntType(64)
+_NUMBER = ir.DoubleType()
 
-_INTERPRETED: WeakValueDictionary[int, "Struct"] = (
-    WeakValueDictionary()
-)  # by their addresses, where nothing is compiled
+_INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
+"""Structs by their addresses, where nothing is compiled."""
 
 
 class Struct:
@@ -60,19 +60,20 @@ class Struct:
     def names(cls) -> tuple[str, ...]:
         """Names of the fields, those of base classes first; a property takes the place of a base's
         field."""
-        found = dict.fromkeys(
+        annotated = dict.fromkeys(
             name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ())
         )
-        return tuple(name for name in found if not isinstance(getattr(cls, name, None), property))
+        return tuple(
+            name for name in annotated if not isinstance(getattr(cls, name, None), property)
+        )
 
     def _lay_out(self, fields: dict[str, Any]) -> None:
         words: list[int] = []
         kinds: list[Any] = [type(self)]
         for name, value in fields.items():
             kinds.append(self._write(name, value, words))
-        table = np.array(
-            words, dtype=np.int64
-        )  # never written to again, on which compiled code relies
+        # never written to again, on which compiled code relies
+        table = np.array(words, dtype=np.int64)
         self.__dict__.update(fields, _table=table, _address=_data(table), _layout=tuple(kinds))
         if config.DISABLE_JIT:
             _INTERPRETED[self.address] = self
@@ -97,14 +98,11 @@ class Struct:
         if isinstance(value, tuple) and all(isinstance(part, float) for part in value):
             words += np.array(value).view(np.int64).tolist()
             return float, len(value)
-        given = repr(value)
-        if isinstance(value, np.ndarray):
-            given = f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"
-        kinds = (
-            "a contiguous array of float64 or int64, a tuple of int alone or of float alone, a"
-            " Struct, or a number"
+        raise TypeError(
+            f"{type(self).__name__}.{name} should be a contiguous array of float64 or int64, a"
+            " tuple of int alone or of float alone, a Struct, or a number, not"
+            f" {_described(value)}"
         )
-        raise TypeError(f"{type(self).__name__}.{name} should be {kinds}, not {given}")
 
     @property
     def address(self) -> int:
@@ -134,35 +132,38 @@ class Struct:
         )
 
 
+def _described(value: Any) -> str:
+    """What a field was given, for an error."""
+    if not isinstance(value, np.ndarray):
+        return repr(value)
+    return f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"
+
+
 class StructType(types.Type):
     """Numba's type of structs of one class whose fields have these types; attributes as those of
     its named tuples."""
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
         described = f"{kind.__module__}.{kind.__qualname__}{fields}"
+        digest = hashlib.sha256(described.encode()).hexdigest()[:16]
         # short: it is part of the name of every function that gets one, which compilers copy and
         # compare
-        super().__init__(
-            name=f"{kind.__qualname__}_{hashlib.sha256(described.encode()).hexdigest()[:16]}"
-        )
-        self.instance_class, self.fields, self.types = (
-            kind,
-            dict(fields),
-            tuple(field for _, field in fields),
-        )
-        sizes = [_size(field) for _, field in fields]
-        self.slots = {name: sum(sizes[:i]) for i, (name, _) in enumerate(fields)}
+        super().__init__(name=f"{kind.__qualname__}_{digest}")
+        self.instance_class = kind
+        self.fields = dict(fields)
+        self.types = tuple(field for _, field in fields)
+        self.slots: dict[str, int] = {}
+        slot = 0
+        for name, field in fields:
+            self.slots[name] = slot
+            slot += _size(field)
 
 
 def _size(field):
     """Words that a field takes."""
-    return (
-        1 + field.ndim
-        if isinstance(field, types.Array)
-        else len(field)
-        if isinstance(field, types.BaseTuple)
-        else 1
-    )
+    if isinstance(field, types.Array):
+        return 1 + field.ndim
+    return len(field) if isinstance(field, types.BaseTuple) else 1
 
 
 def _data(array: np.ndarray) -> int:
@@ -177,14 +178,12 @@ _TYPES: dict[tuple[Any, ...], StructType] = {}
 def _typeof_struct(value, context):
     attributes = value.__dict__
     if "_numba_type_" not in attributes:
-        if attributes["_layout"] not in _TYPES:
+        layout = attributes["_layout"]
+        if layout not in _TYPES:
             fields = value.fields().items()
-            _TYPES[attributes["_layout"]] = StructType(
-                type(value), tuple((name, typeof_impl(field, context)) for name, field in fields)
-            )
-        attributes["_numba_type_"] = _TYPES[
-            attributes["_layout"]
-        ]  # where numba's dispatchers look first
+            typed = tuple((name, typeof_impl(field, context)) for name, field in fields)
+            _TYPES[layout] = StructType(type(value), typed)
+        attributes["_numba_type_"] = _TYPES[layout]  # where numba's dispatchers look first
     return attributes["_numba_type_"]
 
 
@@ -212,7 +211,8 @@ class _FieldOfStruct(AttributeTemplate):
 
 @lower_getattr_generic(StructType)
 def _field_of_struct(context, builder, kind, table, name):
-    field, slot = kind.fields[name], kind.slots[name]
+    field = kind.fields[name]
+    slot = kind.slots[name]
 
     def word(i, as_type=_WORD):
         place = builder.gep(table, [ir.Constant(_WORD, slot + i)])
@@ -223,39 +223,41 @@ def _field_of_struct(context, builder, kind, table, name):
     if isinstance(field, StructType):
         return builder.inttoptr(word(0), _WORD.as_pointer())
     if isinstance(field, types.BaseTuple):
-        return cgutils.pack_array(
-            builder,
-            [
-                word(i, _NUMBER if field.dtype == types.float64 else _WORD)
-                for i in range(len(field))
-            ],
-        )
+        as_type = _NUMBER if field.dtype == types.float64 else _WORD
+        return cgutils.pack_array(builder, [word(i, as_type) for i in range(len(field))])
     if field == types.boolean:
         return builder.icmp_unsigned("!=", word(0), _WORD(0))
     if not isinstance(field, types.Array):
         return word(0, _NUMBER if field == types.float64 else _WORD)
-    numbers = builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer())
-    return array_value(context, builder, field, numbers, [word(1 + i) for i in range(field.ndim)])
+    # an array: the address of its numbers, then its shape
+    address = context.get_data_type(field.dtype).as_pointer()
+    numbers = builder.inttoptr(word(0), address)
+    shape = [word(1 + i) for i in range(field.ndim)]
+    return array_value(context, builder, field, numbers, shape)
 
 
 def array_value(context, builder, field, numbers, shape):
     """Compiled code's array of this type, whose numbers are at an address; nobody counts references
     to it."""
-    strides, count = [ir.Constant(_WORD, 8)], shape[0]
+    item_size = ir.Constant(_WORD, 8)
+    strides = [item_size]
+    count = shape[0]
     for size in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], size))
         count = builder.mul(count, size)
-    model, nobody = context.data_model_manager[field], ir.Constant(ir.IntType(8).as_pointer(), None)
-    array = ir.Constant(model.get_value_type(), ir.Undefined)
-    for part, value in {
+    nobody = ir.Constant(ir.IntType(8).as_pointer(), None)
+    parts = {
         "meminfo": nobody,
         "parent": nobody,
         "nitems": count,
-        "itemsize": ir.Constant(_WORD, 8),
+        "itemsize": item_size,
         "data": numbers,
         "shape": cgutils.pack_array(builder, shape),
         "strides": cgutils.pack_array(builder, strides),
-    }.items():
+    }
+    model = context.data_model_manager[field]
+    array = ir.Constant(model.get_value_type(), ir.Undefined)
+    for part, value in parts.items():
         array = model.set(builder, array, value, part)
     return array
 

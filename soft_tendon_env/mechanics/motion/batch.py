@@ -11,8 +11,10 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
+from soft_tendon_env.mechanics.algebra.lie import write_twist
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
+from soft_tendon_env.mechanics.effects import IntArray
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
@@ -21,11 +23,12 @@ from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import (
+    node_twists,
     poses,
     poses_inside,
     strains_inside,
     tip_pose_of,
-    tip_twist,
+    tip_twist_of,
     write_pose,
 )
 from soft_tendon_env.mechanics.terms.parametrisation import (
@@ -71,29 +74,28 @@ class Reading(Struct):
     backbone: Annotated[np.ndarray, "rows", "stations", "4", "4"]  # identities to begin with
     strain: Annotated[np.ndarray, "rows", "sensors", "6"]
     strain_rate: Annotated[np.ndarray, "rows", "sensors", "6"]
-    tension: Annotated[
-        np.ndarray, "rows", "n_a"
-    ]  # [N] at the actuators, where effects are between commands and tensions
+    # [N] that act at the actuators, which is the command where nothing is between; of samples,
+    # which have no command, 0
+    tension: Annotated[np.ndarray, "rows", "n_a"]
 
 
 def make_reading(arm: Arm, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
-    sizes = {
-        **sizes_of(arm),
-        "rows": rows,
-        "stations": places.station.size,
-        "sensors": places.sensor.size,
-    }
+    sizes = sizes_of(arm)
+    sizes["rows"] = rows
+    sizes["stations"] = places.station.size
+    sizes["sensors"] = places.sensor.size
     reading = zeros(Reading, sizes)
-    reading.tip_pose[:], reading.backbone[:] = np.eye(4), np.eye(4)
+    reading.tip_pose[:] = np.eye(4)
+    reading.backbone[:] = np.eye(4)
     return reading
 
 
 class Outcome(Struct):
     """Outcome of the last step of every row."""
 
-    status: IntVector  # (rows), see status
-    rejected: IntVector  # (rows) steps tried again at a smaller size
+    status: Annotated[IntArray, "rows"]  # see status
+    rejected: Annotated[IntArray, "rows"]  # steps tried again at a smaller size
 
 
 class Batch(Struct):
@@ -113,37 +115,49 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
         name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()
     }
     rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **fields)
-    outcome = Outcome(
-        status=np.zeros(count, dtype=np.int64), rejected=np.zeros(count, dtype=np.int64)
-    )
-    return Batch(
-        arm=arm, places=places, rows=rows, outcome=outcome, reading=make_reading(arm, places, count)
-    )
+    outcome = zeros(Outcome, {"rows": count})
+    reading = make_reading(arm, places, count)
+    return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=reading)
 
 
 @kernel
 def read(arm, places, q_dot, work, row, reading):
-    """Measures a row into `reading` at the time of work.clock, where strain_from_guess() or
-    strain_from_rest() has just left the strain."""
-    strain_rate(arm, q_dot, work)
-    place_base(arm, work)
-    poses(arm.rod, work)
-    R, r = tip_pose_of(work.pose)
-    w, v = tip_twist(arm.rod, work)
+    """Measures a row into `reading` at the time of work.inputs, but for the tension, where
+    strain_from_guess() or strain_from_rest() has just left the strain."""
+    rod = arm.rod
+    strain = work.strain
+    kinematics = work.kinematics
+    strain_rate(arm, q_dot, strain)
+    place_base(arm, work.inputs.clock[0], kinematics.base)
+    poses(rod, kinematics.base, strain.xi, kinematics)
+    node_twists(rod, strain, kinematics)
+    R, r = tip_pose_of(kinematics.pose)
     write_pose(R, r, reading.tip_pose[row])
-    for i in range(3):
-        reading.tip_twist[row, i] = w[i]
-        reading.tip_twist[row, 3 + i] = v[i]
-    tendon_lengths(arm.rod, arm.tendons, work, reading.tendon_length[row])
+    write_twist(tip_twist_of(kinematics.eta), reading.tip_twist[row])
+    tendon_lengths(rod, arm.tendons, strain.xi, reading.tendon_length[row])
     poses_inside(
-        arm.rod.length, places.station, places.station_distance, work, reading.backbone[row]
+        rod.length,
+        places.station,
+        places.station_distance,
+        strain.xi,
+        kinematics,
+        reading.backbone[row],
     )
-    strains_inside(
-        arm.rod.length, places.sensor, places.sensor_distance, work.xi, reading.strain[row]
-    )
-    strains_inside(
-        arm.rod.length, places.sensor, places.sensor_distance, work.xi_dot, reading.strain_rate[row]
-    )
+    sensors = places.sensor
+    distance = places.sensor_distance
+    strains_inside(rod.length, sensors, distance, strain.xi, reading.strain[row])
+    strains_inside(rod.length, sensors, distance, strain.xi_dot, reading.strain_rate[row])
+
+
+@kernel
+def read_tension(arm, command, motion, scratch, tension):
+    """Tensions (n_a) at the actuators in a motion whose strain is in the workspace, under the last
+    command (n_a) that was given."""
+    arrival = scratch.arrival
+    receive(arm.effects, command, False, motion.clock[0], motion.state, arrival)
+    acting = command_at(arm.effects, arrival.command, motion.state, 0.0, scratch.acting)
+    work = scratch.work
+    copy(actuator_tensions(arm, acting, work.strain.xi, work.tendons), tension)
 
 
 @kernel
@@ -155,32 +169,26 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
     row whose step fails keeps its last good motion. The tape keeps where every part began, unless
     it has no rows.
     """
-    rows, work, acting = batch.rows, scratch.work, scratch.acting
+    rows = batch.rows
+    work = scratch.work
+    reading = batch.reading
     for row in members:
         arm = struct_at(batch.arm, rows.arm, row)
         motion = Motion(
-            rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row]
+            rows.q[row],
+            rows.q_dot[row],
+            rows.xi[row],
+            rows.state[row],
+            rows.clock[row],
         )
         advance_parts(arm, scheme, commands, durations, motion, row, (batch, tape), scratch)
-        if (
-            batch.outcome.status[row] != OK or total(durations[row]) == 0.0
-        ):  # otherwise settle() has just left the motion's strain
-            copy(motion.xi, work.xi)
-            strain_from_guess(arm, motion.q, STEP_TOLERANCE, work)
-        work.clock[0] = motion.clock[0]
-        if arm.effects.count > 0:
-            receive(
-                arm.effects,
-                commands[row, -1],
-                False,
-                motion.clock[0],
-                motion.state,
-                acting,
-                scratch.until,
-            )
-            command = command_at(arm.effects, acting, motion.state, 0.0, scratch.command)
-            copy(actuator_tensions(arm, command, work), batch.reading.tension[row])
-        read(arm, batch.places, motion.q_dot, work, row, batch.reading)
+        has_moved = batch.outcome.status[row] == OK and total(durations[row]) != 0.0
+        if not has_moved:  # otherwise settle() has just left the motion's strain
+            copy(motion.xi, work.strain.xi)
+            strain_from_guess(arm, motion.q, STEP_TOLERANCE, work.strain, work.kinematics)
+        work.inputs.clock[0] = motion.clock[0]
+        read_tension(arm, commands[row, -1], motion, scratch, reading.tension[row])
+        read(arm, batch.places, motion.q_dot, work, row, reading)
 
 
 @kernel
@@ -188,37 +196,25 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
     """Advances the motion of a row part by part, with its outcome, and keeps on the tape where each
     begins; results: batch and tape."""
     batch, tape = results
-    rows, outcome, none = (
-        batch.rows,
-        batch.outcome,
-        Record(batch.rows.q[:0], batch.rows.q_dot[:0], batch.reading.tip_pose[:0]),
-    )
-    outcome.status[row], outcome.rejected[row] = OK, 0
+    rows = batch.rows
+    outcome = batch.outcome
+    none = Record(rows.q[:0], rows.q_dot[:0], batch.reading.tip_pose[:0])
+    outcome.status[row] = OK
+    outcome.rejected[row] = 0
     for part in range(commands.shape[1]):
-        held = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
+        begins = scheme.begins or part > 0
+        held = Scheme(scheme.method, scheme.control, begins)
+        command = commands[row, part : part + 1]
+        duration = durations[row, part : part + 1]
+        step = rows.step[row]
         tape_border(tape, row, part, motion)
-        done = advance(
-            arm,
-            held,
-            commands[row, part : part + 1],
-            durations[row, part : part + 1],
-            motion,
-            rows.step[row],
-            scratch,
-            none,
-        )
-        rows.step[row] = done.step
-        outcome.status[row] = done.status
-        outcome.rejected[row] += done.rejected
-        tape_part(
-            tape,
-            row,
-            part,
-            commands[row, part],
-            durations[row, part] if done.status == OK else -1.0,
-            held.begins,
-        )
-        if done.status != OK:
+        progress = advance(arm, held, command, duration, motion, step, scratch, none)
+        rows.step[row] = progress.step
+        outcome.status[row] = progress.status
+        outcome.rejected[row] += progress.rejected
+        lasted = duration[0] if progress.status == OK else -1.0
+        tape_part(tape, row, part, command[0], lasted, begins)
+        if progress.status != OK:
             break
     tape_border(tape, row, commands.shape[1], motion)
 
@@ -227,17 +223,23 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
 def place_rows(batch, members, commands, work):
     """Finds strains at the coordinates of the rows in `members`, from rest, where commands (rows,
     n_a) have always held, and reads them."""
-    rows, outcome = batch.rows, batch.outcome
+    rows = batch.rows
+    outcome = batch.outcome
+    reading = batch.reading
+    strain = work.strain
     for row in members:
         arm = struct_at(batch.arm, rows.arm, row)
-        outcome.status[row] = (
-            OK if strain_from_rest(arm, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
-        )
-        outcome.rejected[row], rows.clock[row, 0], work.clock[0] = 0, 0.0, 0.0
-        copy(work.xi, rows.xi[row])
-        read(arm, batch.places, rows.q_dot[row], work, row, batch.reading)
-        rest_states(arm, commands[row], work)
-        copy(work.state, rows.state[row])
+        failed, _ = strain_from_rest(arm, rows.q[row], ROUND_OFF, strain, work.kinematics)
+        outcome.status[row] = OK if failed < 0 else NO_STRAIN
+        outcome.rejected[row] = 0
+        rows.clock[row, 0] = 0.0
+        work.inputs.clock[0] = 0.0
+        copy(strain.xi, rows.xi[row])
+        tension = actuator_tensions(arm, commands[row], strain.xi, work.tendons)
+        copy(tension, reading.tension[row])
+        read(arm, batch.places, rows.q_dot[row], work, row, reading)
+        rest_states(arm, commands[row], work.inputs, strain, work.loads)
+        copy(work.inputs.state, rows.state[row])
 
 
 @kernel
@@ -245,9 +247,10 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
     """Reads given motions q, q_dot (samples, n) at the samples named in `members`; good (samples):
     whether there is a strain, sought from rest: what is read depends on q and q_dot alone. A sample
     without a strain keeps what stood in `reading`."""
-    work.clock[0] = 0.0
+    work.inputs.clock[0] = 0.0
     for i in members:
-        good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
+        failed, _ = strain_from_rest(arm, q[i], STEP_TOLERANCE, work.strain, work.kinematics)
+        good[i] = failed < 0
         if good[i]:
             read(arm, places, q_dot[i], work, i, reading)
 
@@ -257,14 +260,14 @@ def are_firm(arm, q, members, work, firm):
     """Whether coordinates have a firm strain, see parametrisation: firm (samples) of q (samples,
     n), for the samples named in `members`."""
     for i in members:
-        firm[i] = strain_has_margin(arm, q[i], STEP_TOLERANCE, work)
+        firm[i] = strain_has_margin(arm, q[i], STEP_TOLERANCE, work.strain, work.kinematics)
 
 
 @kernel
-def read_backbones(arm, places, xi, work, out):
-    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6) from work.base;
-    out holds identities to begin with."""
+def read_backbones(arm, places, xi, kinematics, out):
+    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6) from
+    kinematics.base; out holds identities to begin with."""
+    length = arm.rod.length
     for i in range(xi.shape[0]):
-        copy(xi[i], work.xi)
-        poses(arm.rod, work)
-        poses_inside(arm.rod.length, places.station, places.station_distance, work, out[i])
+        poses(arm.rod, kinematics.base, xi[i], kinematics)
+        poses_inside(length, places.station, places.station_distance, xi[i], kinematics, out[i])

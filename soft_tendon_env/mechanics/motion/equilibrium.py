@@ -38,47 +38,57 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     lacks the derivative of the load and, away from rest, that of the columns. Returns (-1, 1.0), or
     (block, part of q that was reached) where there is no strain.
     """
-    block, reached = strain_from_rest(arm, q, ROUND_OFF, work)
+    strain = work.strain
+    drive = work.forces.drive
+    load = work.forces.load
+    block, reached = strain_from_rest(arm, q, ROUND_OFF, strain, work.kinematics)
     if block >= 0:
         return block, reached
-    other, xi = 0.0 if part > 0.0 else 1.0, work.xi.copy()
-    for m in range(-2, directions.shape[0]):
-        if m == -1 and not with_rate:
-            continue
-        copy(xi, work.xi)
-        moved = q + DIFFERENCE * directions[m] if m >= 0 else q
-        pulls = (other if m == -1 else part) * tension
-        block = (
-            evaluate_at_rest(arm, pulls, q, ROUND_OFF, work)
-            if m == -2
-            else balance_at_rest(arm, pulls, moved, ROUND_OFF, work)
-        )
+    xi = strain.xi.copy()
+    pulls = part * tension
+    # f at q, with G
+    block = evaluate_at_rest(arm, pulls, q, ROUND_OFF, work)
+    if block >= 0:
+        return block, 1.0
+    copy_matrix(work.matrices.G, out.G)
+    for i in range(q.size):
+        out.force[i] = drive[i] + part * load[i]
+    # its rate, of the drive under another part
+    if with_rate:
+        other = 0.0 if part > 0.0 else 1.0
+        copy(drive, out.rate)
+        copy(xi, strain.xi)
+        block = balance_at_rest(arm, other * tension, q, ROUND_OFF, work)
         if block >= 0:
             return block, 1.0
-        if m == -2:
-            for i in range(q.size):
-                out.force[i] = work.drive[i] + part * work.load[i]
-            copy(work.drive, out.rate)
-            copy_matrix(work.G, out.G)
-        elif m == -1:
-            for i in range(q.size):
-                out.rate[i] = (out.rate[i] - work.drive[i]) / (part - other) + work.load[i]
-        else:
-            for i in range(q.size):
-                out.slopes[i, m] = (out.force[i] - work.drive[i] - part * work.load[i]) / DIFFERENCE
+        for i in range(q.size):
+            out.rate[i] = (out.rate[i] - drive[i]) / (part - other) + load[i]
+    # its slopes, from the strain at q
+    for m in range(directions.shape[0]):
+        copy(xi, strain.xi)
+        moved = q + DIFFERENCE * directions[m]
+        block = balance_at_rest(arm, pulls, moved, ROUND_OFF, work)
+        if block >= 0:
+            return block, 1.0
+        for i in range(q.size):
+            out.slopes[i, m] = (out.force[i] - drive[i] - part * load[i]) / DIFFERENCE
     return -1, 1.0
 
 
 @kernel(refcount=True)
-def strain_is_continuous(arm, q_from, q, work):
+def strain_is_continuous(arm, q_from, q, strain, kinematics):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons
     that push can part them."""
-    if strain_is_unique(arm, q, work):
+    if strain_is_unique(arm, q, strain):
         return True
-    begins = strain_from_rest(arm, q_from, ROUND_OFF, work)[0] < 0
-    if not begins or continue_strain(arm, (q_from, 1.0), (q, 1.0), ROUND_OFF, work)[0] >= 0:
+    if strain_from_rest(arm, q_from, ROUND_OFF, strain, kinematics)[0] >= 0:
         return False
-    continued = work.xi.copy()
-    if strain_from_rest(arm, q, ROUND_OFF, work)[0] >= 0:
+    begin = (q_from, 1.0)
+    end = (q, 1.0)
+    if continue_strain(arm, begin, end, ROUND_OFF, strain, kinematics)[0] >= 0:
         return False
-    return np.abs(work.xi - continued).max() <= ALIKE * np.abs(continued).max()
+    continued = strain.xi.copy()
+    if strain_from_rest(arm, q, ROUND_OFF, strain, kinematics)[0] >= 0:
+        return False
+    difference = np.abs(strain.xi - continued).max()
+    return difference <= ALIKE * np.abs(continued).max()

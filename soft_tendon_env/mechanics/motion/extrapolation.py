@@ -20,9 +20,10 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.motion.implicit_euler import implicit_euler, start_matrices
+from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
-from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces_of_command
 
 # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again,
 # steps that succeed
@@ -30,9 +31,9 @@ HOPELESS = 3.0
 # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is
 # extrapolated
 NEAR = 0.05
-STEP_TOLERANCE = (
-    1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
-)
+# of the strain's Newton: quadratic, so the strain itself is good to the square of it
+STEP_TOLERANCE = 1e-6
+LEAST_SQUARE = 1e-300  # of rates, so that none divides by zero
 
 
 class Demand(NamedTuple):
@@ -65,98 +66,113 @@ class Attempt(NamedTuple):
 
 
 @kernel
-def predict_strain(strain, q, q_last, work):
-    """Predicts the strain at coordinates q in work.xi: to first order along the columns of the last
-    evaluation, and to second order as far as q lies where its rates lead, along its bias; never
-    further along the bias than along the columns."""
-    change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
+def predict_strain(law, q, q_last, strain, change):
+    """Predicts the strain at coordinates q in strain.xi: to first order along the columns of the
+    last evaluation, and to second order as far as q lies where its rates lead, along its bias;
+    never further along the bias than along the columns. Overwrites `change` (points x 6)."""
+    per_column = change.size
+    # Phi (q - q_last)
     for m in range(0, per_column, LANES):
         store(change, m, spread(0.0))
-    for j in range(strain.size):
+    for j in range(law.size):
         step = q[j] - q_last[j]
-        rows = per_column // strain.jacobian_end[j]
-        for m in range(strain.pack_begin[j] * rows, strain.pack_end[j] * rows, LANES):
-            store(change, m, load(change, m) + step * load(work.Phi, j * per_column + m))
-    along, rates, curved, moved = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+        per_pack = per_column // law.jacobian_end[j]
+        begin = law.pack_begin[j] * per_pack
+        end = law.pack_end[j] * per_pack
+        for m in range(begin, end, LANES):
+            phi = load(strain.Phi, j * per_column + m)
+            store(change, m, load(change, m) + step * phi)
+    # the time t for which xi_dot t is nearest to that
+    along = spread(0.0)
+    rates = spread(0.0)
+    curved = spread(0.0)
+    moved = spread(0.0)
     for m in range(0, per_column, LANES):
-        x, rate, bias = load(change, m), load(work.xi_dot, m), load(work.xi_bias, m)
-        along, rates, curved, moved = (
-            along + x * rate,
-            rates + rate * rate,
-            curved + bias * bias,
-            moved + x * x,
-        )
-    time = lane_sum(along) / max(lane_sum(rates), 1e-300)
+        x = load(change, m)
+        rate = load(strain.xi_dot, m)
+        bias = load(strain.xi_bias, m)
+        along = along + x * rate
+        rates = rates + rate * rate
+        curved = curved + bias * bias
+        moved = moved + x * x
+    time = lane_sum(along) / max(lane_sum(rates), LEAST_SQUARE)
+    # xi + Phi (q - q_last) + t^2/2 xi_bias
     half = 0.5 * time * time
     if not half * half * lane_sum(curved) <= lane_sum(moved):
         half = 0.0
     for m in range(0, per_column, LANES):
-        store(work.xi, m, load(work.xi, m) + load(change, m) + half * load(work.xi_bias, m))
+        bent = half * load(strain.xi_bias, m)
+        store(strain.xi, m, load(strain.xi, m) + load(change, m) + bent)
 
 
 @kernel
-def evaluate_force(arm, method, u, q, v, state, time, scratch):
-    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command u
-    that acts, into scratch.force; a status. state: internal states of the effects, at this time or
-    that of work.since before it."""
+def evaluate_force(arm, method, command, q, v, state, time, scratch):
+    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command
+    (n_a) that acts, into scratch.now.force; a status. state: internal states of the effects, at
+    this time or that of inputs.since before it."""
     work = scratch.work
-    copy(state, work.state)
-    work.clock[0] = time
-    work.u_is_command[0] = 1.0
-    if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
+    copy(state, work.inputs.state)
+    work.inputs.clock[0] = time
+    failed = evaluate_forces_of_command(arm, command, q, v, method.strain_tolerance, work)
+    if failed >= 0:
         return NO_STRAIN
     copy(q, scratch.q_last)
+    forces = work.forces
     for i in range(q.size):
-        scratch.force[i] = (
-            work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
-        )
+        bias = forces.bias[i] if method.with_inertia else 0.0
+        scratch.now.force[i] = forces.drive[i] - bias + forces.load[i]
     return OK
 
 
 @kernel
-def substeps(arm, method, tolerance, u, motion, step, row, scratch):
+def substeps(arm, method, tolerance, arrived, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v, of which
     the first goes from the evaluation at the start that all rows share; a status and the number of
     evaluations."""
-    evaluations, h = 0, step / (row + 1)
+    h = step / (row + 1)
+    is_alone = row == 0
+    evaluations = 0
     copy(motion.q, scratch.q)
     copy(motion.q_dot, scratch.v)
     for number in range(row + 1):
-        if number > 0 or row == 0:
-            status = evaluate_substep(arm, method, u, motion, number, h, scratch)
+        if number > 0 or is_alone:
+            status = evaluate_substep(arm, method, arrived, motion, number, h, scratch)
             evaluations += 1
             if status != OK:
                 return status, evaluations
-        if row == 0:
+        if is_alone:
             start_matrices(arm, scratch)
-        status = implicit_euler(
-            arm, method, u, motion, Substep(h, number, row == 0, NEAR * tolerance), scratch
-        )
+        substep = Substep(h, number, is_alone, NEAR * tolerance)
+        status = implicit_euler(arm, method, arrived, motion, substep, scratch)
         if status != OK:
             return status, evaluations
     return OK, evaluations
 
 
 @kernel
-def evaluate_substep(arm, method, u, motion, number, h, scratch):
-    """Force at the beginning of a substep, from scratch.q, scratch.v, into scratch.force; a
+def evaluate_substep(arm, method, arrived, motion, number, h, scratch):
+    """Force at the beginning of a substep, from scratch.q, scratch.v, into scratch.now.force; a
     status."""
-    work, state = scratch.work, motion.state
+    work = scratch.work
+    inputs = work.inputs
+    remembers = inputs.before.size > 0
+    state = motion.state
+    begun = number * h
     if number > 0:
-        predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-    command = command_at(arm.effects, u, motion.state, number * h, scratch.command)
-    if work.before.size > 0 and number > 0:
-        work.since[0] = h
+        predict_strain(arm.strain, scratch.q, scratch.q_last, work.strain, work.spare.stress)
+    command = command_at(arm.effects, arrived, motion.state, begun, scratch.acting)
+    if remembers and number > 0:
+        # states go on from the substep before, the first from those of the motion
+        inputs.since[0] = h
         if number == 1:
-            copy(motion.xi, work.before)
+            copy(motion.xi, inputs.before)
         else:
-            state = work.state
-    status = evaluate_force(
-        arm, method, command, scratch.q, scratch.v, state, motion.clock[0] + number * h, scratch
-    )
-    work.since[0] = 0.0
-    if work.before.size > 0 and status == OK:
-        copy(work.xi, work.before)
+            state = inputs.state
+    time = motion.clock[0] + begun
+    status = evaluate_force(arm, method, command, scratch.q, scratch.v, state, time, scratch)
+    inputs.since[0] = 0.0
+    if remembers and status == OK:
+        copy(work.strain.xi, inputs.before)
     return status
 
 
@@ -165,22 +181,30 @@ def complete_row(row, scratch):
     """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in
     their place, with the error estimate; where the tension of an elastic tendon has a kink within
     the step, which cannot be extrapolated, the first one, as of a first-order method."""
-    is_kinked = scratch.is_kinked[0] != 0.0 and row > 0
-    kept, other = (0, 1) if is_kinked else (row, max(row - 1, 0))
-    for table, value, error in (
-        (scratch.table_q, scratch.q, scratch.error_q),
-        (scratch.table_v, scratch.v, scratch.error_v),
-    ):
-        copy(value, table[row, 0])
-        for k in range(1, row + 1):  # Aitken-Neville for the step numbers 1, 2, 3, ...
-            ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
-            for i in range(value.size):
-                table[row, k, i] = (
-                    table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
-                )
-        copy(table[row, kept], value)
+    kept = row
+    other = max(row - 1, 0)
+    if scratch.kink[0] == KINKED and row > 0:
+        kept = 0
+        other = 1
+    extrapolate(row, kept, other, scratch.table_q, scratch.q, scratch.error_q)
+    extrapolate(row, kept, other, scratch.table_v, scratch.v, scratch.error_v)
+
+
+@kernel
+def extrapolate(row, kept, other, table, value, error):
+    """Aitken-Neville for the step numbers 1, 2, 3, ... from a value (n), the row's first entry: to
+    the entry that is kept, in its place, and its difference from another one."""
+    copy(value, table[row, 0])
+    for k in range(1, row + 1):
+        # T_jk = T_j,k-1 + (T_j,k-1 - T_j-1,k-1) / (n_j / n_j-k - 1)
+        ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
         for i in range(value.size):
-            error[i] = value[i] - table[row, other, i]
+            left = table[row, k - 1, i]
+            above = table[row - 1, k - 1, i]
+            table[row, k, i] = left + (left - above) / ratio
+    copy(table[row, kept], value)
+    for i in range(value.size):
+        error[i] = value[i] - table[row, other, i]
 
 
 @kernel
@@ -188,48 +212,50 @@ def error_estimate(rod, horizon, scratch):
     """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square
     displacement of the rod, sqrt(e^T M e / m), that error_q makes at once or error_v within a
     horizon [s], that of a step as a rule."""
-    mass, by_q, by_v = scratch.work.M, 0.0, 0.0
+    M = scratch.work.matrices.M
+    by_q = 0.0
+    by_v = 0.0
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
-        by_q += scratch.error_q[i] * product(mass[i], scratch.error_q)
-        by_v += scratch.error_v[i] * product(mass[i], scratch.error_v)
+        by_q += scratch.error_q[i] * product(M[i], scratch.error_q)
+        by_v += scratch.error_v[i] * product(M[i], scratch.error_v)
     if not math.isfinite(by_q + by_v):
         return NOT_FINITE, math.inf
-    return OK, max(
-        math.sqrt(max(by_q, 0.0) / rod.mass[0]), horizon * math.sqrt(max(by_v, 0.0) / rod.mass[0])
-    )
+    moved = math.sqrt(max(by_q, 0.0) / rod.mass[0])
+    moving = math.sqrt(max(by_v, 0.0) / rod.mass[0])
+    return OK, max(moved, horizon * moving)
 
 
 @kernel
-def extrapolated_step(arm, method, demand, u, motion, step, scratch):
+def extrapolated_step(arm, method, demand, arrived, motion, step, scratch):
     """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from
     demand.least on, as meet the tolerance. It ends early where the estimate, falling as it did by
     the last column, would miss the tolerance by HOPELESS at the end, with that estimate."""
-    copy(motion.xi, scratch.work.xi)
-    evaluations, error = 0, math.inf
-    for row in range(method.columns):
-        status, more = substeps(arm, method, demand.tolerance, u, motion, step, row, scratch)
+    most = method.columns
+    tolerance = demand.tolerance
+    copy(motion.xi, scratch.work.strain.xi)
+    evaluations = 0
+    error = math.inf
+    for row in range(most):
+        rows = row + 1
+        status, more = substeps(arm, method, tolerance, arrived, motion, step, row, scratch)
         evaluations += more
         if status != OK:
-            return Attempt(status, row + 1, evaluations, math.inf, row + 1)
+            return Attempt(status, rows, evaluations, math.inf, rows)
         complete_row(row, scratch)
-        if row + 1 < demand.least and row + 1 < method.columns:
+        if rows < demand.least and rows < most:
             continue
         before = error
         status, error = error_estimate(arm.rod, demand.horizon, scratch)
-        if status != OK or error <= demand.tolerance:
-            return Attempt(
-                status,
-                row + 1 if scratch.is_kinked[0] == 0.0 else method.columns,
-                evaluations,
-                error,
-                row + 1,
-            )
-        foreseen = error * (error / before) ** (method.columns - row - 1)
-        if foreseen > HOPELESS * demand.tolerance:
-            return Attempt(INACCURATE, method.columns, evaluations, foreseen, row + 1)
-    return Attempt(INACCURATE, method.columns, evaluations, error, method.columns)
+        if status != OK or error <= tolerance:
+            # the error of a first-order method does not fall as a row's would
+            columns = rows if scratch.kink[0] == SMOOTH else most
+            return Attempt(status, columns, evaluations, error, rows)
+        foreseen = error * (error / before) ** (most - rows)
+        if foreseen > HOPELESS * tolerance:
+            return Attempt(INACCURATE, most, evaluations, foreseen, rows)
+    return Attempt(INACCURATE, most, evaluations, error, most)
 
 
 class Extrapolated(NamedTuple):

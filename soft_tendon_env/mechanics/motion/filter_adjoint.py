@@ -35,28 +35,30 @@ class FilterMemory(Struct):
     after: Annotated[np.ndarray, "2", "n_a"]  # what acts at the ends of the halves
     force: Annotated[np.ndarray, "2", "n_a"]  # cotangents of the mean commands
     mean: Annotated[np.ndarray, "2", "numbers", "n_a"]  # derivatives of the mean commands
-    slope: Annotated[
-        np.ndarray, "numbers", "n_a"
-    ]  # derivatives of u, then cotangents of the numbers
+    # derivatives of u, then cotangents of the numbers
+    slope: Annotated[np.ndarray, "numbers", "n_a"]
 
 
 def make_filter_memory(arm: Arm) -> FilterMemory:
     """Zeroed FilterMemory for one arm."""
-    n_a, size = arm.tendons.size, arm.effects.filter_size
-    return zeros(
-        FilterMemory, {**sizes_of(arm), "numbers": 2 + (size - n_a) // (1 + n_a) if size else 0}
-    )
+    n_a = arm.tendons.size
+    size = arm.effects.filter_size
+    table_rows = (size - n_a) // (1 + n_a) if size else 0
+    sizes = sizes_of(arm)
+    sizes["numbers"] = 2 + table_rows if size else 0
+    return zeros(FilterMemory, sizes)
 
 
 @kernel
-def source_at(path, table, times, begins, arrival):
+def source_at(path, table, times, begins, arrived_by):
     """Number that had arrived last at a time [s], of the table at the beginning of a part and of
     the command that is given there."""
-    if path.delay == 0.0 or (begins and times[0] + path.delay <= arrival):
-        return 1 + len(table)
+    given = 1 + len(table)
+    if path.delay == 0.0 or (begins and times[0] + path.delay <= arrived_by):
+        return given
     source = 1
     for k in range(1, len(table)):
-        if table[k, 0] <= arrival:
+        if table[k, 0] <= arrived_by:
             source = 1 + k
     return source
 
@@ -65,65 +67,75 @@ def source_at(path, table, times, begins, arrival):
 def begin_filter(effects, start, command, times, begins, scratch, memory):
     """Runs the filter through a part from its internal state (states) under a command (n_a), with
     its derivatives."""
-    path, half, at, is_new = effects.transmission, 0.5 * (times[1] - times[0]), times[0], begins
-    table, u = (
-        filter_state(effects, start, command.size)[1],
-        filter_state(effects, memory.state, command.size)[0],
-    )
-    copy(start, memory.state)
+    path = effects.transmission
+    arrival = scratch.arrival
+    state = memory.state
+    half = 0.5 * (times[1] - times[0])
+    shortest = SHORTEST * half
+    _, table = filter_state(effects, start, command.size)
+    copy(start, state)
     memory.mean[:] = 0.0
     memory.slope[:] = 0.0
-    memory.slope[0] = 1.0
+    memory.slope[0] = 1.0  # of u by itself
+    time = times[0]
+    is_new = begins
     for side in range(2):
-        end, mean = times[0] + (side + 1) * half, memory.mean[side]
-        while end - at > SHORTEST * half:
-            receive(effects, command, is_new, at, memory.state, scratch.acting, scratch.until)
-            step, is_new = max(min(scratch.until[0], end) - at, SHORTEST * half), False
-            source, share = source_at(path, table, times, begins, has_arrived_by(at)), step / half
-            for i in range(command.size):
-                left, by_u = lag_slopes(path, scratch.acting[i] - u[i], step)
-                for number in range(len(mean)):
-                    mean[number, i] += share * by_u * memory.slope[number, i]
-                    memory.slope[number, i] *= left
-                mean[source, i] += share * (1.0 - by_u)
-                memory.slope[source, i] += 1.0 - left
-            follow(effects, scratch.acting, step, memory.state)
-            at += step
-        copy(
-            command_at(effects, scratch.acting, memory.state, 0.0, memory.after[side]),
-            memory.after[side],
-        )
-    receive(effects, command, False, times[1], memory.state, scratch.acting, scratch.until)
+        end = times[0] + (side + 1) * half
+        mean = memory.mean[side]
+        while end - time > shortest:
+            # up to where another command arrives
+            receive(effects, command, is_new, time, state, arrival)
+            is_new = False
+            step = max(min(arrival.until[0], end) - time, shortest)
+            source = source_at(path, table, times, begins, has_arrived_by(time))
+            u, _ = filter_state(effects, state, command.size)
+            add_slopes(path, arrival.command, u, source, step, step / half, memory.slope, mean)
+            follow(effects, arrival.command, step, state)
+            time += step
+        after = memory.after[side]
+        copy(command_at(effects, arrival.command, state, 0.0, after), after)
+    receive(effects, command, False, times[1], state, arrival)
+
+
+@kernel
+def add_slopes(path, arrived, u, source, step, share, slope, mean):
+    """Takes derivatives of u (numbers, n_a) over a time [s], and adds those of a share of its mean,
+    where the `source`-th number has arrived."""
+    for i in range(arrived.size):
+        left, by_u = lag_slopes(path, arrived[i] - u[i], step)
+        for number in range(len(mean)):
+            mean[number, i] += share * by_u * slope[number, i]
+            slope[number, i] *= left
+        mean[source, i] += share * (1.0 - by_u)
+        slope[source, i] += 1.0 - left
 
 
 @kernel
 def filter_adjoint(effects, start, times, begins, state, command, memory):
     """Cotangents `state` (states) from a part's end to its beginning, and those added to `command`
     (n_a); after begin_filter()."""
-    path, tendons, found, (u, table) = (
-        effects.transmission,
-        command.size,
-        memory.slope,
-        filter_state(effects, state, command.size),
-    )
-    before, after = (
-        filter_state(effects, start, tendons)[1],
-        filter_state(effects, memory.state, tendons)[1],
-    )
+    path = effects.transmission
+    tendons = command.size
+    numbers = memory.slope
+    u, table = filter_state(effects, state, tendons)
+    _, before = filter_state(effects, start, tendons)
+    _, after = filter_state(effects, memory.state, tendons)
     for i in range(tendons):
-        for number in range(len(found)):
-            by_means = (
-                memory.force[0, i] * memory.mean[0, number, i]
-                + memory.force[1, i] * memory.mean[1, number, i]
-            )
-            found[number, i] = u[i] * found[number, i] + by_means
+        # by u at the end, and by the mean commands
+        for number in range(len(numbers)):
+            by_first = memory.force[0, i] * memory.mean[0, number, i]
+            by_second = memory.force[1, i] * memory.mean[1, number, i]
+            numbers[number, i] = u[i] * numbers[number, i] + (by_first + by_second)
+        # by the commands in the table at the end, which are those that had arrived by their times
         for k in range(len(after)):
-            arrival = after[k, 0] if k > 0 else has_arrived_by(times[1])
-            if arrival < NEVER:  # without a delay what has arrived stays what it was
-                found[
-                    source_at(path, before, times, begins, arrival) if path.delay > 0.0 else 1, i
-                ] += table[k, 1 + i]
-        u[i] = found[0, i]
+            arrived_by = after[k, 0] if k > 0 else has_arrived_by(times[1])
+            if arrived_by < NEVER:
+                source = 1  # without a delay what has arrived stays what it was
+                if path.delay > 0.0:
+                    source = source_at(path, before, times, begins, arrived_by)
+                numbers[source, i] += table[k, 1 + i]
+        # u, the table, and the command that is given
+        u[i] = numbers[0, i]
         for k in range(len(table)):
-            table[k, 1 + i] = found[1 + k, i]
-        command[i] += found[len(found) - 1, i]
+            table[k, 1 + i] = numbers[1 + k, i]
+        command[i] += numbers[len(numbers) - 1, i]

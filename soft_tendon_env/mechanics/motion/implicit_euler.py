@@ -19,6 +19,9 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import (
+    AT_GREATEST,
+    AT_LEAST,
+    BETWEEN,
     copy,
     copy_matrix,
     product,
@@ -28,10 +31,16 @@ from soft_tendon_env.mechanics.algebra.linear import (
     solve_part,
     solve_positive_definite,
 )
+from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
+from soft_tendon_env.mechanics.terms.evaluate import rod_matrices
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
-from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
+from soft_tendon_env.mechanics.terms.transmission import (
+    find_columns,
+    tendons_rub,
+    tendons_transmit,
+)
 
 MOST = 30  # linear problems for the friction of tendons
 SAME = 1e-6  # of the stiction speed, what rates may be off
@@ -41,71 +50,75 @@ SAME = 1e-6  # of the stiction speed, what rates may be off
 def start_matrices(arm, scratch):
     """M, D and G with the effects' share, and the force, of the evaluation at the start of the
     step."""
-    work = scratch.work
-    strain_matrices(arm, work)
+    matrices = scratch.work.matrices
+    rod_matrices(arm, scratch.work)
     if arm.effects.count > 0:
-        copy_matrix(work.D, scratch.rod_damping)
-        copy_matrix(work.G, scratch.rod_stiffness)
-        add_implicit(arm, work)
-    now, first = scratch.now, scratch.first
-    for matrix, out in (
-        (now.mass, first.mass),
-        (now.damping, first.damping),
-        (now.stiffness, first.stiffness),
-    ):
-        copy_matrix(matrix, out)
-    copy(now.force, first.force)
-    if arm.effects.transmission.elastic or arm.effects.transmission.friction > 0.0:
-        for matrix, out in (
-            (now.columns, first.columns),
-            (now.rubbed, first.rubbed),
-            (now.rubbing, first.rubbing),
-        ):
-            copy_matrix(matrix, out)
-        for vector, out in (
-            (now.tension, first.tension),
-            (now.shortening, first.shortening),
-            (now.pull_rate, first.pull_rate),
-        ):
-            copy(vector, out)
+        copy_matrix(matrices.D, scratch.rod_damping)
+        copy_matrix(matrices.G, scratch.rod_stiffness)
+        add_effects(arm, scratch.work)
+    copy_balance(arm, scratch.now, scratch.first)
 
 
 @kernel
 def later_matrices(arm, method, scratch):
-    """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of
-    the step's start."""
-    work = scratch.work
+    """D and G of a later evaluation into work.matrices, where start_matrices() left those of the
+    step's start."""
+    matrices = scratch.work.matrices
     if not method.freeze_jacobian:
-        strain_matrices(arm, work)
+        rod_matrices(arm, scratch.work)
     elif arm.effects.count > 0:
-        copy_matrix(scratch.rod_damping, work.D)
-        copy_matrix(scratch.rod_stiffness, work.G)
+        copy_matrix(scratch.rod_damping, matrices.D)
+        copy_matrix(scratch.rod_stiffness, matrices.G)
     if arm.effects.count > 0:
-        add_implicit(arm, work)
+        add_effects(arm, scratch.work)
+
+
+@kernel
+def add_effects(arm, work):
+    """The effects' share of D and G, and columns of tendons that are elastic or rub."""
+    add_implicit(arm, work)
+    if tendons_transmit(arm):
+        find_columns(arm, work.strain, work.friction, work.ones, work.spare.stress, work.tendons)
+
+
+@kernel
+def copy_balance(arm, source, out):
+    """Copies a balance into another one."""
+    copy_matrix(source.matrices.M, out.matrices.M)
+    copy_matrix(source.matrices.D, out.matrices.D)
+    copy_matrix(source.matrices.G, out.matrices.G)
+    copy(source.force, out.force)
+    if tendons_transmit(arm):
+        copy(source.tendons.tension, out.tendons.tension)
+        copy(source.tendons.shortening, out.tendons.shortening)
+        copy(source.tendons.pull_rate, out.tendons.pull_rate)
+        copy_matrix(source.tendons.columns, out.tendons.columns)
+        copy_matrix(source.tendons.rubbed, out.tendons.rubbed)
+        copy_matrix(source.tendons.rubbing, out.tendons.rubbing)
 
 
 @kernel
 def rate_change(with_inertia, balance, h, scratch):
     """Change of the rates scratch.v in a substep of length h, into scratch.delta; without inertia
     they follow from the forces alone."""
-    mass, damping, stiffness, force = (
-        balance.mass,
-        balance.damping,
-        balance.stiffness,
-        balance.force,
-    )
+    # (M + h D + h^2 G) dv = h (f - h G v)
+    matrices = balance.matrices
+    force = balance.force
+    system = scratch.system
     n = force.size
-    system, delta, v = scratch.system, scratch.delta, scratch.v
     stride = row_stride(n + 1)
     share = 1.0 if with_inertia else 0.0
     for i in range(n):
-        row, m, d, g = system[i * stride : i * stride + n], mass[i], damping[i], stiffness[i]
-        for j in range(
-            n
-        ):  # left of the diagonal too, where nothing is read: whole rows are quicker
+        row = system[i * stride : i * stride + n]
+        m = matrices.M[i]
+        d = matrices.D[i]
+        g = matrices.G[i]
+        # left of the diagonal too, where nothing is read: whole rows are quicker
+        for j in range(n):
             row[j] = share * m[j] + h * (d[j] + h * g[j])
-        system[i * stride + n] = h * (force[i] - h * product(g, v))
-    return OK if solve_positive_definite(system, n, delta) else NOT_POSITIVE
+        stiff = product(g, scratch.v)
+        system[i * stride + n] = h * (force[i] - h * stiff)
+    return OK if solve_positive_definite(system, n, scratch.delta) else NOT_POSITIVE
 
 
 @kernel
@@ -113,25 +126,25 @@ def answer_tendons(balance, forces, h, scratch):
     """Changes by a unit of each of the forces (n_a, n) over a substep of length h: of rates,
     ends.answer, and of how fast tendons are pulled in, ends.give; and how fast they are at its end
     so far, ends.rate."""
-    ends, n = scratch.ends, scratch.delta.size
+    ends = scratch.ends
+    n = scratch.delta.size
     for j in range(len(forces)):
         for a in range(n):
             ends.answer[j, a] = h * forces[j, a]
         solve_again(scratch.system, n, ends.answer[j])
     for i in range(len(forces)):
-        ends.rate[i] = product(balance.columns[i], scratch.v) + product(
-            balance.columns[i], scratch.delta
-        )
+        column = balance.tendons.columns[i]
+        ends.rate[i] = product(column, scratch.v) + product(column, scratch.delta)
         for j in range(len(forces)):
-            ends.give[i, j] = product(balance.columns[i], ends.answer[j])
+            ends.give[i, j] = product(column, ends.answer[j])
 
 
 @kernel
 def add_answers(ends, delta):
-    """Adds to delta (n) what forces change that are ends.wanted (n_a) more."""
-    for j in range(ends.wanted.size):
+    """Adds to delta (n) what forces change that are ends.change (n_a) more."""
+    for j in range(ends.change.size):
         for a in range(delta.size):
-            delta[a] += ends.wanted[j] * ends.answer[j, a]
+            delta[a] += ends.change[j] * ends.answer[j, a]
 
 
 @phase
@@ -139,51 +152,83 @@ def stretch_tendons(arm, command, balance, substep, scratch):
     """Changes scratch.delta, of the substep that has just been solved, to what it is with the
     tensions at its end under a command (n_a) there. The substep that is a step alone tells whether
     the step is smooth."""
-    path, ends, h = arm.effects.transmission, scratch.ends, substep.length
-    answer_tendons(balance, balance.rubbed, h, scratch)
-    copy(balance.tension, ends.tension)
+    path = arm.effects.transmission
+    ends = scratch.ends
+    tendons = balance.tendons
+    h = substep.length
+    answer_tendons(balance, tendons.rubbed, h, scratch)
+    # x + k h give (x - x_before) = k (u - s - h y) between 0 and the strength
     for i in range(command.size):
         k = path.stiffness[i]
-        ends.wanted[i] = k * (command[i] - balance.shortening[i] - h * ends.rate[i])
+        stretched = command[i] - tendons.shortening[i] - h * ends.rate[i]
+        ends.right[i] = k * stretched
         for j in range(command.size):
             give = k * h * ends.give[i, j]
             ends.matrix[i, j] = give + (1.0 if i == j else 0.0)
-            ends.wanted[i] += give * balance.tension[j]
+            ends.right[i] += give * tendons.tension[j]
+    copy(tendons.tension, ends.tension)
     solve_bounded(
-        ends.matrix, ends.wanted, ends.least, path.strength, ends.tension, ends.part, ends.system
+        ends.matrix,
+        ends.right,
+        ends.least,
+        path.strength,
+        ends.tension,
+        ends.part,
+        ends.system,
     )
-    is_kinked = scratch.is_kinked[0] != 0.0 and not substep.is_alone
     for i in range(command.size):
-        ends.wanted[i] = ends.tension[i] - balance.tension[i]
-        free, part = path.stiffness[i] * (command[i] - balance.shortening[i]), ends.part[i]
-        beyond = (
-            max(-free, free - path.strength[i], 0.0)
-            if part == 0.0
-            else free
-            if part < 0.0
-            else path.strength[i] - free
-        )
-        is_kinked = is_kinked or (
-            beyond > path.stiffness[i] * substep.near if substep.is_alone else part != ends.parts[i]
-        )
+        ends.change[i] = ends.tension[i] - tendons.tension[i]
     add_answers(ends, scratch.delta)
+    find_kink(path, command, tendons.shortening, substep, scratch)
+
+
+@kernel
+def find_kink(path, command, shortening, substep, scratch):
+    """Whether tensions have kinks within the step, into scratch.kink: in the substep that is the
+    step alone, where one goes farther to a kink than is near; in others, where they are in another
+    part of their range than in that one."""
+    ends = scratch.ends
     if substep.is_alone:
-        copy(ends.part, ends.parts)
-    scratch.is_kinked[0] = 1.0 if is_kinked else 0.0
+        scratch.kink[0] = SMOOTH
+    for i in range(command.size):
+        if substep.is_alone:
+            taut = path.stiffness[i] * (command[i] - shortening[i])
+            beyond = beyond_kink(ends.part[i], taut, path.strength[i])
+            is_kinked = beyond > path.stiffness[i] * substep.near
+            ends.first_part[i] = ends.part[i]
+        else:
+            is_kinked = ends.part[i] != ends.first_part[i]
+        if is_kinked:
+            scratch.kink[0] = KINKED
+
+
+@kernel
+def beyond_kink(part, taut, strength):
+    """How far [N] a tension that would be `taut` [N] without its bounds is from the part of its
+    range that it comes to."""
+    if part == AT_LEAST:
+        return taut
+    if part == AT_GREATEST:
+        return strength - taut
+    return max(-taut, taut - strength, 0.0)
 
 
 @phase
 def slide_tendons(arm, balance, h, scratch):
     """Changes scratch.delta, of the substep of length h that has just been solved, to what it is
     with the friction at its end."""
-    ends, slow, begun = scratch.ends, arm.effects.transmission.stiction_speed, balance.pull_rate
-    answer_tendons(balance, balance.rubbing, h, scratch)
-    copy(ends.rate, ends.wanted)
-    copy(begun, ends.rate)
+    ends = scratch.ends
+    slow = arm.effects.transmission.stiction_speed
+    begun = balance.tendons.pull_rate
+    answer_tendons(balance, balance.tendons.rubbing, h, scratch)
+    # rates without the friction of the beginning, z(begun)
     for i in range(begun.size):
-        ends.part[i] = 0.0
+        free = ends.rate[i]
         for j in range(begun.size):
-            ends.wanted[i] += ends.give[i, j] * begun[j] / math.hypot(begun[j], slow)
+            free += ends.give[i, j] * begun[j] / math.hypot(begun[j], slow)
+        ends.free_rate[i] = free
+    # y + give z(y) = free_rate, from y = begun
+    copy(begun, ends.rate)
     off = imbalance(ends, slow, ends.rate)
     for _ in range(MOST):
         if off <= SAME * slow:
@@ -196,9 +241,8 @@ def slide_tendons(arm, balance, h, scratch):
         copy(ends.better, ends.rate)
         off = after
     for j in range(begun.size):
-        ends.wanted[j] = begun[j] / math.hypot(begun[j], slow) - ends.rate[j] / math.hypot(
-            ends.rate[j], slow
-        )
+        before = begun[j] / math.hypot(begun[j], slow)
+        ends.change[j] = before - ends.rate[j] / math.hypot(ends.rate[j], slow)
     add_answers(ends, scratch.delta)
 
 
@@ -207,7 +251,7 @@ def imbalance(ends, slow, rate):
     """The most by which rates (n_a) are off those that their friction leaves."""
     most = 0.0
     for i in range(rate.size):
-        off = rate[i] - ends.wanted[i]
+        off = rate[i] - ends.free_rate[i]
         for j in range(rate.size):
             off += ends.give[i, j] * rate[j] / math.hypot(rate[j], slow)
         most = max(most, abs(off))
@@ -219,36 +263,49 @@ def improve_rates(ends, slow, is_tangent):
     """Rates ends.better of the linear problem with the tangents of z at ends.rate, or with its
     secants."""
     rate = ends.rate
-    copy(ends.wanted, ends.tension)
+    copy(ends.free_rate, ends.right)
     for j in range(rate.size):
         speed = math.hypot(rate[j], slow)
-        slope = (slow / speed) ** 2 / speed if is_tangent else 1.0 / speed
+        secant = 1.0 / speed
+        slope = (slow / speed) ** 2 / speed if is_tangent else secant
         for i in range(rate.size):
-            ends.tension[i] -= ends.give[i, j] * (1.0 / speed - slope) * rate[j]
+            ends.right[i] -= ends.give[i, j] * (secant - slope) * rate[j]
             ends.matrix[i, j] = ends.give[i, j] * slope + (1.0 if i == j else 0.0)
+    for i in range(rate.size):
+        ends.part[i] = BETWEEN
     solve_part(
-        ends.matrix, ends.tension, ends.least, ends.least, ends.better, ends.part, ends.system
+        ends.matrix,
+        ends.right,
+        ends.least,
+        ends.least,
+        ends.better,
+        ends.part,
+        ends.system,
     )
 
 
 @kernel
-def implicit_euler(arm, method, u, motion, substep, scratch):
-    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a), from the
+def implicit_euler(arm, method, arrived, motion, substep, scratch):
+    """One substep from scratch.q, scratch.v, in place, under what has arrived (n_a), from the
     evaluation at its beginning; a status."""
-    h, q, v, delta, balance = substep.length, scratch.q, scratch.v, scratch.delta, scratch.first
+    h = substep.length
+    q = scratch.q
+    v = scratch.v
+    delta = scratch.delta
+    balance = scratch.first
     if substep.number > 0:
         later_matrices(arm, method, scratch)
         balance = scratch.now
     status = rate_change(method.with_inertia, balance, h, scratch)
-    if status == OK:
-        if arm.effects.transmission.friction > 0.0:
-            slide_tendons(arm, balance, h, scratch)
-        if arm.effects.transmission.elastic:
-            command = command_at(
-                arm.effects, u, motion.state, (substep.number + 1) * h, scratch.command
-            )
-            stretch_tendons(arm, command, balance, substep, scratch)
-        for i in range(q.size):
-            v[i] += delta[i]
-            q[i] += h * v[i]
-    return status
+    if status != OK:
+        return status
+    if tendons_rub(arm):
+        slide_tendons(arm, balance, h, scratch)
+    if arm.effects.transmission.elastic:
+        end = (substep.number + 1) * h
+        command = command_at(arm.effects, arrived, motion.state, end, scratch.acting)
+        stretch_tendons(arm, command, balance, substep, scratch)
+    for i in range(q.size):
+        v[i] += delta[i]
+        q[i] += h * v[i]
+    return OK

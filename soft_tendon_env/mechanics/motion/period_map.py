@@ -41,23 +41,27 @@ def matrices_of_motion(arm, method, scratch):
     """M, D and G of the last evaluation into scratch.first, with elastic tendons and those that
     rub, without M for quasi-static motion."""
     start_matrices(arm, scratch)
-    add_tendon_matrices(arm, scratch.work, scratch.first.damping, scratch.first.stiffness)
+    work = scratch.work
+    matrices = scratch.first.matrices
+    add_tendon_matrices(arm, work.tendons, work.friction, matrices.D, matrices.G)
     if not method.with_inertia:
-        scratch.first.mass[:, :] = 0.0
+        matrices.M[:, :] = 0.0
 
 
 @kernel
 def transposed_step(balance, h, scratch, q, v, impulse):
     """Cotangents q, v (n) of the end of a step, whose A is factored, to those of its beginning, in
     place, and of forces, impulse (n)."""
+    matrices = balance.matrices
     n = q.size
+    # impulse = h A^-T (v + h q), since q' = q + h v'
     for i in range(n):
         impulse[i] = h * (v[i] + h * q[i])
     solve_again(scratch.system, n, impulse)
     for i in range(n):
-        v[i] = product(balance.mass[i], impulse) / h
+        v[i] = product(matrices.M[i], impulse) / h
         for j in range(n):
-            q[j] -= impulse[i] * balance.stiffness[i, j]
+            q[j] -= impulse[i] * matrices.G[i, j]
 
 
 @kernel
@@ -65,15 +69,20 @@ def transposed_map(balance, period, scratch, q, v, impulse):
     """Cotangents q, v (n) of a period's end to those of its beginning, in place, and of the forces
     in its halves, impulse (2, n); a status: NOT_POSITIVE where A is not positive definite.
     Overwrites the linear system and the error estimates of the scratch."""
-    whole_q, whole_v, whole = scratch.error_q, scratch.error_v, scratch.q
+    whole_q = scratch.error_q
+    whole_v = scratch.error_v
+    whole = scratch.q
     copy(q, whole_q)
     copy(v, whole_v)
+    # two halves
     status = rate_change(True, balance, 0.5 * period, scratch)
     transposed_step(balance, 0.5 * period, scratch, q, v, impulse[1])
     transposed_step(balance, 0.5 * period, scratch, q, v, impulse[0])
+    # one whole
     if status == OK:
         status = rate_change(True, balance, period, scratch)
     transposed_step(balance, period, scratch, whole_q, whole_v, whole)
+    # extrapolated: T = 2 T(h/2) - T(h)
     for i in range(q.size):
         q[i] = 2.0 * q[i] - whole_q[i]
         v[i] = 2.0 * v[i] - whole_v[i]
@@ -96,72 +105,92 @@ class Plan(Struct):
     jacobian: Annotated[np.ndarray, "N", "2 x n", "2 n + k"]  # of (q', v')
     command: Annotated[np.ndarray, "N", "parts", "n_a"]  # that is played
     duration: Annotated[np.ndarray, "parts"]  # [s] of the parts of a period
-    forces: Annotated[
-        np.ndarray, "n", "k"
-    ]  # B at the beginning of a period and what was asked for besides
+    # B at the beginning of a period and what was asked for besides
+    forces: Annotated[np.ndarray, "n", "k"]
     system: Annotated[np.ndarray, "n", "n"]  # A, then its factor
     solved: Annotated[np.ndarray, "n", "2 n + k"]  # A^-1 [-h G | M | h forces]
-    moved: Annotated[
-        np.ndarray, "n", "2 n + k"
-    ]  # coordinates after a step by those before the first
+    # coordinates after a step by those before the first
+    moved: Annotated[np.ndarray, "n", "2 n + k"]
     rates: Annotated[np.ndarray, "n", "2 n + k"]  # likewise their rates
     ahead: Annotated[np.ndarray, "n", "2 n + k"]  # likewise the rates a step later
 
 
 def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
     """Zeroed Plan for an arm, with forces (n, k - n_a) besides those of the tendons."""
-    n_a, inputs = arm.tendons.size, arm.tendons.size + forces.shape[1]
-    sizes = {
-        "N": periods,
-        "N + 1": periods + 1,
-        "parts": parts,
-        "k": inputs,
-        "2 n + k": 2 * arm.strain.size + inputs,
-    }
-    plan = zeros(Plan, {**sizes_of(arm), **sizes})
+    n_a = arm.tendons.size
+    inputs = n_a + forces.shape[1]
+    sizes = sizes_of(arm)
+    sizes["N"] = periods
+    sizes["N + 1"] = periods + 1
+    sizes["parts"] = parts
+    sizes["k"] = inputs
+    sizes["2 n + k"] = 2 * arm.strain.size + inputs
+    plan = zeros(Plan, sizes)
     plan.forces[:, n_a:] = forces
     return plan
+
+
+@kernel
+def solve_step(balance, h, plan):
+    """A^-1 [-h G | M | h forces] into plan.solved: the rates after a step of length h by (q, v,
+    forces)."""
+    n, inputs = plan.forces.shape
+    matrices = balance.matrices
+    solved = plan.solved
+    for i in range(n):
+        for j in range(n):
+            mass = matrices.M[i, j]
+            stiffness = matrices.G[i, j]
+            plan.system[i, j] = mass + h * (matrices.D[i, j] + h * stiffness)
+            solved[i, j] = -h * stiffness
+            solved[i, n + j] = mass
+        for j in range(inputs):
+            solved[i, 2 * n + j] = h * plan.forces[i, j]
+    solve_symmetric(plan.system, solved)
 
 
 @kernel
 def add_jacobian(balance, h, count, share, plan, out):
     """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v, forces) to
     out."""
-    n, inputs = plan.forces.shape
-    solved, moved, rates, ahead, stiffness, mass = (
-        plan.solved,
-        plan.moved,
-        plan.rates,
-        plan.ahead,
-        balance.stiffness,
-        balance.mass,
-    )
+    solve_step(balance, h, plan)
+    n, columns = plan.solved.shape
+    moved = plan.moved
+    rates = plan.rates
+    # before the first step q is itself
+    moved[:, :] = 0.0
     for i in range(n):
-        for j in range(n):
-            plan.system[i, j] = mass[i, j] + h * (balance.damping[i, j] + h * stiffness[i, j])
-            solved[i, j], solved[i, n + j] = -h * stiffness[i, j], mass[i, j]
-        for j in range(inputs):
-            solved[i, 2 * n + j] = h * plan.forces[i, j]
-    solve_symmetric(plan.system, solved)
-    copy_matrix(solved, rates)
+        moved[i, i] = 1.0
+    copy_matrix(plan.solved, rates)
     for step in range(count):
         if step > 0:
-            for i in range(n):
-                for k in range(2 * n + inputs):
-                    ahead[i, k] = solved[i, k] if k >= 2 * n else 0.0
-                for j in range(n):
-                    by_q, by_v = solved[i, j], solved[i, n + j]
-                    for k in range(2 * n + inputs):
-                        ahead[i, k] += by_q * moved[j, k] + by_v * rates[j, k]
-            copy_matrix(ahead, rates)
+            step_ahead(plan)
+        # q' = q + h v'
         for i in range(n):
-            for k in range(2 * n + inputs):
-                before = moved[i, k] if step > 0 else 1.0 if k == i else 0.0
-                moved[i, k] = before + h * rates[i, k]
+            for k in range(columns):
+                moved[i, k] = moved[i, k] + h * rates[i, k]
     for i in range(n):
-        for k in range(2 * n + inputs):
+        for k in range(columns):
             out[i, k] += share * moved[i, k]
             out[n + i, k] += share * rates[i, k]
+
+
+@kernel
+def step_ahead(plan):
+    """Rates of the next step, of coordinates plan.moved and rates plan.rates, in place of these."""
+    n, columns = plan.solved.shape
+    solved = plan.solved
+    ahead = plan.ahead
+    for i in range(n):
+        # forces act in every step
+        for k in range(columns):
+            ahead[i, k] = solved[i, k] if k >= 2 * n else 0.0
+        for j in range(n):
+            by_q = solved[i, j]
+            by_v = solved[i, n + j]
+            for k in range(columns):
+                ahead[i, k] += by_q * plan.moved[j, k] + by_v * plan.rates[j, k]
+    copy_matrix(ahead, plan.rates)
 
 
 @kernel
@@ -169,39 +198,50 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
     """Plays plan.command from the motion, in place, and fills the plan with what happens and the
     Jacobians by `steps` steps a period. Returns a status, and the period that failed or their
     number."""
-    method, step, none = (
-        scheme.method,
-        scheme.control.step,
-        Record(plan.q[:0], plan.q_dot[:0], plan.tip_pose[:0]),
-    )
-    periods, length = plan.command.shape[0], total(plan.duration)
+    step = scheme.control.step
+    none = Record(plan.q[:0], plan.q_dot[:0], plan.tip_pose[:0])
+    periods = plan.command.shape[0]
+    length = total(plan.duration)
     for k in range(periods + 1):
-        command, clock = (
-            plan.command[k, 0] if k < periods else plan.command[periods - 1, -1],
-            motion.clock[0],
-        )
-        copy(motion.xi, scratch.work.xi)
-        receive(arm.effects, command, False, clock, motion.state, scratch.acting, scratch.until)
-        u = command_at(arm.effects, scratch.acting, motion.state, 0.0, scratch.command)
-        status = evaluate_force(
-            arm, method, u, motion.q, motion.q_dot, motion.state, clock, scratch
-        )
+        # where the last period ends its last command still acts
+        command = plan.command[k, 0] if k < periods else plan.command[periods - 1, -1]
+        status = evaluate_motion(arm, scheme.method, command, motion, scratch)
         if status != OK:
             return status, k
         copy(motion.q, plan.q[k])
         copy(motion.q_dot, plan.q_dot[k])
         copy(motion.state, plan.state[k])
-        copy_tip(scratch.work, plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias)
-        if k < periods:
-            matrices_of_motion(arm, method, scratch)
-            actuation_matrix(arm, scratch.work, plan.forces)
-            plan.jacobian[k] = 0.0
-            add_jacobian(
-                scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, plan.jacobian[k]
-            )
-            add_jacobian(scratch.first, length / steps, steps, -1.0, plan, plan.jacobian[k])
-            done = advance(arm, scheme, plan.command[k], plan.duration, motion, step, scratch, none)
-            if done.status != OK:
-                return done.status, k
-            step = done.step
+        kinematics = scratch.work.kinematics
+        copy_tip(kinematics, plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias)
+        if k == periods:
+            break
+        linearise_period(arm, scheme.method, length, steps, scratch, plan, plan.jacobian[k])
+        progress = advance(arm, scheme, plan.command[k], plan.duration, motion, step, scratch, none)
+        if progress.status != OK:
+            return progress.status, k
+        step = progress.step
     return OK, periods
+
+
+@kernel
+def evaluate_motion(arm, method, command, motion, scratch):
+    """Evaluation at a motion under a command (n_a) that is held; a status."""
+    arrival = scratch.arrival
+    time = motion.clock[0]
+    copy(motion.xi, scratch.work.strain.xi)
+    receive(arm.effects, command, False, time, motion.state, arrival)
+    acting = command_at(arm.effects, arrival.command, motion.state, 0.0, scratch.acting)
+    return evaluate_force(arm, method, acting, motion.q, motion.q_dot, motion.state, time, scratch)
+
+
+@kernel
+def linearise_period(arm, method, length, steps, scratch, plan, jacobian):
+    """Jacobian (2 n, 2 n + k) of a period of a length [s] by `steps` steps, of the evaluation where
+    it begins."""
+    work = scratch.work
+    matrices_of_motion(arm, method, scratch)
+    actuation_matrix(arm, work.strain, work.ones, work.spare, plan.forces)
+    jacobian[:, :] = 0.0
+    # T = 2 T(h/2) - T(h)
+    add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, jacobian)
+    add_jacobian(scratch.first, length / steps, steps, -1.0, plan, jacobian)

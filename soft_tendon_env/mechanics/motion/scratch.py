@@ -6,11 +6,19 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm, IntVector
-from soft_tendon_env.mechanics.workspace import Workspace, make_workspace, sizes_of, zeros
+from soft_tendon_env.mechanics.effects import IntArray
+from soft_tendon_env.mechanics.terms.command_filter import Arrival
+from soft_tendon_env.mechanics.types import Arm
+from soft_tendon_env.mechanics.workspace import (
+    Matrices,
+    TendonForces,
+    Workspace,
+    make_workspace,
+    sizes_of,
+    zeros,
+)
 
 
 class Motion(NamedTuple):
@@ -38,35 +46,34 @@ def copy_motion(source, out):
 
 
 class Balance(Struct):
-    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those
-    that rub, see Workspace."""
+    """Forces and matrices of one substep, with the effects' share."""
 
-    mass: Annotated[np.ndarray, "n", "n"]  # M
-    damping: Annotated[np.ndarray, "n", "n"]  # D and G with the effects' share
-    stiffness: Annotated[np.ndarray, "n", "n"]
-    force: Annotated[np.ndarray, "n"]  # drive - C v - D v + F
-    tension: Annotated[np.ndarray, "n_a"]  # [N] in the force
-    shortening: Annotated[np.ndarray, "n_a"]  # [m]
-    pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s]
-    columns: Annotated[np.ndarray, "n_a", "n"]
-    rubbed: Annotated[np.ndarray, "n_a", "n"]
-    rubbing: Annotated[np.ndarray, "n_a", "n"]
+    matrices: Matrices
+    force: Annotated[np.ndarray, "n"]  # drive - C v + F
+    tendons: TendonForces  # those in the force, of tendons that are elastic or rub
 
 
 class TendonEnds(Struct):
     """Scratch of stretch_tendons() and slide_tendons(): tendons at the end of a substep."""
 
     tension: Annotated[np.ndarray, "n_a"]  # [N], the solution
-    least: Annotated[np.ndarray, "n_a"]  # [N], zeros
-    wanted: Annotated[np.ndarray, "n_a"]
-    part: Annotated[np.ndarray, "n_a"]  # -1 slack, 0 between, 1 as tense as can be
-    parts: Annotated[np.ndarray, "n_a"]  # likewise in the first substep of the step
-    answer: Annotated[np.ndarray, "n_a", "n"]  # change of rates by a newton
     rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which they are pulled in
     better: Annotated[np.ndarray, "n_a"]  # likewise
+    free_rate: Annotated[np.ndarray, "n_a"]  # likewise, without friction
+    change: Annotated[np.ndarray, "n_a"]  # of the forces, by the end of the substep
+    part: Annotated[IntArray, "n_a"]  # of their tension, see solve_bounded()
+    first_part: Annotated[IntArray, "n_a"]  # likewise, in the first substep of the step
+    least: Annotated[np.ndarray, "n_a"]  # [N], zeros
+    answer: Annotated[np.ndarray, "n_a", "n"]  # change of rates by a newton
+    give: Annotated[np.ndarray, "n_a", "n_a"]  # change of the pulling in by a newton
     matrix: Annotated[np.ndarray, "n_a", "n_a"]
-    give: Annotated[np.ndarray, "n_a", "n_a"]
-    system: Annotated[np.ndarray, "n_a", "unknowns"]
+    right: Annotated[np.ndarray, "n_a"]  # right-hand side
+    system: Annotated[np.ndarray, "n_a", "n_a + 1"]
+
+
+SMOOTH = 0
+KINKED = 1
+"""Whether elastic tendons become slack, taut or as tense as can be within a step."""
 
 
 class Scratch(Struct):
@@ -74,60 +81,45 @@ class Scratch(Struct):
     estimates."""
 
     work: Workspace  # of the evaluations
-    table_q: Annotated[np.ndarray, "orders", "orders", "n"]  # extrapolation table
-    table_v: Annotated[np.ndarray, "orders", "orders", "n"]
-    first: Balance  # at the start of the step
-    now: Balance  # of the last evaluation, its arrays those of `work` and `force`
-    rod_damping: Annotated[
-        np.ndarray, "n", "n"
-    ]  # D and G at the start of the step without the effects' share
+    # commands: what has arrived, and what of it acts
+    arrival: Arrival
+    acting: Annotated[np.ndarray, "n_a"]
+    # evaluations: at the start of the step, and the last one, whose matrices are those of `work`
+    first: Balance
+    now: Balance
+    q_last: Annotated[np.ndarray, "n"]  # where the last one was
+    # D and G at the start of the step without the effects' share
+    rod_damping: Annotated[np.ndarray, "n", "n"]
     rod_stiffness: Annotated[np.ndarray, "n", "n"]
-    ends: TendonEnds
-    is_kinked: Annotated[
-        np.ndarray, "1"
-    ]  # 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
-    force: Annotated[np.ndarray, "n"]  # drive - C v - D v + F of the last evaluation
-    q_last: Annotated[np.ndarray, "n"]  # where that was
-    system: Annotated[np.ndarray, "n x stride"]  # see linear
-    delta: Annotated[np.ndarray, "n"]
+    # substeps
     q: Annotated[np.ndarray, "n"]
     v: Annotated[np.ndarray, "n"]
+    delta: Annotated[np.ndarray, "n"]  # change of v
+    system: Annotated[np.ndarray, "n x stride"]  # see linear
+    ends: TendonEnds
+    kink: Annotated[IntArray, "1"]  # SMOOTH or KINKED
+    # extrapolation
+    table_q: Annotated[np.ndarray, "orders", "orders", "n"]
+    table_v: Annotated[np.ndarray, "orders", "orders", "n"]
     error_q: Annotated[np.ndarray, "n"]  # estimated error of the step
     error_v: Annotated[np.ndarray, "n"]
+    # steps
     longest: Annotated[np.ndarray, "1"]  # [s] the longest step from the motion that effects allow
-    acting: Annotated[np.ndarray, "n_a"]  # the command that has arrived
-    command: Annotated[np.ndarray, "n_a"]  # what acts of it
-    until: Annotated[np.ndarray, "1"]  # [s] when another one does
-    taken: Annotated[
-        np.ndarray, "steps", "2"
-    ]  # room for a log of the accepted steps: length [s] and rows of the table
+    # room for a log of the accepted steps: length [s] and rows of the table
+    taken: Annotated[np.ndarray, "steps", "2"]
 
 
 def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
     """Zeroed scratch for one arm and a method with this many columns, with room for a log of so
     many steps."""
-    sizes, work = sizes_of(arm), make_workspace(arm)
-    sizes |= {
-        "orders": columns,
-        "stride": row_stride(arm.strain.size + 1),
-        "steps": log,
-        "unknowns": arm.tendons.size + 1,
-    }
-    shared = {
-        name: getattr(work, name)
-        for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")
-    }
-    force = aligned_zeros(arm.strain.size)
-    now = Balance(mass=work.M, damping=work.D, stiffness=work.G, force=force, **shared)
-    return zeros(
-        Scratch,
-        sizes,
-        work=work,
-        first=zeros(Balance, sizes),
-        now=now,
-        ends=zeros(TendonEnds, sizes),
-        force=force,
-    )
+    sizes = sizes_of(arm)
+    sizes["orders"] = columns
+    sizes["stride"] = row_stride(arm.strain.size + 1)
+    sizes["steps"] = log
+    sizes["n_a + 1"] = arm.tendons.size + 1
+    work = make_workspace(arm)
+    now = zeros(Balance, sizes, matrices=work.matrices, tendons=work.tendons)
+    return zeros(Scratch, sizes, work=work, now=now)
 
 
 class Tape(Struct):
@@ -141,21 +133,19 @@ class Tape(Struct):
     clock: Annotated[np.ndarray, "rows", "borders"]
     command: Annotated[np.ndarray, "rows", "parts", "n_a"]
     duration: Annotated[np.ndarray, "rows", "parts"]  # [s]; negative where the step has failed
-    begins: (
-        np.ndarray
-    )  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
-    material: IntVector  # (rows) which of the materials that a row has had it was
+    # 1 where the command began with the part, 0 where it went on
+    begins: Annotated[IntArray, "rows", "parts"]
+    # which of the materials that a row has had it was
+    material: Annotated[IntArray, "rows"]
 
 
 def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
     """Zeroed Tape for so many rows of an arm and parts of a period."""
-    sizes = {**sizes_of(arm), "rows": rows, "parts": parts, "borders": parts + 1}
-    return zeros(
-        Tape,
-        sizes,
-        begins=np.zeros((rows, parts), dtype=np.int64),
-        material=np.zeros(rows, dtype=np.int64),
-    )
+    sizes = sizes_of(arm)
+    sizes["rows"] = rows
+    sizes["parts"] = parts
+    sizes["borders"] = parts + 1
+    return zeros(Tape, sizes)
 
 
 @kernel(refcount=True)

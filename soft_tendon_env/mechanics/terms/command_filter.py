@@ -9,9 +9,14 @@ way.
 """
 
 import math
+from typing import Annotated
+
+import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import IntArray
 
 NEVER = 1e30  # [s], the arrival of what is not on its way
 SETTLED = 0.02  # of the largest tension: what is nearer to its command than this has arrived
@@ -19,16 +24,28 @@ LAGS = 2.0  # time constants that a step may take while a tension lags
 EARLY = 1e-9  # [s] by which a command may act before its time: clocks are sums of steps
 ROUND_OFF = 1e-15  # of the time, by which besides
 
+HAS_ROOM = 0
+IS_FULL = 1
+"""Status of the queue of commands on their way."""
+
+
+class Arrival(Struct):
+    """Command that has arrived at a time, and how long it stays."""
+
+    command: Annotated[np.ndarray, "n_a"]
+    until: Annotated[np.ndarray, "1"]  # [s] when the next integrator step should end
+    queue: Annotated[IntArray, "1"]  # HAS_ROOM, or IS_FULL: a command found no place
+
 
 @kernel(refcount=True)
 def filter_state(effects, state, tendons):
     """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter, in the internal states of all
     effects."""
-    begin, end = (
-        effects.first_state[effects.transmission.filter],
-        effects.first_state[effects.transmission.filter + 1],
-    )
-    return state[begin : begin + tendons], state[begin + tendons : end].reshape(-1, 1 + tendons)
+    i = effects.transmission.filter
+    begin = effects.first_state[i]
+    end = effects.first_state[i + 1]
+    table = state[begin + tendons : end].reshape(-1, 1 + tendons)
+    return state[begin : begin + tendons], table
 
 
 @kernel(inline=True)
@@ -38,48 +55,56 @@ def has_arrived_by(time):
 
 
 @kernel
-def receive(effects, command, begins, time, state, acting, until):
-    """Writes the command that has arrived into `acting` (n_a) where one (n_a) is given, from this
-    time [s] on if it `begins`, and into `until` (1) when the next integrator step should end [s];
-    -infinity where the queue has no room."""
-    copy(command, acting)
-    until[0] = math.inf
+def receive(effects, command, begins, time, state, arrival):
+    """Writes the command that has arrived where one (n_a) is given, from this time [s] on if it
+    `begins`, and how long it stays, into `arrival`."""
+    copy(command, arrival.command)
+    arrival.until[0] = math.inf
+    arrival.queue[0] = HAS_ROOM
     if effects.transmission.filter >= 0:
-        arrive(effects, begins, time, state, acting, until)
+        arrive(effects, begins, time, state, arrival)
 
 
 @phase
-def arrive(effects, begins, time, state, acting, until):
-    """receive() of a filter, where `acting` holds what is commanded."""
-    path, (u, table) = effects.transmission, filter_state(effects, state, acting.size)
+def arrive(effects, begins, time, state, arrival):
+    """receive() of a filter, where arrival.command holds what is commanded."""
+    path = effects.transmission
+    command = arrival.command
+    u, table = filter_state(effects, state, command.size)
     if path.delay > 0.0:
+        # rows of the table: row 0 has arrived, and the others are on their way
         count = 1
         while count < len(table) and table[count, 0] < NEVER:
             count += 1
         if begins:
-            count = enqueue(time + path.delay, acting, table, count)
+            count = enqueue(time + path.delay, command, table, count)
             if count == 0:
-                until[0] = -math.inf
+                arrival.queue[0] = IS_FULL
                 return
         while count > 1 and table[1, 0] <= has_arrived_by(time):
             count -= 1
             leave(0, count, table)
-        copy(table[0, 1:], acting)
+        copy(table[0, 1:], command)
+        # the next one that is not the same
         for k in range(count - 1, 0, -1):
             if differ(table[k - 1], table[k, 1:]):
-                until[0] = table[k, 0]
+                arrival.until[0] = table[k, 0]
     if path.lags:
-        until[0] = min(until[0], time + settling_time(path, u, acting))
+        settled = time + settling_time(path, u, command)
+        arrival.until[0] = min(arrival.until[0], settled)
 
 
 @kernel
-def enqueue(arrival, command, table, count):
+def enqueue(arrival_time, command, table, count):
     """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room.
     One that repeats the last one is kept while there is room, since it has a derivative of its
     own."""
-    is_full, is_new = count == len(table), differ(table[count - 1], command)
-    if not is_new and (is_full or (count > 1 and table[count - 1, 0] >= arrival - EARLY)):
-        return count
+    is_full = count == len(table)
+    is_new = differ(table[count - 1], command)
+    if not is_new:
+        is_waiting = count > 1 and table[count - 1, 0] >= arrival_time - EARLY
+        if is_full or is_waiting:
+            return count
     if is_full:  # the first that repeats the one before it makes room
         k = 1
         while k < count and differ(table[k - 1], table[k, 1:]):
@@ -88,7 +113,7 @@ def enqueue(arrival, command, table, count):
             return 0
         count -= 1
         leave(k, count, table)
-    table[count, 0] = arrival
+    table[count, 0] = arrival_time
     copy(command, table[count, 1:])
     return count + 1
 
@@ -112,19 +137,22 @@ def differ(row, command):
 
 
 @kernel
-def settling_time(path, u, acting):
+def settling_time(path, u, command):
     """Time [s] to the next kink of u: the end of its limited rate, or some time constants while it
     lags."""
-    soonest, largest, slow = math.inf, 0.0, path.rate_limit * path.time_constant
-    for i in range(acting.size):
-        largest = max(largest, abs(acting[i]), abs(u[i]))
-    for i in range(acting.size):
-        away = abs(acting[i] - u[i])
+    largest = 0.0
+    for i in range(command.size):
+        largest = max(largest, abs(command[i]), abs(u[i]))
+    slow = path.rate_limit * path.time_constant  # nearer than this the rate is below its limit
+    soonest = math.inf
+    for i in range(command.size):
+        away = abs(command[i] - u[i])
         if away > SETTLED * largest:
-            soonest = min(
-                soonest,
-                LAGS * path.time_constant if away <= slow else (away - slow) / path.rate_limit,
-            )
+            if away <= slow:
+                kink = LAGS * path.time_constant
+            else:
+                kink = (away - slow) / path.rate_limit
+            soonest = min(soonest, kink)
     return max(soonest, path.finest)
 
 
@@ -132,25 +160,29 @@ def settling_time(path, u, acting):
 def limited_time(path, away, step):
     """For how much of a time [s] the rate is limited, and what the lag leaves over the rest of it
     of how far u is away."""
+    slow = 0.0  # nearer than this the rate is below its limit
+    if path.time_constant > 0.0:
+        slow = path.rate_limit * path.time_constant
     limited = 0.0
-    slow = (
-        path.rate_limit * path.time_constant if path.time_constant > 0.0 else 0.0
-    )  # nearer than this the rate is below its limit
     if abs(away) > slow and path.rate_limit < math.inf:
         limited = min((abs(away) - slow) / path.rate_limit, step)
     rest = step - limited
-    return limited, math.exp(
-        -rest / path.time_constant
-    ) if path.time_constant > 0.0 else 1.0 if rest == 0.0 else 0.0
+    if path.time_constant > 0.0:
+        return limited, math.exp(-rest / path.time_constant)
+    return limited, 1.0 if rest == 0.0 else 0.0
 
 
 @kernel
 def lag_response(path, u, command, step):
     """u after a time [s] towards a command that is held, exactly."""
+    if step == 0.0:
+        return u
     away = command - u
     limited, left = limited_time(path, away, step)
-    kink = u + math.copysign(path.rate_limit * limited, away) if limited > 0.0 else u
-    return u if step == 0.0 else command + (kink - command) * left
+    kink = u
+    if limited > 0.0:
+        kink = u + math.copysign(path.rate_limit * limited, away)
+    return command + (kink - command) * left
 
 
 @kernel
@@ -160,27 +192,30 @@ def lag_slopes(path, away, step):
     if not path.lags:
         return 1.0, 0.0
     limited, left = limited_time(path, away, step)
-    return left, (limited + path.time_constant * (1.0 - left)) / step
+    mean = (limited + path.time_constant * (1.0 - left)) / step
+    return left, mean
 
 
 @kernel(refcount=True)
-def command_at(effects, acting, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a)
-    has arrived: `out`, or that."""
-    if not effects.transmission.lags:
-        return acting
-    first = effects.first_state[effects.transmission.filter]
-    for i in range(acting.size):
-        out[i] = lag_response(effects.transmission, state[first + i], acting[i], since)
+def command_at(effects, arrived, state, since, out):
+    """The command that acts a time [s] after the internal states were `state`, where `arrived`
+    (n_a) has arrived: `out`, or that."""
+    path = effects.transmission
+    if not path.lags:
+        return arrived
+    first = effects.first_state[path.filter]
+    for i in range(arrived.size):
+        out[i] = lag_response(path, state[first + i], arrived[i], since)
     return out
 
 
 @kernel
-def follow(effects, acting, step, state):
-    """Advances the filter's part of the internal states by a time [s] in which `acting` (n_a) has
+def follow(effects, arrived, step, state):
+    """Advances the filter's part of the internal states by a time [s] in which `arrived` (n_a) has
     arrived and is held."""
     if effects.transmission.lags:
-        command_at(effects, acting, state, step, filter_state(effects, state, acting.size)[0])
+        u, _ = filter_state(effects, state, arrived.size)
+        command_at(effects, arrived, state, step, u)
 
 
 @kernel

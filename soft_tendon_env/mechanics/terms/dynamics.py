@@ -44,9 +44,8 @@ def node_rows():
     return RowLayout(1, 6 * LANES, 6 * LANES)
 
 
-TILE = (
-    4  # columns that are multiplied together, so that every number is loaded once for TILE products
-)
+TILE = 4
+"""Columns that are multiplied together, so that every number is loaded once for TILE products."""
 
 
 @kernel(inline=True)
@@ -63,11 +62,12 @@ def _load_tile(columns, at, m):
 def _tile_starts(tile, n, per_column):
     """Indices at which the columns of a tile begin; beyond the last column, that one again."""
     j = TILE * tile
+    last = n - 1
     return (
-        min(j, n - 1) * per_column,
-        min(j + 1, n - 1) * per_column,
-        min(j + 2, n - 1) * per_column,
-        min(j + 3, n - 1) * per_column,
+        min(j, last) * per_column,
+        min(j + 1, last) * per_column,
+        min(j + 2, last) * per_column,
+        min(j + 3, last) * per_column,
     )
 
 
@@ -80,13 +80,19 @@ def _zero_tile():
 @kernel(inline=True)
 def _add_products(total, x, y):
     """total + x y, pack by pack, for one x and a tile of y."""
-    return total[0] + x * y[0], total[1] + x * y[1], total[2] + x * y[2], total[3] + x * y[3]
+    return (
+        total[0] + x * y[0],
+        total[1] + x * y[1],
+        total[2] + x * y[2],
+        total[3] + x * y[3],
+    )
 
 
 @kernel(inline=True)
 def _write_sums(sums, tile, out):
     """A pack to the numbers of a tile in out (n)."""
-    j, n = TILE * tile, out.size
+    j = TILE * tile
+    n = out.size
     out[j] = lane(sums, 0)
     if j + 1 < n:
         out[j + 1] = lane(sums, 1)
@@ -108,9 +114,12 @@ def _write_row(total, i, tile, out):
 @kernel(inline=True)
 def _reach(tile, pack_begin, pack_end):
     """Range of the packs in which any column of the tile lives."""
-    begin, end = pack_begin[TILE * tile], pack_end[TILE * tile]
-    for j in range(TILE * tile + 1, min(TILE * (tile + 1), pack_begin.size)):
-        begin, end = min(begin, pack_begin[j]), max(end, pack_end[j])
+    first = TILE * tile
+    begin = pack_begin[first]
+    end = pack_end[first]
+    for j in range(first + 1, min(first + TILE, pack_begin.size)):
+        begin = min(begin, pack_begin[j])
+        end = max(end, pack_end[j])
     return begin, end
 
 
@@ -119,130 +128,134 @@ def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out)
     """Weighted Gram matrix out_ij, the sum over the rows of columns_i weight others_j in a range of
     packs, where others_j is a symmetric matrix times columns_j. Column j is zero but from
     pack_begin[j] to pack_end[j]; `rows` is the layout of a pack."""
-    (begin, end), n, per_column = packs, pack_begin.size, columns.size // pack_begin.size
-    for tile_i in range((n + TILE - 1) // TILE):
+    begin, end = packs
+    n = pack_begin.size
+    per_column = columns.size // n
+    tiles = (n + TILE - 1) // TILE
+    for tile_i in range(tiles):
         begin_i, end_i = _reach(tile_i, pack_begin, pack_end)
         at_i = _tile_starts(tile_i, n, per_column)
+        # the lower triangle, tile by tile
         for tile_j in range(tile_i + 1):
             begin_j, end_j = _reach(tile_j, pack_begin, pack_end)
             at_j = _tile_starts(tile_j, n, per_column)
-            row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
-            for group in range(
-                max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups
-            ):
-                for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
-                    w, x, y = (
-                        load_wide(weight, m),
-                        _load_tile(columns, at_i, m),
-                        _load_tile(others, at_j, m),
-                    )
-                    row_0, row_1 = (
-                        _add_products(row_0, w * x[0], y),
-                        _add_products(row_1, w * x[1], y),
-                    )
-                    row_2, row_3 = (
-                        _add_products(row_2, w * x[2], y),
-                        _add_products(row_3, w * x[3], y),
-                    )
-            _write_row(row_0, TILE * tile_i, tile_j, out)
-            _write_row(row_1, TILE * tile_i + 1, tile_j, out)
-            _write_row(row_2, TILE * tile_i + 2, tile_j, out)
-            _write_row(row_3, TILE * tile_i + 3, tile_j, out)
+            row_0 = _zero_tile()
+            row_1 = _zero_tile()
+            row_2 = _zero_tile()
+            row_3 = _zero_tile()
+            first_group = max(begin, begin_i, begin_j) * rows.groups
+            last_group = min(end, end_i, end_j) * rows.groups
+            for group in range(first_group, last_group):
+                start = group * rows.size
+                for m in range(start, start + rows.used, WIDE):
+                    w = load_wide(weight, m)
+                    x = _load_tile(columns, at_i, m)
+                    y = _load_tile(others, at_j, m)
+                    row_0 = _add_products(row_0, w * x[0], y)
+                    row_1 = _add_products(row_1, w * x[1], y)
+                    row_2 = _add_products(row_2, w * x[2], y)
+                    row_3 = _add_products(row_3, w * x[3], y)
+            i = TILE * tile_i
+            _write_row(row_0, i, tile_j, out)
+            _write_row(row_1, i + 1, tile_j, out)
+            _write_row(row_2, i + 2, tile_j, out)
+            _write_row(row_3, i + 3, tile_j, out)
 
 
 @kernel
 def project(columns, field, rows, pack_begin, pack_end, out):
     """Generalised force of a wrench field: out_j = sum over the rows of columns_j field."""
-    n, per_column = pack_begin.size, columns.size // pack_begin.size
-    for tile in range((n + TILE - 1) // TILE):
+    n = pack_begin.size
+    per_column = columns.size // n
+    tiles = (n + TILE - 1) // TILE
+    for tile in range(tiles):
         begin, end = _reach(tile, pack_begin, pack_end)
-        at, total = _tile_starts(tile, n, per_column), _zero_tile()
+        at = _tile_starts(tile, n, per_column)
+        total = _zero_tile()
         for group in range(begin * rows.groups, end * rows.groups):
-            for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
-                total = _add_products(total, load_wide(field, m), _load_tile(columns, at, m))
+            start = group * rows.size
+            for m in range(start, start + rows.used, WIDE):
+                x = load_wide(field, m)
+                total = _add_products(total, x, _load_tile(columns, at, m))
         _write_sums(lane_sums(total), tile, out)
 
 
 @kernel
 def sum_columns(Phi, q_dot, xi_dot):
     """Sum of columns, as the strain rate xi_dot = Phi q_dot."""
-    for m in range(0, xi_dot.size, LANES):
+    per_column = xi_dot.size
+    for m in range(0, per_column, LANES):
         total = spread(0.0)
         for j in range(q_dot.size):
-            total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
+            total = total + q_dot[j] * load(Phi, j * per_column + m)
         store(xi_dot, m, total)
 
 
 @kernel(inline=True)
-def mass_matrix(rod, strain, work):
-    """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
+def mass_matrix(rod, law, J, M):
+    """Mass matrix M = int J^T M J dX (40a), of the body Jacobians J at the nodes."""
     gram_within(
-        work.J,
-        work.J,
+        J,
+        J,
         rod.inertia,
         node_rows(),
-        strain.pack_begin,
-        strain.jacobian_end,
+        law.pack_begin,
+        law.jacobian_end,
         (0, rod.packs),
-        work.M,
+        M,
     )
 
 
 @kernel(inline=True)
-def damping_matrix(rod, strain, work):
-    """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into
-    work.D."""
+def damping_matrix(rod, law, strain, D):
+    """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points."""
     gram_within(
-        work.Phi,
-        work.Phi,
+        strain.Phi,
+        strain.Phi,
         rod.viscosity,
         point_rows(rod),
-        strain.pack_begin,
-        strain.pack_end,
+        law.pack_begin,
+        law.pack_end,
         (0, rod.packs),
-        work.D,
+        D,
     )
 
 
 @kernel(inline=True)
-def stiffness_matrix(rod, strain, work):
+def stiffness_matrix(rod, law, strain, ones, G):
     """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the
-    weight in work.Y; symmetric."""
+    weight in strain.Y; symmetric."""
     gram_within(
-        work.Phi,
-        work.Y,
-        work.unit,
+        strain.Phi,
+        strain.Y,
+        ones,
         point_rows(rod),
-        strain.pack_begin,
-        strain.pack_end,
+        law.pack_begin,
+        law.pack_end,
         (0, rod.packs),
-        work.G,
+        G,
     )
 
 
 @kernel
-def driving_force(rod, strain, work):
-    """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
-    for m in range(0, work.xi_dot.size, LANES):
-        store(
-            work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m)
-        )
-    project(
-        work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, work.drive
-    )
+def driving_force(rod, law, strain, stress, drive):
+    """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX; overwrites `stress`
+    (points x 6)."""
+    for m in range(0, stress.size, LANES):
+        viscous = load(rod.viscosity, m) * load(strain.xi_dot, m)
+        store(stress, m, load(strain.mismatch, m) - viscous)
+    project(strain.Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, drive)
 
 
 @kernel
-def bias_force(rod, strain, work):
-    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias, by the
-    inertial wrenches at zero q_ddot."""
+def bias_force(rod, law, kinematics, wrench, bias):
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), by the inertial wrenches
+    at zero q_ddot; overwrites `wrench` (nodes x 6)."""
     for pack in range(rod.packs):
-        at = pack * 6 * LANES
-        inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
-        momentum = scale6(inertia, eta)
-        store6(
-            work.wrench,
-            at,
-            twist_sum(scale6(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)),
-        )
-    project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, work.bias)
+        inertia = load6(rod.inertia, pack)
+        eta = load6(kinematics.eta, pack)
+        # M J_dot q_dot + ad*_eta M eta
+        accelerated = scale6(inertia, load6(kinematics.eta_bias, pack))
+        turning = coad_apply(eta, scale6(inertia, eta))
+        store6(wrench, pack, twist_sum(accelerated, turning))
+    project(kinematics.J, wrench, node_rows(), law.pack_begin, law.jacobian_end, bias)

@@ -24,106 +24,126 @@ from soft_tendon_env.mechanics.effects import (
 )
 from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
-from soft_tendon_env.mechanics.terms.transmission import add_lost_stress, find_columns, find_shares
+from soft_tendon_env.mechanics.terms.transmission import add_lost_stress, find_shares
 
 # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 NODE_SHARE = 1e-7
 
 
 @kernel(refcount=True)
-def nodes_of(arm, work):
+def nodes_of(arm, inputs, kinematics, loads, collision):
     """View of the nodes that effects get."""
-    rod, blocks = arm.rod, (work.node_stiffness, work.node_damping)
-    slices = rod.node_mass, rod.inertia, work.pose, work.eta, work.base, work.wrench
-    return Nodes(rod.packs, work.clock[0], *slices, *blocks, work.before_step, work.contact)
+    rod = arm.rod
+    return Nodes(
+        rod.packs,
+        inputs.clock[0],
+        rod.node_mass,
+        rod.inertia,
+        kinematics.pose,
+        kinematics.eta,
+        kinematics.base,
+        loads.wrench,
+        loads.node_stiffness,
+        loads.node_damping,
+        collision.before_step,
+        collision.flags,
+    )
 
 
 @kernel(refcount=True)
-def points_of(arm, work, i):
+def points_of(arm, i, inputs, strain, loads):
     """View of the quadrature points that the i-th effect gets, with its own internal state."""
-    rod, first = arm.rod, arm.effects.first_state
+    rod = arm.rod
+    first = arm.effects.first_state
     return Points(
         rod.packs,
-        work.clock[0],
-        work.since[0],
-        work.state[first[i] : first[i + 1]],
-        work.before,
-        work.xi,
-        work.xi_dot,
+        inputs.clock[0],
+        inputs.since[0],
+        inputs.state[first[i] : first[i + 1]],
+        inputs.before,
+        strain.xi,
+        strain.xi_dot,
         rod.reference_strain,
         rod.root_stiffness,
-        work.stress,
-        work.point_stiffness,
-        work.point_damping,
+        loads.stress,
+        loads.point_stiffness,
+        loads.point_damping,
     )
 
 
 @phase
-def place_base(arm, work):
-    """Pose, twist and acceleration of the base at the time of work.clock: the scene's, as effects
-    move it."""
-    effects, base = arm.effects, work.base
+def place_base(arm, time, base):
+    """Pose, twist and acceleration of the base at a time [s], into base (24): the scene's, as
+    effects move it."""
+    effects = arm.effects
     copy(arm.base, base[:12])
+    view = Base(time, base[:12], base[12:18], base[18:24])
     for i in range(effects.count):
         if effects.base[i] != 0:
-            call(
-                effects.base[i],
-                effects.parameters[i],
-                (Base(work.clock[0], base[:12], base[12:18], base[18:24]),),
-            )
+            call(effects.base[i], effects.parameters[i], (view,))
 
 
 @phase
-def external_force(arm, work):
-    """Generalised force F of all effects into work.load, with the derivatives of wrenches and
-    stresses at nodes and points."""
-    strain, (wrenches, stresses) = arm.strain, effect_loads(arm, work)
-    work.load[:] = 0.0
+def external_force(arm, rubs, work):
+    """Generalised force F of all effects into work.forces.load, with the derivatives of wrenches
+    and stresses at nodes and points. rubs: whether friction takes a share of the tensions, which
+    are then those of a command."""
+    law = arm.strain
+    force = work.forces.load
+    wrenches, stresses = effect_loads(arm, rubs, work)
+    force[:] = 0.0
     if stresses:
-        project(
-            work.Phi,
-            work.stress,
-            point_rows(arm.rod),
-            strain.pack_begin,
-            strain.pack_end,
-            work.load,
-        )
+        rows = point_rows(arm.rod)
+        project(work.strain.Phi, work.loads.stress, rows, law.pack_begin, law.pack_end, force)
     if wrenches:
-        force = work.extra[0]
-        project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, force)
-        for j in range(strain.size):
-            work.load[j] += force[j]
+        of_wrenches = work.spare.matrix[0]
+        project(
+            work.kinematics.J,
+            work.loads.wrench,
+            node_rows(),
+            law.pack_begin,
+            law.jacobian_end,
+            of_wrenches,
+        )
+        for j in range(law.size):
+            force[j] += of_wrenches[j]
 
 
 @kernel
-def effect_loads(arm, work):
-    """Wrenches of all effects into work.wrench and stresses times the weights into work.stress,
-    with their derivatives; whether there are any of each. Those without any are left as they
-    are."""
-    effects, rubs = arm.effects, find_shares(arm, work)
-    wrenches, stresses = any_of(effects.wrench), any_of(effects.stress) or rubs
+def effect_loads(arm, rubs, work):
+    """Wrenches of all effects and stresses times the weights into work.loads, with their
+    derivatives; whether there are any of each. Those without any are left as they are."""
+    strain = work.strain
+    loads = work.loads
+    if rubs:
+        find_shares(arm, strain, work.tendons, work.friction)
+    wrenches = any_of(arm.effects.wrench)
     if wrenches:
-        work.node_stiffness[:] = 0.0
-        work.node_damping[:] = 0.0
-        sum_wrenches(arm, work)
+        loads.node_stiffness[:] = 0.0
+        loads.node_damping[:] = 0.0
+        sum_wrenches(arm, work.inputs, work.kinematics, loads, work.collision)
+    stresses = any_of(arm.effects.stress) or rubs
     if stresses:
-        work.stress[:] = 0.0
-        work.point_stiffness[:] = 0.0
-        work.point_damping[:] = 0.0
-        remember(arm, work)
+        loads.stress[:] = 0.0
+        loads.point_stiffness[:] = 0.0
+        loads.point_damping[:] = 0.0
+        remember(arm, work.inputs, strain, loads)
         if rubs:
-            add_lost_stress(arm, work)
-        weigh(arm.rod, work)
+            tension = work.tendons.tension
+            add_lost_stress(arm, strain, tension, work.friction.share, loads.stress)
+        weigh(arm.rod, loads)
     return wrenches, stresses
 
 
 @kernel
-def sum_wrenches(arm, work):
-    """Wrenches of all effects into work.wrench."""
-    work.wrench[:] = 0.0
-    for i in range(arm.effects.count):
-        if arm.effects.wrench[i] != 0:
-            call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
+def sum_wrenches(arm, inputs, kinematics, loads, collision):
+    """Wrenches of all effects into loads.wrench."""
+    effects = arm.effects
+    loads.wrench[:] = 0.0
+    for i in range(effects.count):
+        if effects.wrench[i] != 0:
+            nodes = nodes_of(arm, inputs, kinematics, loads, collision)
+            call(effects.wrench[i], effects.parameters[i], (nodes,))
 
 
 @kernel
@@ -136,73 +156,87 @@ def any_of(addresses):
 
 
 @kernel
-def weigh(rod, work):
+def weigh(rod, loads):
     """Multiplies stresses and their derivatives by the weights of the points; stresses get the sign
     of a load."""
     for block in range(2 * rod.packs):
-        at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        store6(work.stress, at, scale_twist(-weight, load6(work.stress, at)))
-        store6(work.point_stiffness, at, scale_twist(weight, load6(work.point_stiffness, at)))
-        store6(work.point_damping, at, scale_twist(weight, load6(work.point_damping, at)))
+        weight = load(rod.weight, block * LANES)
+        store6(loads.stress, block, scale_twist(-weight, load6(loads.stress, block)))
+        stiffness = scale_twist(weight, load6(loads.point_stiffness, block))
+        store6(loads.point_stiffness, block, stiffness)
+        damping = scale_twist(weight, load6(loads.point_damping, block))
+        store6(loads.point_damping, block, damping)
 
 
 @phase
 def add_implicit(arm, work):
     """Add the effects' share of stiffness and damping, J^T K J and Phi^T K Phi to first order, to
-    work.G and work.D; after evaluate()."""
-    rod, strain = arm.rod, arm.strain
+    G and D of work.matrices; after an evaluation."""
+    loads = work.loads
+    matrices = work.matrices
+    spare = work.spare
     if any_of(arm.effects.wrench):
-        differ_wrenches(arm, work)
-        add_node_gram(rod, strain, work.node_stiffness, work, work.G)
-        add_node_gram(rod, strain, work.node_damping, work, work.D)
+        differ_wrenches(arm, work.inputs, work.kinematics, loads, work.collision, spare)
+        J = work.kinematics.J
+        ones = work.ones.point
+        add_node_gram(arm, J, loads.node_stiffness, ones, spare, matrices.G)
+        add_node_gram(arm, J, loads.node_damping, ones, spare, matrices.D)
     if any_of(arm.effects.stress):
-        add_point_gram(rod, strain, work.point_stiffness, work, work.G)
-        add_point_gram(rod, strain, work.point_damping, work, work.D)
-    find_columns(arm, work)
+        Phi = work.strain.Phi
+        add_point_gram(arm, Phi, loads.point_stiffness, spare.matrix, matrices.G)
+        add_point_gram(arm, Phi, loads.point_damping, spare.matrix, matrices.D)
 
 
 @kernel
-def differ_wrenches(arm, work):
+def differ_wrenches(arm, inputs, kinematics, loads, collision, spare):
     """Add -d wrench / d twist and -d wrench / d displacement of the effects that ask for it, by
-    differences, to the blocks of the nodes. Overwrites work.wrench."""
+    differences, to the blocks of the nodes. Overwrites loads.wrench."""
     for i in range(arm.effects.count):
         if arm.effects.implicit[i] != EXPLICIT:
-            differ_wrench(arm, i, work)
+            differ_wrench(arm, i, inputs, kinematics, loads, collision, spare)
 
 
 @phase
-def differ_wrench(arm, i, work):
+def differ_wrench(arm, i, inputs, kinematics, loads, collision, spare):
     """Differences of the wrench of the i-th effect by the six components of displacement and twist,
     of all nodes at once."""
-    wanted = arm.effects.implicit[i]
-    copy(work.pose, work.beside_pose)
-    copy(work.eta, work.beside_twist)
-    wrench_of(arm, i, work)
-    copy(work.wrench, work.here_wrench)
+    depends_on = arm.effects.implicit[i]
+    pose = kinematics.pose
+    eta = kinematics.eta
+    wrench = loads.wrench
+    copy(pose, spare.pose)
+    copy(eta, spare.twist)
+    wrench_of(arm, i, inputs, kinematics, loads, collision)
+    copy(wrench, spare.wrench)
+    length = total(arm.rod.length)
     for k in range(6):
-        way = NODE_SHARE * (1.0 if k < 3 else total(arm.rod.length))
-        if wanted & IMPLICIT_POSE:
-            displace(work.pose, k, way)
-            wrench_of(arm, i, work)
-            for at in range(
-                0, work.wrench.size if k < 3 else 0, 3 * LANES
-            ):  # back in the frames before: a dead load is not stiff
-                turn(work.wrench, at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES, -way)
-            add_differences(k, way, work, work.node_stiffness)
-            copy(work.beside_pose, work.pose)
-        if wanted & IMPLICIT_TWIST:
-            for at in range(k * LANES, work.eta.size, 6 * LANES):
-                store(work.eta, at, load(work.eta, at) + way)
-            wrench_of(arm, i, work)
-            add_differences(k, way, work, work.node_damping)
-            copy(work.beside_twist, work.eta)
+        is_turn = k < 3
+        way = NODE_SHARE * (1.0 if is_turn else length)
+        if depends_on & IMPLICIT_POSE:
+            displace(pose, k, way)
+            wrench_of(arm, i, inputs, kinematics, loads, collision)
+            if is_turn:  # back in the frames before: a dead load is not stiff
+                y = (k + 1) % 3 * LANES
+                z = (k + 2) % 3 * LANES
+                for at in range(0, wrench.size, 3 * LANES):
+                    turn(wrench, at + y, at + z, -way)
+            add_differences(k, way, wrench, spare.wrench, loads.node_stiffness)
+            copy(spare.pose, pose)
+        if depends_on & IMPLICIT_TWIST:
+            for at in range(k * LANES, eta.size, 6 * LANES):
+                store(eta, at, load(eta, at) + way)
+            wrench_of(arm, i, inputs, kinematics, loads, collision)
+            add_differences(k, way, wrench, spare.wrench, loads.node_damping)
+            copy(spare.twist, eta)
 
 
 @kernel
-def wrench_of(arm, i, work):
-    """Wrench of the i-th effect alone into work.wrench."""
-    work.wrench[:] = 0.0
-    call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
+def wrench_of(arm, i, inputs, kinematics, loads, collision):
+    """Wrench of the i-th effect alone into loads.wrench."""
+    effects = arm.effects
+    loads.wrench[:] = 0.0
+    nodes = nodes_of(arm, inputs, kinematics, loads, collision)
+    call(effects.wrench[i], effects.parameters[i], (nodes,))
 
 
 @kernel
@@ -214,19 +248,19 @@ def turn(field, y, z, way):
 
 
 @kernel
-def add_differences(k, way, work, blocks):
-    """Add the k-th column of less the differences over a way to the symmetric part of the nodes'
-    blocks (nodes x 21)."""
+def add_differences(k, way, moved, unmoved, blocks):
+    """Add the k-th column of less the differences over a way between wrenches (nodes x 6) to the
+    symmetric part of the nodes' blocks (nodes x 21)."""
     for pack in range(blocks.size // (21 * LANES)):
         for j in range(6):
-            m, row, column = (pack * 6 + j) * LANES, max(j, k), min(j, k)
-            at = (pack * 21 + row * (row + 1) // 2 + column) * LANES
+            m = (pack * 6 + j) * LANES
+            # entries off the diagonal are met twice, as (j, k) and as (k, j)
             share = (-1.0 if j == k else -0.5) / way
-            store(
-                blocks,
-                at,
-                load(blocks, at) + share * (load(work.wrench, m) - load(work.here_wrench, m)),
-            )
+            row = max(j, k)
+            column = min(j, k)
+            at = (pack * 21 + row * (row + 1) // 2 + column) * LANES
+            difference = load(moved, m) - load(unmoved, m)
+            store(blocks, at, load(blocks, at) + share * difference)
 
 
 @kernel
@@ -240,17 +274,20 @@ def displace(pose, k, way):
                 turn(pose, row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES, way)
             else:
                 place = at + (9 + i) * LANES
-                store(pose, place, load(pose, place) + way * load(pose, row + (k - 3) * LANES))
+                axis = load(pose, row + (k - 3) * LANES)
+                store(pose, place, load(pose, place) + way * axis)
 
 
 @kernel
 def filled_packs(field, per_pack):
     """First pack of a field with an entry other than zero, and one past the last such pack; (0, 0)
     where there is none."""
-    first, last = 0, 0
+    first = 0
+    last = 0
     for pack in range(field.size // per_pack):
         squares = spread(0.0)
-        for m in range(pack * per_pack, (pack + 1) * per_pack, LANES):
+        start = pack * per_pack
+        for m in range(start, start + per_pack, LANES):
             entry = load(field, m)
             squares = squares + entry * entry
         if lane_sum(squares) != 0.0:
@@ -261,74 +298,77 @@ def filled_packs(field, per_pack):
 
 
 @kernel
-def add_node_gram(rod, strain, blocks, work, out):
+def add_node_gram(arm, J, blocks, ones, spare, out):
     """Adds J^T K J to out, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are
     any."""
+    law = arm.strain
     packs = filled_packs(blocks, 21 * LANES)
-    if packs[1] > 0:
-        for j in range(strain.size):
-            for pack in range(packs[0], packs[1]):
-                at = (j * rod.packs + pack) * 6 * LANES
-                store6(
-                    work.loaded,
-                    at,
-                    symmetric_product(load21(blocks, pack * 21 * LANES), load6(work.J, at)),
-                )
-        gram_within(
-            work.J,
-            work.loaded,
-            work.unit,
-            node_rows(),
-            strain.pack_begin,
-            strain.jacobian_end,
-            packs,
-            work.extra,
-        )
-        add_matrix(work.extra, out)
+    if packs[1] == 0:
+        return
+    for j in range(law.size):
+        for pack in range(packs[0], packs[1]):
+            row = j * arm.rod.packs + pack
+            block = load21(blocks, pack)
+            store6(spare.loaded, row, symmetric_product(block, load6(J, row)))
+    gram_within(
+        J,
+        spare.loaded,
+        ones,
+        node_rows(),
+        law.pack_begin,
+        law.jacobian_end,
+        packs,
+        spare.matrix,
+    )
+    add_matrix(spare.matrix, out)
 
 
 @kernel
-def add_point_gram(rod, strain, diagonal, work, out):
+def add_point_gram(arm, Phi, diagonal, gram, out):
     """Adds Phi^T K Phi to out, K diagonal (points x 6), over the packs where it is not zero."""
+    law = arm.strain
     packs = filled_packs(diagonal, 12 * LANES)
-    if packs[1] > 0:
-        gram_within(
-            work.Phi,
-            work.Phi,
-            diagonal,
-            point_rows(rod),
-            strain.pack_begin,
-            strain.pack_end,
-            packs,
-            work.extra,
-        )
-        add_matrix(work.extra, out)
+    if packs[1] == 0:
+        return
+    gram_within(
+        Phi,
+        Phi,
+        diagonal,
+        point_rows(arm.rod),
+        law.pack_begin,
+        law.pack_end,
+        packs,
+        gram,
+    )
+    add_matrix(gram, out)
 
 
 @kernel
-def add_matrix(extra, out):
+def add_matrix(addend, out):
     """Adds a square matrix to out."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] += extra[i, j]
+            out[i, j] += addend[i, j]
 
 
 @phase
-def remember(arm, work):
-    """Brings the internal states in work.state, which belonged to the strain work.before, up to
-    that of work.xi and its rate."""
-    for i in range(arm.effects.count):
-        if arm.effects.stress[i] != 0:
-            call(arm.effects.stress[i], arm.effects.parameters[i], (points_of(arm, work, i),))
+def remember(arm, inputs, strain, loads):
+    """Brings the internal states in inputs.state, which belonged to the strain inputs.before, up to
+    that of strain.xi and its rate."""
+    effects = arm.effects
+    for i in range(effects.count):
+        if effects.stress[i] != 0:
+            points = points_of(arm, i, inputs, strain, loads)
+            call(effects.stress[i], effects.parameters[i], (points,))
 
 
 @kernel
-def rest_states(arm, command, work):
-    """The internal states, in work.state, of an arm that has always been at rest in this
+def rest_states(arm, command, inputs, strain, loads):
+    """The internal states, in inputs.state, of an arm that has always been at rest in this
     configuration under a command (n_a)."""
-    copy(arm.effects.state, work.state)
-    if work.before.size > 0:
-        work.since[0] = math.inf
-        remember(arm, work)
-        work.since[0] = 0.0
-    rest_filter(arm.effects, command, work.state)
+    copy(arm.effects.state, inputs.state)
+    if inputs.before.size > 0:
+        inputs.since[0] = math.inf
+        remember(arm, inputs, strain, loads)
+        inputs.since[0] = 0.0
+    rest_filter(arm.effects, command, inputs.state)

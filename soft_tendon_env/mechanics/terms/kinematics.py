@@ -8,73 +8,86 @@ become in the base frame running sums: with W_1 = Ad_g T (h/2 - kappa ad_xi2) an
 """
 
 import math
+from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
     Ad_apply,
     Ad_inverse_apply,
+    Coefficients,
     ad_apply,
-    coefficients,
+    angle_coefficients,
     dexp_dot_apply,
     dexp_operator,
-    dot,
     exp_se3,
     matmul,
     matrix_sum,
     operator_apply,
     plus,
+    pose_step,
     rotate,
     scale_matrix,
     scale_twist,
     skew_times,
     times_skew,
+    twist_difference,
+    twist_of,
     twist_sum,
+    write_twist,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 
-KAPPA = math.sqrt(3.0) / 12.0
+KAPPA = math.sqrt(3.0) / 12.0  # of h^2, in the Magnus expansion
 
 
 @kernel(inline=True)
 def magnus(h, xi_1, xi_2):
     """Magnus expansion Omega(h) = h/2 (xi_1 + xi_2) + sqrt(3) h^2/12 ad_xi_1 xi_2 (Appendix C)."""
-    return twist_sum(
-        scale_twist(0.5 * h, twist_sum(xi_1, xi_2)),
-        scale_twist(KAPPA * h * h, ad_apply(xi_1, xi_2)),
-    )
+    mean = scale_twist(0.5 * h, twist_sum(xi_1, xi_2))
+    bracket = scale_twist(KAPPA * h * h, ad_apply(xi_1, xi_2))
+    return twist_sum(mean, bracket)
 
 
 @kernel(inline=True)
 def zanna(h, xi_1, xi_2, x_1, x_2):
     """Zanna operator Z_h(x): the derivative of Omega along x (Appendix C)."""
-    bracket = twist_sum(ad_apply(xi_1, x_2), scale_twist(-1.0, ad_apply(xi_2, x_1)))
-    return twist_sum(scale_twist(0.5 * h, twist_sum(x_1, x_2)), scale_twist(KAPPA * h * h, bracket))
+    mean = scale_twist(0.5 * h, twist_sum(x_1, x_2))
+    bracket = twist_difference(ad_apply(xi_1, x_2), ad_apply(xi_2, x_1))
+    return twist_sum(mean, scale_twist(KAPPA * h * h, bracket))
 
 
 @kernel(inline=True)
-def load_pose(field, at):
+def load_pose(field, pack):
+    at = pack * 12 * LANES
     R = load3(field, at) + load3(field, at + 3 * LANES) + load3(field, at + 6 * LANES)
     return R, load3(field, at + 9 * LANES)
 
 
+@kernel(inline=True)
+def interval_strains(xi, pack):
+    """Strains at the two points of the intervals of a pack."""
+    return load6(xi, 2 * pack), load6(xi, 2 * pack + 1)
+
+
 @kernel
-def poses(rod, work):
+def poses(rod, base, xi, kinematics):
     """Poses at the start and at the end of every interval, products of the exponentials exp(Omega)
-    (11)."""
+    (11) from a base at base[:12], for strains xi (points x 6)."""
     for pack in range(rod.packs):
         h = load(rod.length, pack * LANES)
-        at = 2 * pack * 6 * LANES
-        Omega = magnus(h, load6(work.xi, at), load6(work.xi, at + 6 * LANES))
-        R, r = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-        store6(work.relative, pack * 12 * LANES, ((R[0], R[1], R[2]), (R[3], R[4], R[5])))
-        store6(work.relative, (pack * 12 + 6) * LANES, ((R[6], R[7], R[8]), r))
-    chain(rod.packs, work)
+        xi_1, xi_2 = interval_strains(xi, pack)
+        Omega = magnus(h, xi_1, xi_2)
+        R, r = exp_se3(Omega, angle_coefficients(Omega))
+        store6(kinematics.relative, 2 * pack, (R[0:3], R[3:6]))
+        store6(kinematics.relative, 2 * pack + 1, (R[6:9], r))
+    chain(rod.packs, base, kinematics)
 
 
 @kernel(inline=True)
 def _gather(field, at):
+    """Pose (R, r) of one lane of a field of poses as numbers."""
     R = (
         field[at],
         field[at + LANES],
@@ -86,7 +99,12 @@ def _gather(field, at):
         field[at + 7 * LANES],
         field[at + 8 * LANES],
     )
-    return R, (field[at + 9 * LANES], field[at + 10 * LANES], field[at + 11 * LANES])
+    r = (
+        field[at + 9 * LANES],
+        field[at + 10 * LANES],
+        field[at + 11 * LANES],
+    )
+    return R, r
 
 
 @kernel(inline=True)
@@ -115,45 +133,52 @@ def _scatter(field, at, R, r):
 @kernel(inline=True)
 def pose_of_base(b):
     """Pose (R, r) of the base as numbers, of 12 and more in a row."""
-    return (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]), (b[9], b[10], b[11])
+    R = (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8])
+    return R, (b[9], b[10], b[11])
 
 
 @kernel
-def chain(packs, work):
+def chain(packs, base, kinematics):
     """Products of the interval poses, one after the other from the base."""
-    R, r = pose_of_base(work.base)
+    R, r = pose_of_base(base)
     for pack in range(packs):
         for i in range(LANES):
             at = pack * 12 * LANES + i
-            _scatter(work.start, at, R, r)
-            R_step, r_step = _gather(work.relative, at)
-            R, r = matmul(R, R_step), plus(r, rotate(R, r_step))
-            _scatter(work.pose, at, R, r)
+            _scatter(kinematics.start, at, R, r)
+            R_step, r_step = _gather(kinematics.relative, at)
+            r = plus(r, rotate(R, r_step))
+            R = matmul(R, R_step)
+            _scatter(kinematics.pose, at, R, r)
 
 
 @kernel(inline=True)
 def twist_at(field, block, lane_index):
     """Twist-shaped numbers of one lane of a field over points or nodes."""
     at = block * 6 * LANES + lane_index
-    k = field[at], field[at + LANES], field[at + 2 * LANES]
-    return k, (field[at + 3 * LANES], field[at + 4 * LANES], field[at + 5 * LANES])
+    k = (field[at], field[at + LANES], field[at + 2 * LANES])
+    p = (field[at + 3 * LANES], field[at + 4 * LANES], field[at + 5 * LANES])
+    return k, p
 
 
 @kernel(inline=True)
-def strains_of_part(h, interval, part, work):
+def strains_at_points(field, interval):
+    """Twist-shaped numbers of a field over points at the two points of one interval."""
+    block = 2 * (interval // LANES)
+    lane_index = interval % LANES
+    return twist_at(field, block, lane_index), twist_at(field, block + 1, lane_index)
+
+
+@kernel(inline=True)
+def strains_of_part(h, interval, part, xi):
     """Strains at the two points of the first `part` of an interval of length h, linear between its
     own two."""
-    pack, lane_index = interval // LANES, interval % LANES
-    xi_1, xi_2 = (
-        twist_at(work.xi, 2 * pack, lane_index),
-        twist_at(work.xi, 2 * pack + 1, lane_index),
-    )
-    slope = scale_twist(math.sqrt(3.0) / h, twist_sum(xi_2, scale_twist(-1.0, xi_1)))
-    middle = twist_sum(
-        scale_twist(0.5, twist_sum(xi_1, xi_2)), scale_twist(0.5 * (part - h), slope)
-    )
+    # the points are sqrt(3)/6 of a length from its middle, so h / sqrt(3) apart
+    xi_1, xi_2 = strains_at_points(xi, interval)
+    slope = scale_twist(math.sqrt(3.0) / h, twist_difference(xi_2, xi_1))
+    mean = scale_twist(0.5, twist_sum(xi_1, xi_2))
+    middle = twist_sum(mean, scale_twist(0.5 * (part - h), slope))
     reach = scale_twist(part * math.sqrt(3.0) / 6.0, slope)
-    return twist_sum(middle, scale_twist(-1.0, reach)), twist_sum(middle, reach)
+    return twist_difference(middle, reach), twist_sum(middle, reach)
 
 
 @kernel(inline=True)
@@ -163,17 +188,23 @@ def pose_at(field, node):
 
 
 @kernel
-def poses_inside(length, interval, distance, work, out):
+def poses_inside(length, interval, distance, xi, kinematics, out):
     """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,), with the strain
     linear between the two points."""
     for m in range(interval.size):
-        i, part = interval[m], distance[m]
-        xi_1, xi_2 = strains_of_part(length[i], i, part, work)
-        Omega = magnus(part, xi_1, xi_2)
-        R_part, r_part = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-        R, r = pose_at(work.start, i)
-        R, r = matmul(R, R_part), plus(r, rotate(R, r_part))
+        i = interval[m]
+        part = distance[m]
+        xi_1, xi_2 = strains_of_part(length[i], i, part, xi)
+        R, r = pose_at(kinematics.start, i)
+        R, r = pose_step(R, r, magnus(part, xi_1, xi_2))
         write_pose(R, r, out[m])
+
+
+@kernel(inline=True)
+def share_of_second(length, interval, distance):
+    """Share of an interval's second point in what is linear between its two, at a distance from its
+    start."""
+    return math.sqrt(3.0) * (distance / length[interval] - 0.5) + 0.5
 
 
 @kernel
@@ -181,39 +212,53 @@ def strains_inside(length, interval, distance, field, out):
     """A field over points as out (m, 6) at `distance` (m,) from the start of the intervals (m,),
     linear between their two points."""
     for m in range(interval.size):
-        i = interval[m]
-        pack, lane_index = i // LANES, i % LANES
-        share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
-        xi_1, xi_2 = (
-            twist_at(field, 2 * pack, lane_index),
-            twist_at(field, 2 * pack + 1, lane_index),
-        )
-        k, p = twist_sum(scale_twist(1.0 - share, xi_1), scale_twist(share, xi_2))
-        for i in range(3):
-            out[m, i] = k[i]
-            out[m, 3 + i] = p[i]
+        share = share_of_second(length, interval[m], distance[m])
+        xi_1, xi_2 = strains_at_points(field, interval[m])
+        first = scale_twist(1.0 - share, xi_1)
+        second = scale_twist(share, xi_2)
+        write_twist(twist_sum(first, second), out[m])
+
+
+class IntervalOperators(NamedTuple):
+    """Operators of the intervals of a pack, pairs (A, C), in the base frame; Omega and its
+    coefficients."""
+
+    W_1: tuple[tuple[float, ...], tuple[float, ...]]  # Ad_g T (half - kappa ad_xi2)
+    W_2: tuple[tuple[float, ...], tuple[float, ...]]  # Ad_g T (half + kappa ad_xi1)
+    Ad_T: tuple[tuple[float, ...], tuple[float, ...]]  # Ad_g T
+    Omega: tuple[tuple[float, ...], tuple[float, ...]]
+    c: Coefficients
 
 
 @kernel(inline=True)
 def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
-    """Operators W_1 = Ad_g T (half - kappa ad_xi2), W_2 = Ad_g T (half + kappa ad_xi1) and Ad_g T,
-    pairs (A, C); Omega, coefficients."""
+    """IntervalOperators, for a pose (R, r) at the start of the interval."""
     Omega = magnus(h, xi_1, xi_2)
-    c = coefficients(dot(Omega[0], Omega[0]))
+    c = angle_coefficients(Omega)
+    # Ad_g T = [[R, 0], [r~ R, R]] [[T, 0], [T_dual, T]]
     T, T_dual = dexp_operator(Omega, c)
     A = matmul(R, T)
     C = matrix_sum(matmul(R, T_dual), skew_times(r, A))
-    A_1 = matrix_sum(scale_matrix(half, A), scale_matrix(-kappa, times_skew(A, xi_2[0])))
-    A_2 = matrix_sum(scale_matrix(half, A), scale_matrix(kappa, times_skew(A, xi_1[0])))
-    C_1 = matrix_sum(
-        scale_matrix(half, C),
-        scale_matrix(-kappa, matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))),
-    )
-    C_2 = matrix_sum(
-        scale_matrix(half, C),
-        scale_matrix(kappa, matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))),
-    )
-    return (A_1, C_1), (A_2, C_2), A, C, Omega, c
+    # [[A, 0], [C, A]] ad_xi = [[A k~, 0], [C k~ + A p~, A k~]]
+    k_1, p_1 = xi_1
+    k_2, p_2 = xi_2
+    A_half = scale_matrix(half, A)
+    C_half = scale_matrix(half, C)
+    C_ad_2 = matrix_sum(times_skew(C, k_2), times_skew(A, p_2))
+    C_ad_1 = matrix_sum(times_skew(C, k_1), times_skew(A, p_1))
+    A_1 = matrix_sum(A_half, scale_matrix(-kappa, times_skew(A, k_2)))
+    A_2 = matrix_sum(A_half, scale_matrix(kappa, times_skew(A, k_1)))
+    C_1 = matrix_sum(C_half, scale_matrix(-kappa, C_ad_2))
+    C_2 = matrix_sum(C_half, scale_matrix(kappa, C_ad_1))
+    return IntervalOperators((A_1, C_1), (A_2, C_2), (A, C), Omega, c)
+
+
+@kernel(inline=True)
+def growth_over(operators, x_1, x_2):
+    """Growth W_1 x_1 + W_2 x_2 of a sum in the base frame over the intervals of a pack."""
+    A_1, C_1 = operators.W_1
+    A_2, C_2 = operators.W_2
+    return twist_sum(operator_apply(A_1, C_1, x_1), operator_apply(A_2, C_2, x_2))
 
 
 @kernel(inline=True)
@@ -221,15 +266,16 @@ def running_sum(carry, row, x):
     """Sums of x over the intervals up to each lane, on top of the carried one, which moves on to
     the pack's end."""
     at = row * 6
+    (k_x, k_y, k_z), (p_x, p_y, p_z) = x
     k = (
-        prefix_sum(x[0][0]) + carry[at],
-        prefix_sum(x[0][1]) + carry[at + 1],
-        prefix_sum(x[0][2]) + carry[at + 2],
+        prefix_sum(k_x) + carry[at],
+        prefix_sum(k_y) + carry[at + 1],
+        prefix_sum(k_z) + carry[at + 2],
     )
     p = (
-        prefix_sum(x[1][0]) + carry[at + 3],
-        prefix_sum(x[1][1]) + carry[at + 4],
-        prefix_sum(x[1][2]) + carry[at + 5],
+        prefix_sum(p_x) + carry[at + 3],
+        prefix_sum(p_y) + carry[at + 4],
+        prefix_sum(p_z) + carry[at + 5],
     )
     for i in range(3):
         carry[at + i] = lane(k[i], LANES - 1)
@@ -237,90 +283,85 @@ def running_sum(carry, row, x):
     return k, p
 
 
+@kernel(inline=True)
+def carried_sum(carry, row):
+    """The carried sum in every lane."""
+    k, p = twist_of(carry[6 * row : 6 * row + 6])
+    return (
+        (spread(k[0]), spread(k[1]), spread(k[2])),
+        (spread(p[0]), spread(p[1]), spread(p[2])),
+    )
+
+
 @kernel
-def sweep(rod, strain, columns, work):
-    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of J
-    (17)-(18); after poses()."""
-    n, packs = strain.size, rod.packs
-    blocks = 2 * packs
-    work.carry[:] = 0.0
-    copy(work.base[12:24], work.carry[n * 6 : (n + 2) * 6])
+def sweep(rod, law, strain, kinematics):
+    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the columns of J (17)-(18);
+    after poses()."""
+    n = law.size
+    packs = rod.packs
+    carry = kinematics.carry
+    # sums begin at zero, those of eta and of its bias at twist and acceleration of the base
+    carry[:] = 0.0
+    copy(kinematics.base[12:24], carry[n * 6 : (n + 2) * 6])
     for pack in range(packs):
-        at = 2 * pack * 6 * LANES
         h = load(rod.length, pack * LANES)
-        xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
-        R, r = load_pose(work.start, pack * 12 * LANES)
-        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
+        kappa = KAPPA * h * h
+        xi_1, xi_2 = interval_strains(strain.xi, pack)
+        R, r = load_pose(kinematics.start, pack)
+        R_end, r_end = load_pose(kinematics.pose, pack)
+        operators = interval_operators(h, 0.5 * h, kappa, xi_1, xi_2, R, r)
 
-        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth = twist_sum(
-            operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2)
-        )
+        # eta (17)
+        rate_1, rate_2 = interval_strains(strain.xi_dot, pack)
+        growth = growth_over(operators, rate_1, rate_2)
+        eta_end = running_sum(carry, n, growth)
+        eta_start = twist_difference(eta_end, growth)
+        store6(kinematics.eta, pack, Ad_inverse_apply(R_end, r_end, eta_end))
+
+        # J_dot q_dot (18): rates of Z and of T at constant xi_dot, xi_bias, and the turning frame
+        A, C = operators.Ad_T
         Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-        change = operator_apply(A, C, scale_twist(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2)))
-        change = twist_sum(change, Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)))
-        eta_end = running_sum(work.carry, n, growth)
-        eta_start = twist_sum(eta_end, scale_twist(-1.0, growth))
-        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
+        bracket_rate = scale_twist(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))
+        turned = dexp_dot_apply(operators.Omega, Omega_dot, operators.c, Omega_dot)
+        change = operator_apply(A, C, bracket_rate)
+        change = twist_sum(change, Ad_apply(R, r, turned))
+        bias_1, bias_2 = interval_strains(strain.xi_bias, pack)
+        change = twist_sum(change, growth_over(operators, bias_1, bias_2))
+        change = twist_sum(change, ad_apply(eta_start, growth))
+        bias_end = running_sum(carry, n + 1, change)
+        store6(kinematics.eta_bias, pack, Ad_inverse_apply(R_end, r_end, bias_end))
 
-        bias_1, bias_2 = load6(work.xi_bias, at), load6(work.xi_bias, at + 6 * LANES)
-        change = twist_sum(
-            change,
-            twist_sum(
-                operator_apply(W_1[0], W_1[1], bias_1), operator_apply(W_2[0], W_2[1], bias_2)
-            ),
-        )
-        bias_end = running_sum(work.carry, n + 1, twist_sum(change, ad_apply(eta_start, growth)))
-        store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))
-
-        for j in range(columns):
-            if strain.pack_begin[j] > pack:
+        # J
+        for j in range(n):
+            if law.pack_begin[j] > pack:
                 continue
-            if pack < strain.pack_end[j]:
-                field_at = (j * blocks + 2 * pack) * 6 * LANES
-                phi_1, phi_2 = load6(work.Phi, field_at), load6(work.Phi, field_at + 6 * LANES)
-                growth = twist_sum(
-                    operator_apply(W_1[0], W_1[1], phi_1), operator_apply(W_2[0], W_2[1], phi_2)
-                )
-                column = running_sum(work.carry, j, growth)
+            if pack < law.pack_end[j]:
+                phi_1, phi_2 = interval_strains(strain.Phi, j * packs + pack)
+                column = running_sum(carry, j, growth_over(operators, phi_1, phi_2))
             else:
-                sums = work.carry[6 * j : 6 * j + 6]
-                column = (
-                    (spread(sums[0]), spread(sums[1]), spread(sums[2])),
-                    (spread(sums[3]), spread(sums[4]), spread(sums[5])),
-                )
-            store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
+                column = carried_sum(carry, j)
+            column = Ad_inverse_apply(R_end, r_end, column)
+            store6(kinematics.J, j * packs + pack, column)
 
 
 @kernel
-def node_twists(rod, work):
+def node_twists(rod, strain, kinematics):
     """Body twists eta at the nodes from xi_dot; after poses(). As sweep() has them, without
     columns."""
-    copy(work.base[12:18], work.carry[:6])
+    carry = kinematics.carry
+    copy(kinematics.base[12:18], carry[:6])
     for pack in range(rod.packs):
-        at = 2 * pack * 6 * LANES
-        R, r = load_pose(work.start, pack * 12 * LANES)
-        h, xi_1, xi_2 = (
-            load(rod.length, pack * LANES),
-            load6(work.xi, at),
-            load6(work.xi, at + 6 * LANES),
-        )
-        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth = twist_sum(
-            operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2)
-        )
-        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
-        store6(
-            work.eta,
-            pack * 6 * LANES,
-            Ad_inverse_apply(R_end, r_end, running_sum(work.carry, 0, growth)),
-        )
+        h = load(rod.length, pack * LANES)
+        xi_1, xi_2 = interval_strains(strain.xi, pack)
+        rate_1, rate_2 = interval_strains(strain.xi_dot, pack)
+        R, r = load_pose(kinematics.start, pack)
+        R_end, r_end = load_pose(kinematics.pose, pack)
+        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        eta_end = running_sum(carry, 0, growth_over(operators, rate_1, rate_2))
+        store6(kinematics.eta, pack, Ad_inverse_apply(R_end, r_end, eta_end))
 
 
-@kernel
-def tip_twist(rod, work):
-    """Body twist (angular, linear) of the tip from xi_dot, as numbers; after poses()."""
-    node_twists(rod, work)
-    return twist_at(work.eta, rod.packs - 1, LANES - 1)
+@kernel(inline=True)
+def tip_twist_of(eta):
+    """Body twist (angular, linear) of the last node as numbers."""
+    return twist_at(eta, eta.size // (6 * LANES) - 1, LANES - 1)

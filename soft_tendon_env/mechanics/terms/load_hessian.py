@@ -18,7 +18,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import (
-    coefficients,
     cross,
     dot,
     operator_apply,
@@ -31,20 +30,19 @@ from soft_tendon_env.mechanics.algebra.linear import add_product
 from soft_tendon_env.mechanics.terms.kinematics import (
     KAPPA,
     interval_operators,
-    magnus,
     pose_at,
-    twist_at,
+    strains_at_points,
 )
 from soft_tendon_env.mechanics.terms.transposed_kinematics import (
     add_at,
-    transposed_dexp,
+    magnus_transposed,
     wrench_at_start,
-    zanna_transposed,
 )
 
 SIZE = 12  # unknowns of an interval: the scaled strains e at its two points
 DIFFERENCE = 1e-3  # [rad] of an interval's turn: errors of 1e-12 by truncation and by rounding
-STENCIL = (-2.0, 1 / 12), (-1.0, -2 / 3), (1.0, 2 / 3), (2.0, -1 / 12)  # of the first derivative
+STENCIL = ((-2.0, 1 / 12), (-1.0, -2 / 3), (1.0, 2 / 3), (2.0, -1 / 12))
+"""Steps and weights of the first derivative."""
 
 
 @kernel(inline=True)
@@ -55,42 +53,38 @@ def place(node):
 
 
 @kernel(inline=True)
-def _strains(node, work):
-    """Strains at the two points of the interval that ends at a node."""
-    block, lane_index = node // LANES * 2, node % LANES
-    return twist_at(work.xi, block, lane_index), twist_at(work.xi, block + 1, lane_index)
-
-
-@kernel(inline=True)
-def _node_load(rod, strain, part, node, work):
+def _node_load(rod, law, part, node, kinematics):
     """Position of a node, and `part` of the dead force on it."""
-    force = times(part * rod.node_mass[node], strain.acceleration)
+    _, position = pose_at(kinematics.pose, node)
+    force = times(part * rod.node_mass[node], law.acceleration)
     if node == rod.node_mass.size - 1:
-        force = plus(force, times(part, strain.force))
-    return pose_at(work.pose, node)[1], force
+        force = plus(force, times(part, law.force))
+    return position, force
 
 
 @kernel
-def _interval_stress(rod, node, xi_1, xi_2, wrench, work):
+def _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics):
     """Generalised forces of a wrench beyond an interval, in the base frame, on the strains at its
     two points over their weight."""
-    h, (R, r) = rod.length[node], pose_at(work.start, node)
-    mu, Omega = 2.0 * KAPPA * h, magnus(h, xi_1, xi_2)
-    t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, wrench))
-    return zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
+    R, r = pose_at(kinematics.start, node)
+    return magnus_transposed(rod.length[node], xi_1, xi_2, wrench_at_start(R, r, wrench))
 
 
 @kernel
-def load_stress(rod, strain, part, work, out):
-    """Generalised force of `part` of the loads on the strains over their weight, out (points x 6);
-    after poses()."""
-    moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
+def load_stress(rod, law, part, xi, kinematics, out):
+    """Generalised force of `part` of the loads on strains xi over their weight, xi and out (points
+    x 6); after poses()."""
+    moment = times(part, law.moment)
+    force = (0.0, 0.0, 0.0)
     out[:] = 0.0
+    # wrench on all beyond an interval, in the base frame, from the tip on
     for node in range(rod.length.size - 1, -1, -1):
-        position, node_force = _node_load(rod, strain, part, node, work)
-        moment, force = plus(moment, cross(position, node_force)), plus(force, node_force)
-        xi_1, xi_2 = _strains(node, work)
-        first, second = _interval_stress(rod, node, xi_1, xi_2, (moment, force), work)
+        position, node_force = _node_load(rod, law, part, node, kinematics)
+        moment = plus(moment, cross(position, node_force))
+        force = plus(force, node_force)
+        xi_1, xi_2 = strains_at_points(xi, node)
+        wrench = (moment, force)
+        first, second = _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics)
         add_at(out, place(node), first)
         add_at(out, place(node) + 6 * LANES, second)
 
@@ -98,44 +92,55 @@ def load_stress(rod, strain, part, work, out):
 @kernel(inline=True)
 def _unit(rod, node, a):
     """Strain of a point by the a-th unknown of an interval, as a twist."""
-    i, c = a % 6, rod.root_compliance[place(node) + a * LANES]
-    return (c * (i == 0), c * (i == 1), c * (i == 2)), (c * (i == 3), c * (i == 4), c * (i == 5))
+    i = a % 6
+    c = rod.root_compliance[place(node) + a * LANES]
+    angular = (c * (i == 0), c * (i == 1), c * (i == 2))
+    return angular, (c * (i == 3), c * (i == 4), c * (i == 5))
+
+
+@kernel(inline=True)
+def _section_entry(strain, node, a, b):
+    """Entry (b, a) of the scaled section stiffness at the two points of an interval, which do not
+    meet each other there."""
+    if a // 6 != b // 6:
+        return 0.0
+    row = max(a % 6, b % 6)
+    column = min(a % 6, b % 6)
+    block = 2 * (node // LANES) + a // 6
+    entry = block * 21 + row * (row + 1) // 2 + column
+    return strain.factor[entry * LANES + node % LANES]
 
 
 @kernel
-def _assemble_interval(rod, node, wrench, work, D):
+def _assemble_interval(rod, node, wrench, strain, kinematics, D):
     """Hessian D (12, 12) of an interval over the weight, but for what y makes of it: the section's,
     and differences of load stresses."""
-    at, (xi_1, xi_2), block = place(node), _strains(node, work), 2 * (node // LANES)
+    at = place(node)
+    xi_1, xi_2 = strains_at_points(strain.xi, node)
     for a in range(SIZE):
-        e, c, i = _unit(rod, node, a), rod.length[node] * rod.root_compliance[at + a * LANES], a % 6
-        way = DIFFERENCE / c if c > 0.0 else 1.0
+        unit = _unit(rod, node, a)
+        # a step of the unknown that turns the interval by DIFFERENCE
+        turn = rod.length[node] * rod.root_compliance[at + a * LANES]
+        way = DIFFERENCE / turn if turn > 0.0 else 1.0
         for b in range(SIZE):
-            j, D[b, a] = b % 6, 0.0
-            if a // 6 == b // 6:
-                entry = (block + a // 6) * 21 + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)
-                D[b, a] = work.factor[entry * LANES + node % LANES]
+            D[b, a] = _section_entry(strain, node, a, b)
         for steps, share in STENCIL:
-            moved = scale_twist(steps * way, e)
-            first, second = (
-                twist_sum(xi_1, moved) if a < 6 else xi_1,
-                twist_sum(xi_2, moved) if a >= 6 else xi_2,
-            )
-            stress = _interval_stress(rod, node, first, second, wrench, work)
+            moved = scale_twist(steps * way, unit)
+            moved_1 = twist_sum(xi_1, moved) if a < 6 else xi_1
+            moved_2 = twist_sum(xi_2, moved) if a >= 6 else xi_2
+            stress = _interval_stress(rod, node, moved_1, moved_2, wrench, kinematics)
             for b in range(SIZE):
-                D[b, a] -= (
-                    rod.root_compliance[at + b * LANES]
-                    * stress[b // 6][b % 6 // 3][b % 3]
-                    * share
-                    / way
-                )
+                component = stress[b // 6][b % 6 // 3][b % 3]
+                scaled = rod.root_compliance[at + b * LANES] * component
+                D[b, a] -= scaled * share / way
 
 
 @kernel
 def _invert(D):
     """Overwrites a matrix by its inverse, by elimination without pivoting; the least pivot, NaN if
     there is one."""
-    least, n = 1e300, D.shape[0]
+    least = 1e300
+    n = D.shape[0]
     for k in range(n):
         pivot = D[k, k]
         if not pivot >= least:
@@ -145,53 +150,86 @@ def _invert(D):
             D[k, j] /= pivot
         for i in range(n):
             if i != k:
-                share, D[i, k] = D[i, k], 0.0
+                share = D[i, k]
+                D[i, k] = 0.0
                 for j in range(n):
                     D[i, j] -= share * D[k, j]
     return least
 
 
-@kernel(refcount=True)
-def factorise_hessian(rod, strain, part, work):
-    """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled
-    section stiffness in work.factor."""
-    memory, least, rows = work.under_loads, 1e300, np.empty((SIZE, 3))
-    Q, rows_Q = np.zeros((3, 3)), np.zeros((3, 3))
-    moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
-    for i in range(3):  # rows_Q = moment~
-        j, k = (i + 1) % 3, (i + 2) % 3
-        rows_Q[k, j], rows_Q[j, k] = moment[i], -moment[i]
-    for node in range(rod.length.size - 1, -1, -1):
-        position, node_force = _node_load(rod, strain, part, node, work)
-        moment, force = plus(moment, cross(position, node_force)), plus(force, node_force)
+@kernel(inline=True)
+def _add_turned_forces(position, force, Q, rows_Q):
+    """Adds r . f I - r f^T of a node at r with a force f to Q of columns and of rows."""
+    along = dot(position, force)
+    for i in range(3):
+        for j in range(3):
+            change = (along if i == j else 0.0) - position[i] * force[j]
+            Q[i, j] += change
+            rows_Q[i, j] += change
+
+
+@kernel(inline=True)
+def _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows):
+    """Turn and y of the unknowns of an interval: y over the weight in `rows` (12, 3), less it, and
+    times the weight in memory.columns."""
+    h = rod.length[node]
+    turn = memory.turn[node]
+    columns = memory.columns[node]
+    R, r = pose_at(kinematics.start, node)
+    xi_1, xi_2 = strains_at_points(strain.xi, node)
+    operators = interval_operators(h, 1.0, 2.0 * KAPPA * h, xi_1, xi_2, R, r)
+    for a in range(SIZE):
+        # W = (k, v) of what is beyond, and y = F x v + Q k
+        A, C = operators.W_1 if a < 6 else operators.W_2
+        k, v = operator_apply(A, C, _unit(rod, node, a))
+        side = cross(force, v)
         for i in range(3):
-            for j in range(3):
-                change = (dot(position, node_force) if i == j else 0.0) - position[i] * node_force[
-                    j
-                ]
-                Q[i, j], rows_Q[i, j] = Q[i, j] + change, rows_Q[i, j] + change
-        D, turn, columns, answer = (
-            memory.inverse[node],
-            memory.turn[node],
-            memory.columns[node],
-            memory.answer[node],
-        )
-        _assemble_interval(rod, node, (moment, force), work, D)
-        (R, r), (xi_1, xi_2), h = pose_at(work.start, node), _strains(node, work), rod.length[node]
-        W_1, W_2, _, _, _, _ = interval_operators(h, 1.0, 2.0 * KAPPA * h, xi_1, xi_2, R, r)
-        for a in range(SIZE):
-            A, C = W_1 if a < 6 else W_2
-            k, v = operator_apply(A, C, _unit(rod, node, a))
-            for i in range(3):
-                turn[a, i], answer[a, i], side = k[i], 0.0, cross(force, v)[i]
-                columns[a, i] = 0.5 * h * (side + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2])
-                rows[a, i] = -(
-                    side + rows_Q[i, 0] * k[0] + rows_Q[i, 1] * k[1] + rows_Q[i, 2] * k[2]
-                )
-        add_product(turn, columns.T, D)
+            turn[a, i] = k[i]
+            y = add_row_product(side[i], Q, i, k)
+            columns[a, i] = 0.5 * h * y
+            rows[a, i] = -add_row_product(side[i], rows_Q, i, k)
+
+
+@kernel(inline=True)
+def add_row_product(start, Q, i, k):
+    """Number added to the scalar product of a row of a matrix (3, 3) and a vector."""
+    return start + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2]
+
+
+@kernel(refcount=True)
+def factorise_hessian(rod, law, part, strain, kinematics):
+    """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled
+    section stiffness in strain.factor."""
+    memory = strain.under_loads
+    least = 1e300
+    rows = np.empty((SIZE, 3))
+    Q = np.zeros((3, 3))
+    rows_Q = np.zeros((3, 3))
+    moment = times(part, law.moment)
+    force = (0.0, 0.0, 0.0)
+    for i in range(3):  # rows_Q = moment~
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        rows_Q[k, j] = moment[i]
+        rows_Q[j, k] = -moment[i]
+    for node in range(rod.length.size - 1, -1, -1):
+        # F, Q and moment of all beyond the interval
+        position, node_force = _node_load(rod, law, part, node, kinematics)
+        moment = plus(moment, cross(position, node_force))
+        force = plus(force, node_force)
+        _add_turned_forces(position, node_force, Q, rows_Q)
+        # the block on the diagonal, with what the intervals beyond leave in Q, and its inverse
+        D = memory.inverse[node]
+        columns = memory.columns[node]
+        answer = memory.answer[node]
+        _assemble_interval(rod, node, (moment, force), strain, kinematics, D)
+        _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows)
+        add_product(memory.turn[node], columns.T, D)
         pivot = _invert(D)
         if not pivot >= least:
             least = pivot
+        # the interval gives way: answer = D^-1 rows adds to Q
+        answer[:] = 0.0
         add_product(D, rows, answer)
         add_product(columns.T, answer, Q)
         add_product(answer.T, columns, rows_Q)
@@ -202,46 +240,44 @@ def factorise_hessian(rod, strain, part, work):
 def solve_hessian(rod, memory, x, start):
     """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these, a field over points from x[start]
     on."""
-    nodes, y, c = rod.length.size, np.empty(SIZE), rod.root_compliance
-    p, q, r = 0.0, 0.0, 0.0
+    nodes = rod.length.size
+    y = np.empty(SIZE)
+    c = rod.root_compliance
+    # tip to base: the unknowns of an interval if all nearer to the base stood still; p, q, r is the
+    # sum of y times the weight of all beyond
+    p = 0.0
+    q = 0.0
+    r = 0.0
     for node in range(nodes - 1, -1, -1):
-        at, D, turn, columns = (
-            start + place(node),
-            memory.inverse[node],
-            memory.turn[node],
-            memory.columns[node],
-        )
+        at = start + place(node)
+        D = memory.inverse[node]
+        turn = memory.turn[node]
+        columns = memory.columns[node]
         for a in range(SIZE):
-            y[a] = (
-                c[at - start + a * LANES] * x[at + a * LANES]
-                - turn[a, 0] * p
-                - turn[a, 1] * q
-                - turn[a, 2] * r
-            )
+            wrench = c[place(node) + a * LANES] * x[at + a * LANES]
+            y[a] = wrench - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
         for a in range(SIZE):
             strain = 0.0
             for b in range(SIZE):
                 strain += D[a, b] * y[b]
             x[at + a * LANES] = strain
-            p, q, r = (
-                p + columns[a, 0] * strain,
-                q + columns[a, 1] * strain,
-                r + columns[a, 2] * strain,
-            )
-    p, q, r = 0.0, 0.0, 0.0
+            p = p + columns[a, 0] * strain
+            q = q + columns[a, 1] * strain
+            r = r + columns[a, 2] * strain
+    # base to tip: with the turn p, q, r of the interval's start
+    p = 0.0
+    q = 0.0
+    r = 0.0
     for node in range(nodes):
-        at, half, turn, answer = (
-            start + place(node),
-            0.5 * rod.length[node],
-            memory.turn[node],
-            memory.answer[node],
-        )
-        s, t, u = p, q, r
+        at = start + place(node)
+        half = 0.5 * rod.length[node]
+        turn = memory.turn[node]
+        answer = memory.answer[node]
+        start_turn = (p, q, r)
         for a in range(SIZE):
-            strain = x[at + a * LANES] + answer[a, 0] * s + answer[a, 1] * t + answer[a, 2] * u
-            x[at + a * LANES] = c[at - start + a * LANES] * strain
-            p, q, r = (
-                p + half * turn[a, 0] * strain,
-                q + half * turn[a, 1] * strain,
-                r + half * turn[a, 2] * strain,
-            )
+            still = x[at + a * LANES]
+            strain = add_row_product(still, answer, a, start_turn)
+            x[at + a * LANES] = c[place(node) + a * LANES] * strain
+            p = p + half * turn[a, 0] * strain
+            q = q + half * turn[a, 1] * strain
+            r = r + half * turn[a, 2] * strain

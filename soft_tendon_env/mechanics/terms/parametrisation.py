@@ -13,7 +13,13 @@ from numba.extending import overload
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.terms.statics_newton import ANY, CONTRACTION, all_pull, chords_stay
+from soft_tendon_env.mechanics.terms.statics_newton import (
+    ANY,
+    CONTRACTION,
+    Search,
+    all_pull,
+    chords_stay,
+)
 
 SMALLEST_PART = 1e-5  # of what was reached, in a continuation
 LEAST_PART = 1e-9  # of the way
@@ -21,15 +27,16 @@ MARGIN_PARTS = 16
 
 
 class Parametrisation(NamedTuple):
-    """The functions of one parametrisation. Each takes the arm and its strain first, and the
-    workspace last.
+    """The functions of one parametrisation. Each takes the arm and its strain law first, and reads
+    and writes the strain fields of a workspace.
 
-    solve(arm, strain, q, part, tolerance, contraction, work) finds the strain at q under `part` of
-    the loads inside it, into work.xi, from the guess there; -1, or the block at which it could not
-    be found; contraction: see CONTRACTION. Where it has just left the strain, columns(arm, strain,
-    u, q, q_dot, work) makes xi_dot, xi_bias, the columns Phi and, under tensions u, the mismatch,
-    of which B u - K is made; matrices(arm, strain, work) D and G of these; rate(arm, strain, q_dot,
-    work) xi_dot alone. is_unique(arm, strain, q, work): whether at most one strain belongs to q.
+    solve(arm, law, q, search, strain, kinematics) finds the strain at q, see Search, into
+    strain.xi, from the guess there; -1, or the block at which it could not be found. Loads inside
+    the strain move the poses for that. Where it has just left the strain, columns(arm, law,
+    tension, q, q_dot, strain, kinematics) makes xi_dot, xi_bias, the columns Phi and, under
+    tensions (n_a,), the mismatch, of which B u - K is made; matrices(arm, law, strain, ones,
+    matrices) D and G of these, where ones (points x 6) are a weight; rate(arm, law, q_dot, strain)
+    xi_dot alone. is_unique(arm, law, q, strain): whether at most one strain belongs to q.
     """
 
     solve: Callable[..., Any]
@@ -45,92 +52,98 @@ PARAMETRISATIONS: dict[type, Parametrisation] = {}
 
 def _of_the_arm(name):
     """Function of this name of an arm's parametrisation, to be called with the arm and all
-    arguments after the strain."""
+    arguments after the law."""
 
     def call(arm, *arguments):
-        return getattr(PARAMETRISATIONS[type(arm.strain)], name)(arm, arm.strain, *arguments)
+        function = getattr(PARAMETRISATIONS[type(arm.strain)], name)
+        return function(arm, arm.strain, *arguments)
 
     @overload(call)
     def _compiled(arm, *arguments):
-        function = getattr(PARAMETRISATIONS[arm.fields["strain"].instance_class], name)
+        law = arm.fields["strain"].instance_class
+        function = getattr(PARAMETRISATIONS[law], name)
         return lambda arm, *arguments: function(arm, arm.strain, *arguments)
 
     return call
 
 
-solve_strain_at, strain_is_unique = _of_the_arm("solve"), _of_the_arm("is_unique")
-strain_columns, strain_matrices, strain_rate = (
-    _of_the_arm("columns"),
-    _of_the_arm("matrices"),
-    _of_the_arm("rate"),
-)
+solve_strain_at = _of_the_arm("solve")
+strain_is_unique = _of_the_arm("is_unique")
+strain_columns = _of_the_arm("columns")
+strain_matrices = _of_the_arm("matrices")
+strain_rate = _of_the_arm("rate")
 
 
 @kernel(inline=True)
-def strain_from_guess(arm, q, tolerance, work):
-    """The strain at q into work.xi, from the guess there; -1, or the block at which it could not be
-    found."""
-    return solve_strain_at(arm, q, 1.0, tolerance, ANY, work)
+def strain_from_guess(arm, q, tolerance, strain, kinematics):
+    """The strain at q into strain.xi, from the guess there; -1, or the block at which it could not
+    be found."""
+    return solve_strain_at(arm, q, Search(1.0, tolerance, ANY), strain, kinematics)
 
 
 @kernel(refcount=True)
-def continue_strain(arm, begin, end, tolerance, work):
-    """The strain at the end of a way on the branch of that at its beginning, which is in work.xi:
+def continue_strain(arm, begin, end, tolerance, strain, kinematics):
+    """The strain at the end of a way on the branch of that at its beginning, which is in strain.xi:
     in growing or halved parts of the way.
 
     begin, end: coordinates (n,) and the part of the loads inside. Where the strain need not be the
     only one, parts are so small that Newton contracts at once and, with tendons that push, no chord
     moves far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was
-    reached, whose strain is left in work.xi).
+    reached, whose strain is left in strain.xi).
     """
-    (q_from, part_from), (q, part) = begin, end
-    reached, step, last_good = 0.0, 1.0, work.xi.copy()
+    q_begin, part_begin = begin
+    q_end, part_end = end
+    reached = 0.0
+    step = 1.0
+    last_good = strain.xi.copy()
     while reached < 1.0:
         ahead = reached + step if step < 1.0 - reached else 1.0
-        q_ahead = q_from + ahead * (q - q_from)
-        unique = strain_is_unique(arm, q_ahead, work)
-        copy(last_good, work.xi)
-        failed = solve_strain_at(
-            arm,
-            q_ahead,
-            part_from + ahead * (part - part_from),
-            tolerance,
-            ANY if unique else CONTRACTION,
-            work,
-        )
-        if failed < 0 and (
-            unique or all_pull(work.tau) or chords_stay(arm.rod, arm.tendons, last_good, work.xi)
-        ):
-            reached, step = ahead, 2.0 * (ahead - reached)
-            copy(work.xi, last_good)
+        q_ahead = q_begin + ahead * (q_end - q_begin)
+        part = part_begin + ahead * (part_end - part_begin)
+        unique = strain_is_unique(arm, q_ahead, strain)
+        contraction = ANY if unique else CONTRACTION
+        copy(last_good, strain.xi)
+        search = Search(part, tolerance, contraction)
+        failed = solve_strain_at(arm, q_ahead, search, strain, kinematics)
+        is_good = failed < 0
+        if is_good and not unique and not all_pull(strain.tau):
+            # of several strains it should be the one near the last
+            is_good = chords_stay(arm.rod, arm.tendons, last_good, strain.xi)
+        if is_good:
+            step = 2.0 * (ahead - reached)
+            reached = ahead
+            copy(strain.xi, last_good)
         else:
             step = 0.5 * (ahead - reached)
             if step < max(SMALLEST_PART * reached, LEAST_PART):
-                copy(last_good, work.xi)
+                copy(last_good, strain.xi)
                 return max(failed, 0), reached
     return -1, 1.0
 
 
 @kernel(refcount=True)
-def strain_from_rest(arm, q, tolerance, work):
+def strain_from_rest(arm, q, tolerance, strain, kinematics):
     """The strain at q on the branch on which coordinates and loads inside grow together from the
     stress-free rod; as continue_strain()."""
-    copy(arm.rod.reference_strain, work.xi)
-    if strain_is_unique(arm, q, work) and strain_from_guess(arm, q, tolerance, work) < 0:
-        return -1, 1.0
-    copy(arm.rod.reference_strain, work.xi)
-    return continue_strain(arm, (np.zeros(q.size), 0.0), (q, 1.0), tolerance, work)
+    copy(arm.rod.reference_strain, strain.xi)
+    if strain_is_unique(arm, q, strain):
+        if strain_from_guess(arm, q, tolerance, strain, kinematics) < 0:
+            return -1, 1.0
+        copy(arm.rod.reference_strain, strain.xi)
+    rest = (np.zeros(q.size), 0.0)
+    return continue_strain(arm, rest, (q, 1.0), tolerance, strain, kinematics)
 
 
 @kernel(refcount=True)
-def strain_has_margin(arm, q, tolerance, work):
+def strain_has_margin(arm, q, tolerance, strain, kinematics):
     """Whether there is a strain at q and, where it need not be the only one, one a MARGIN_PARTS-th
     beyond too, with Newton contracting at once in each of these even parts of the way from rest."""
-    if strain_is_unique(arm, q, work):
-        return strain_from_rest(arm, q, tolerance, work)[0] < 0
-    copy(arm.rod.reference_strain, work.xi)
+    if strain_is_unique(arm, q, strain):
+        return strain_from_rest(arm, q, tolerance, strain, kinematics)[0] < 0
+    copy(arm.rod.reference_strain, strain.xi)
     for k in range(MARGIN_PARTS + 1):
         part = (k + 1.0) / MARGIN_PARTS
-        if solve_strain_at(arm, part * q, part, tolerance, CONTRACTION, work) >= 0:
+        search = Search(part, tolerance, CONTRACTION)
+        if solve_strain_at(arm, part * q, search, strain, kinematics) >= 0:
             return False
     return True

@@ -7,7 +7,7 @@ Phi_p], with the factor of H that the Newton iteration leaves.
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import plus, scale_twist, times, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, plus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     load3,
     load6,
@@ -25,7 +25,12 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     statics_is_unique,
     strain_tension,
 )
-from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, tangent_rate, wrench_column
+from soft_tendon_env.mechanics.terms.tendons import (
+    actuation_wrench,
+    presence_of,
+    tangent_rate,
+    wrench_column,
+)
 from soft_tendon_env.mechanics.types import StaticsBased
 
 
@@ -36,127 +41,132 @@ def solve_column(f, c, wrench, free):
 
 
 @kernel(inline=True)
-def coordinate_wrenches(arm, law, block, u, q, work):
-    """Wrenches [Phi_a Phi_p] of every coordinate at a block into work.Phi, times the weight into
-    work.Y, and the mismatch of tensions and passive wrenches, weight (Phi_a (u - tau) - Phi_p q_p),
-    into work.mismatch; where solve_statics() has left the tangents."""
-    rod, tendons, pack, blocks = arm.rod, arm.tendons, block // 2, 2 * arm.rod.packs
-    weight, mismatch = load(rod.weight, block * LANES), zero6()
-    if law.mixed:
+def coordinate_wrenches(arm, law, block, tension, q, strain):
+    """Wrenches [Phi_a Phi_p] of every coordinate at a block into strain.Phi, times the weight into
+    strain.Y, and the mismatch of tensions u and passive wrenches, weight (Phi_a (u - tau) - Phi_p
+    q_p), into strain.mismatch; where solve_statics() has left the tangents."""
+    rod = arm.rod
+    tendons = arm.tendons
+    pack = block // 2
+    blocks = 2 * rod.packs
+    weight = load(rod.weight, block * LANES)
+    mismatch = zero6()
+    if law.mixed:  # columns are sums over tendons
         for j in range(law.active):
-            store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
+            store6(strain.Phi, j * blocks + block, zero6())
+    # tensions
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
-            wrench = actuation_wrench(tendons, blocks, block, i, work.tangent)
-            mismatch = twist_sum(mismatch, scale_twist(u[i] - work.tau[i], wrench))
+            wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
+            missing = tension[i] - strain.tau[i]
+            mismatch = twist_sum(mismatch, scale_twist(missing, wrench))
             for m in range(law.row_start[i], law.row_start[i + 1]):
-                at, column = (law.column[m] * blocks + block) * 6 * LANES, wrench
+                row = law.column[m] * blocks + block
+                column = wrench
                 if law.mixed:
-                    column = twist_sum(load6(work.Phi, at), scale_twist(law.weight[m], wrench))
-                store6(work.Phi, at, column)
-                store6(work.Y, at, scale_twist(weight, column))
+                    share = scale_twist(law.weight[m], wrench)
+                    column = twist_sum(load6(strain.Phi, row), share)
+                store6(strain.Phi, row, column)
+                store6(strain.Y, row, scale_twist(weight, column))
+    # passive wrenches
     for j in range(law.active, law.size):
         if law.pack_begin[j] <= pack < law.pack_end[j]:
-            at, column = (
-                (j * blocks + block) * 6 * LANES,
-                load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES),
-            )
+            row = j * blocks + block
+            column = load6(law.passive, row - law.active * blocks)
             mismatch = twist_sum(mismatch, scale_twist(-q[j], column))
-            store6(work.Phi, at, column)
-            store6(work.Y, at, scale_twist(weight, column))
-    store6(work.mismatch, block * 6 * LANES, scale_twist(weight, mismatch))
+            store6(strain.Phi, row, column)
+            store6(strain.Y, row, scale_twist(weight, column))
+    store6(strain.mismatch, block, scale_twist(weight, mismatch))
 
 
 @kernel(inline=True)
-def turning_wrench(tendons, blocks, block, rate, work):
+def turning_wrench(tendons, blocks, block, rate, strain):
     """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block strained at `rate`,
     xi_ddot = 0 (Appendix E multiplied out)."""
-    tau, tau_dot, total = work.tau, work.tau_dot, zero6()
+    geometry = tendons.geometry
+    tau = strain.tau
+    total = zero6()
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
-            tangent_at, geometry_at = (
-                (i * blocks + block) * 4 * LANES,
-                (i * blocks + block) * 5 * LANES,
-            )
-            t, inverse = load3(work.tangent, tangent_at), load(work.tangent, tangent_at + 3 * LANES)
-            stretch, t_dot = tangent_rate(tendons.geometry, geometry_at, rate, t, inverse)
-            turning = t_dot[0] * t_dot[0] + t_dot[1] * t_dot[1] + t_dot[2] * t_dot[2]
-            pulled = plus(
-                times(2.0 * (tau_dot[i] - tau[i] * stretch), t_dot), times(-tau[i] * turning, t)
-            )
-            presence = load(tendons.geometry, geometry_at + 4 * LANES)
-            total = twist_sum(
-                total, wrench_column(tendons.geometry, geometry_at, times(-presence, pulled))
-            )
+            tangent_at = (i * blocks + block) * 4 * LANES
+            geometry_at = (i * blocks + block) * 5 * LANES
+            t = load3(strain.tangent, tangent_at)
+            inverse = load(strain.tangent, tangent_at + 3 * LANES)
+            # t_ddot = -2 stretch t_dot - |t_dot|^2 t, with the chord's rate constant
+            stretch, t_dot = tangent_rate(geometry, geometry_at, rate, t, inverse)
+            turning = dot(t_dot, t_dot)
+            by_rate = 2.0 * (strain.tau_dot[i] - tau[i] * stretch)
+            pulled = plus(times(by_rate, t_dot), times(-tau[i] * turning, t))
+            presence = presence_of(geometry, geometry_at)
+            wrench = wrench_column(geometry, geometry_at, times(-presence, pulled))
+            total = twist_sum(total, wrench)
     return total
 
 
 @kernel
-def statics_columns(arm, strain, u, q, q_dot, work):
+def statics_columns(arm, law, tension, q, q_dot, strain, kinematics):
     """Columns Phi_xi (31) of every coordinate, xi_dot, the bias xi_bias = A^-1 Sigma^-1 (Psi_adot +
     Psi_a_dot) xi_dot (33), and the mismatch, of which is the drive of the implicit strain (34), G
     ([u; 0] - q)."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    strain_tension(strain, q_dot, work.tau_dot)
+    rod = arm.rod
+    blocks = 2 * rod.packs
+    strain_tension(law, q_dot, strain.tau_dot)
     for block in range(blocks):
-        coordinate_wrenches(arm, strain, block, u, q, work)
-        f, c, rate = (
-            load21(work.factor, block * 21 * LANES),
-            load6(rod.root_compliance, block * 6 * LANES),
-            zero6(),
-        )
-        for j in range(strain.size):
-            if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
-                at = (j * blocks + block) * 6 * LANES
-                phi = solve_column(f, c, load6(work.Phi, at), rod.free)
+        coordinate_wrenches(arm, law, block, tension, q, strain)
+        f = load21(strain.factor, block)
+        c = load6(rod.root_compliance, block)
+        # Phi_xi = A^-1 Sigma^-1 [Phi_a Phi_p] (31), in place of the wrenches
+        rate = zero6()
+        for j in range(law.size):
+            if law.pack_begin[j] <= block // 2 < law.pack_end[j]:
+                row = j * blocks + block
+                phi = solve_column(f, c, load6(strain.Phi, row), rod.free)
                 rate = twist_sum(rate, scale_twist(q_dot[j], phi))
-                store6(work.Phi, at, phi)
-        turning = turning_wrench(arm.tendons, blocks, block, rate, work)
-        store6(work.xi_dot, block * 6 * LANES, rate)
-        store6(work.xi_bias, block * 6 * LANES, solve_column(f, c, turning, rod.free))
+                store6(strain.Phi, row, phi)
+        turning = turning_wrench(arm.tendons, blocks, block, rate, strain)
+        bias = solve_column(f, c, turning, rod.free)
+        store6(strain.xi_dot, block, rate)
+        store6(strain.xi_bias, block, bias)
 
 
 @kernel
-def statics_matrices(arm, strain, work):
+def statics_matrices(arm, law, strain, ones, matrices):
     """Stiffness G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and
     D, of the columns."""
-    stiffness_matrix(arm.rod, strain, work)
-    damping_matrix(arm.rod, strain, work)
+    stiffness_matrix(arm.rod, law, strain, ones, matrices.G)
+    damping_matrix(arm.rod, law, strain, matrices.D)
 
 
 @kernel(inline=True)
-def rate_wrench(tendons, law, blocks, block, q_dot, work):
+def rate_wrench(tendons, law, blocks, block, q_dot, strain):
     """Wrench [Phi_a Phi_p] q_dot at one block, where tangents and tau_dot are known."""
     total = passive_wrench(law, blocks, block, q_dot)
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
-            total = twist_sum(
-                total,
-                scale_twist(
-                    work.tau_dot[i], actuation_wrench(tendons, blocks, block, i, work.tangent)
-                ),
-            )
+            wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
+            total = twist_sum(total, scale_twist(strain.tau_dot[i], wrench))
     return total
 
 
 @kernel
-def statics_rate(arm, strain, q_dot, work):
+def statics_rate(arm, law, q_dot, strain):
     """Strain rate xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that
     solve_statics() left."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    strain_tension(strain, q_dot, work.tau_dot)
+    rod = arm.rod
+    blocks = 2 * rod.packs
+    strain_tension(law, q_dot, strain.tau_dot)
     for block in range(blocks):
-        c, total = (
-            load6(rod.root_compliance, block * 6 * LANES),
-            rate_wrench(arm.tendons, strain, blocks, block, q_dot, work),
-        )
-        store6(
-            work.xi_dot,
-            block * 6 * LANES,
-            solve_column(load21(work.factor, block * 21 * LANES), c, total, rod.free),
-        )
+        f = load21(strain.factor, block)
+        c = load6(rod.root_compliance, block)
+        wrench = rate_wrench(arm.tendons, law, blocks, block, q_dot, strain)
+        rate = solve_column(f, c, wrench, rod.free)
+        store6(strain.xi_dot, block, rate)
 
 
 PARAMETRISATIONS[StaticsBased] = Parametrisation(
-    solve_statics, statics_columns, statics_matrices, statics_is_unique, statics_rate
+    solve_statics,
+    statics_columns,
+    statics_matrices,
+    statics_is_unique,
+    statics_rate,
 )

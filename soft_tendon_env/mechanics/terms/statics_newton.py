@@ -6,9 +6,17 @@ solves e + C^1/2 (sum tau s - Phi_p q_p) =
 minimises a convex energy.
 """
 
+from typing import NamedTuple
+
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
-from soft_tendon_env.mechanics.algebra.lie import dot, minus, scale_twist, twist_sum
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
+from soft_tendon_env.mechanics.algebra.lie import (
+    dot,
+    minus,
+    scale_twist,
+    twist_difference,
+    twist_sum,
+)
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -21,7 +29,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.tendons import chord, pull
+from soft_tendon_env.mechanics.terms.tendons import chord, presence_of, pull
 
 MAX_NEWTON = 20
 CONTRACTION = 0.25
@@ -32,73 +40,89 @@ ANY = 1e300  # contraction that is not watched
 # of its length, the most that a tendon's chord may move in a part of a push: it alone makes the
 # balance nonlinear
 MOST_TURN = 0.3
+RESOLUTION = 1e-15  # of the strain under the sum of all tensions, what rounding leaves of it
+
+
+class Search(NamedTuple):
+    """What strain is sought, and how."""
+
+    part: float  # of the loads inside the strain
+    tolerance: float  # of the scaled strain, for the last correction
+    contraction: float  # see CONTRACTION
 
 
 @kernel
-def passive_wrench(strain, blocks, block, q):
+def passive_wrench(law, blocks, block, q):
     """Passive wrench Phi_p q_p at one block."""
     total = zero6()
     pack = block // 2
-    for j in range(strain.active, strain.size):
-        if strain.pack_begin[j] <= pack < strain.pack_end[j]:
-            column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+    for j in range(law.active, law.size):
+        if law.pack_begin[j] <= pack < law.pack_end[j]:
+            row = (j - law.active) * blocks + block
+            column = load6(law.passive, row)
             total = twist_sum(total, scale_twist(q[j], column))
     return total
 
 
 @kernel
-def strain_tension(strain, q, tau):
+def strain_tension(law, q, tau):
     """Tensions of the strain law, tau = mixing q_a."""
     for i in range(tau.size):
         tau[i] = 0.0
-        for m in range(strain.row_start[i], strain.row_start[i + 1]):
-            tau[i] += strain.weight[m] * q[strain.column[m]]
+        for m in range(law.row_start[i], law.row_start[i + 1]):
+            tau[i] += law.weight[m] * q[law.column[m]]
 
 
 @kernel
-def solve_statics(arm, strain, q, part, tolerance, contraction, work):
-    """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi,
+def solve_statics(arm, law, q, search, strain, kinematics):
+    """Newton iteration for the strain (30) at every point, from the guess in strain.xi; leaves xi,
     tangents and factors.
 
-    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to
-    the iterate before it. Returns -1, or the first block where a pivot was not positive,
+    Stops when the last correction is below the tolerance of the scaled strain: the factors belong
+    to the iterate before it. Returns -1, or the first block where a pivot was not positive,
     corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
     """
-    rod, blocks, tau, floor = arm.rod, 2 * arm.rod.packs, work.tau, 0.0
-    strain_tension(strain, q, tau)
-    for i in range(tau.size):
-        floor += abs(tau[i])
+    rod = arm.rod
+    blocks = 2 * rod.packs
+    tau = strain.tau
+    strain_tension(law, q, tau)
+    force = 0.0
+    for tension in tau:
+        force += abs(tension)
     for block in range(blocks):
-        at = block * 6 * LANES
-        c, reference = load6(rod.root_compliance, at), load6(rod.reference_strain, at)
-        xi = load6(work.xi, at)
-        e = scale6(load6(rod.root_stiffness, at), twist_sum(xi, scale_twist(-1.0, reference)))
-        target = scale6(c, passive_wrench(strain, blocks, block, q))
-        resolution = 1e-15 * floor * c[1][0]
-        converged, last = False, squared_norm(e)
+        c = load6(rod.root_compliance, block)
+        reference = load6(rod.reference_strain, block)
+        xi = load6(strain.xi, block)
+        e = scale6(load6(rod.root_stiffness, block), twist_difference(xi, reference))
+        target = scale6(c, passive_wrench(law, blocks, block, q))
+        resolution = RESOLUTION * force * c[1][0]
+        converged = False
+        last = squared_norm(e)
         for iteration in range(MAX_NEWTON):
-            h, total = pull(rod, arm.tendons, block, xi, tau, work.tangent)
+            # H de = C^1/2 (Phi_p q_p - sum tau s) - e, with H of (32) scaled
+            h, total = pull(rod, arm.tendons, block, xi, tau, strain.tangent)
             f = factorise(scaled_stiffness(h, c), rod.free)
-            residual = twist_sum(target, scale_twist(-1.0, twist_sum(e, scale6(c, total))))
+            residual = twist_difference(target, twist_sum(e, scale6(c, total)))
             step = solve(f, residual, rod.free)
             e = twist_sum(e, step)
             xi = twist_sum(reference, scale6(c, e))
             size = squared_norm(step)
-            excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
+            allowed = (search.tolerance * search.tolerance) * squared_norm(e)
+            excess = size - allowed - resolution * resolution
             if largest(excess) <= 0.0:
                 converged = True
                 break
-            # points that have converged, while others of the pack have not, shrink no more
-            if contraction < ANY and not (
-                is_positive(f)
-                and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)
-            ):
-                break
+            if search.contraction < ANY:
+                # points that have converged, while others of the pack have not, shrink no more
+                most = search.contraction * search.contraction * last
+                contracts = iteration == 0 or largest(excess - most) <= 0.0
+                if not (is_positive(f) and contracts):
+                    break
             last = size
         if not (converged and is_positive(f)):
             return block
-        store6(work.xi, at, xi)
-        store_factor(work.factor, block, f)
+        store6(strain.xi, block, xi)
+        store_factor(strain.factor, block, f)
     return -1
 
 
@@ -107,14 +131,19 @@ def chords_stay(rod, tendons, before, after):
     """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain
     fields."""
     blocks = 2 * rod.packs
+    geometry = tendons.geometry
     for i in range(tendons.size):
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at = (i * blocks + block) * 5 * LANES
-            (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
-            c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
-            turn, presence = minus(c1, c0), load(tendons.geometry, at + 4 * LANES)
-            excess = dot(turn, turn) - (MOST_TURN * MOST_TURN) * dot(c0, c0)
-            if not largest(presence * excess) <= 0.0:
+            k_before, p_before = load6(before, block)
+            k_after, p_after = load6(after, block)
+            chord_before = chord(geometry, at, k_before, p_before)
+            chord_after = chord(geometry, at, k_after, p_after)
+            turn = minus(chord_after, chord_before)
+            allowed = (MOST_TURN * MOST_TURN) * dot(chord_before, chord_before)
+            excess = dot(turn, turn) - allowed
+            # so that a NaN does not stay
+            if not largest(presence_of(geometry, at) * excess) <= 0.0:
                 return False
     return True
 
@@ -130,7 +159,7 @@ def all_pull(tau):
 
 
 @kernel
-def statics_is_unique(arm, strain, q, work):
+def statics_is_unique(arm, law, q, strain):
     """Whether at most one strain belongs to q: no tendon pushes."""
-    strain_tension(strain, q, work.tau)
-    return all_pull(work.tau)
+    strain_tension(law, q, strain.tau)
+    return all_pull(strain.tau)

@@ -17,8 +17,8 @@ positive pivots the arm buckles, and there is no strain.
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
-from soft_tendon_env.mechanics.algebra.lie import scale_twist, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy, total
+from soft_tendon_env.mechanics.algebra.lie import twist_difference, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import total
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -50,6 +50,7 @@ from soft_tendon_env.mechanics.terms.statics_based import (
 from soft_tendon_env.mechanics.terms.statics_newton import (
     CONTRACTION,
     MAX_NEWTON,
+    RESOLUTION,
     passive_wrench,
     strain_tension,
 )
@@ -68,194 +69,197 @@ STENCIL = (
     (1.0, 1.5),
     (2.0, -0.15),
     (3.0, 1 / 90),
-)  # of the second derivative
+)
+"""Steps and weights of the second derivative."""
 # [rad] of a step, of the turn of the whole rod: errors of 1e-11 by truncation, less by rounding
 ALONG = 0.05
+AT_REST = 1e-100  # turn of the whole rod by its rates, below which it does not move
 
 
 @kernel
-def linearise_loaded(arm, strain, q, part, work):
+def linearise_loaded(arm, law, q, part, strain, kinematics):
     """Residual into memory.step, and the Hessian, factorised; -1, the block of a section that gives
     way, or 2 packs: the arm buckles."""
-    rod, memory, blocks = arm.rod, work.under_loads, 2 * arm.rod.packs
-    poses(rod, work)
-    load_stress(rod, strain, part, work, memory.step)
+    rod = arm.rod
+    memory = strain.under_loads
+    blocks = 2 * rod.packs
+    poses(rod, arm.base, strain.xi, kinematics)  # of a base that no effect moves
+    load_stress(rod, law, part, strain.xi, kinematics, memory.step)
     for block in range(blocks):
-        at = block * 6 * LANES
-        c = load6(rod.root_compliance, at)
-        h, pulled = pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)
+        c = load6(rod.root_compliance, block)
+        xi = load6(strain.xi, block)
+        h, pulled = pull(rod, arm.tendons, block, xi, strain.tau, strain.tangent)
         h = scaled_stiffness(h, c)
         if not is_positive(factorise(h, rod.free)):
             return block
-        store_factor(work.factor, block, h)
-        wrench = twist_sum(load6(memory.step, at), passive_wrench(strain.law, blocks, block, q))
-        wrench = twist_sum(
-            wrench,
-            scale_twist(
-                -1.0, twist_sum(pulled, scale6(load6(rod.root_stiffness, at), load6(memory.e, at)))
-            ),
-        )
-        store6(memory.step, at, wrench)
-    return -1 if factorise_hessian(rod, strain, part, work) > 0.0 else blocks
+        store_factor(strain.factor, block, h)
+        # load_stress + Phi_p q_p - sum tau s - Sigma^1/2 e
+        passive = passive_wrench(law.law, blocks, block, q)
+        outside = twist_sum(load6(memory.step, block), passive)
+        elastic = scale6(load6(rod.root_stiffness, block), load6(memory.e, block))
+        store6(memory.step, block, twist_difference(outside, twist_sum(pulled, elastic)))
+    least_pivot = factorise_hessian(rod, law, part, strain, kinematics)
+    return -1 if least_pivot > 0.0 else blocks
 
 
 @kernel
 def apply_correction(rod, xi, memory):
     """Adds the solution in memory.step to the scaled strain; the largest squared corrections and
     squared strains of a point."""
-    size, norm = 0.0, 0.0
+    size = 0.0
+    norm = 0.0
     for block in range(2 * rod.packs):
-        at = block * 6 * LANES
-        step = scale6(load6(rod.root_stiffness, at), load6(memory.step, at))
-        e = twist_sum(load6(memory.e, at), step)
-        store6(memory.e, at, e)
-        store6(
-            xi,
-            at,
-            twist_sum(load6(rod.reference_strain, at), scale6(load6(rod.root_compliance, at), e)),
-        )
-        found = largest(squared_norm(step))
-        if not found <= size:
-            size = found
+        step = scale6(load6(rod.root_stiffness, block), load6(memory.step, block))
+        e = twist_sum(load6(memory.e, block), step)
+        store6(memory.e, block, e)
+        strained = scale6(load6(rod.root_compliance, block), e)
+        store6(xi, block, twist_sum(load6(rod.reference_strain, block), strained))
+        block_size = largest(squared_norm(step))
+        if not block_size <= size:  # a NaN stays
+            size = block_size
         norm = max(norm, largest(squared_norm(e)))
     return size, norm
 
 
 @kernel
-def rounding(rod, strain, part, tau):
+def rounding(rod, law, part, tau):
     """Scaled strain that rounding leaves in the balance of tensions and loads, at most."""
-    force, moment, compliance = 0.0, 0.0, 0.0
+    force = 0.0
+    moment = 0.0
     for tension in tau:
         force += abs(tension)
     for i in range(3):
-        force += part * (abs(strain.force[i]) + rod.mass[0] * abs(strain.acceleration[i]))
-        moment += part * abs(strain.moment[i])
+        weight = rod.mass[0] * abs(law.acceleration[i])
+        force += part * (abs(law.force[i]) + weight)
+        moment += part * abs(law.moment[i])
+    compliance = 0.0
     for c in rod.root_compliance:
         compliance = max(compliance, c)
-    return 1e-15 * (force * total(rod.length) + moment) * compliance
+    return RESOLUTION * (force * total(rod.length) + moment) * compliance
 
 
 @kernel
-def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
-    """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves
-    xi, tangents and factors. It stays on its branch, see CONTRACTION, whatever `contraction` is.
-    Returns -1, or the block that stopped it, see linearise_loaded()."""
-    rod, memory, xi = arm.rod, work.under_loads, work.xi
-    copy(arm.base, work.base[:12])  # which no effect moves, and another arm may have left
+def scale_strain(rod, xi, e):
+    """Scaled strain e = Sigma^1/2 (xi - xi*), fields over points."""
     for block in range(2 * rod.packs):
-        at = block * 6 * LANES
-        strained = twist_sum(load6(xi, at), scale_twist(-1.0, load6(rod.reference_strain, at)))
-        store6(memory.e, at, scale6(load6(rod.root_stiffness, at), strained))
-    strain_tension(strain.law, q, work.tau)
-    tolerance, resolution, last = (
-        max(SHARPER * tolerance, ROUND_OFF),
-        rounding(rod, strain, part, work.tau),
-        0.0,
-    )
+        strained = twist_difference(load6(xi, block), load6(rod.reference_strain, block))
+        store6(e, block, scale6(load6(rod.root_stiffness, block), strained))
+
+
+@kernel
+def solve_loaded(arm, law, q, search, strain, kinematics):
+    """Newton iteration for the strain under part of the loads, from the guess in strain.xi; leaves
+    xi, tangents and factors. It stays on its branch, see CONTRACTION, whatever the search says.
+    Returns -1, or the block that stopped it, see linearise_loaded()."""
+    rod = arm.rod
+    memory = strain.under_loads
+    scale_strain(rod, strain.xi, memory.e)
+    strain_tension(law.law, q, strain.tau)
+    tolerance = max(SHARPER * search.tolerance, ROUND_OFF)
+    resolution = rounding(rod, law, search.part, strain.tau)
+    last = 0.0
     for iteration in range(MAX_NEWTON):
-        failed = linearise_loaded(arm, strain, q, part, work)
+        failed = linearise_loaded(arm, law, q, search.part, strain, kinematics)
         if failed >= 0:
             return failed
         solve_hessian(rod, memory, memory.step, 0)
-        size, norm = apply_correction(rod, xi, memory)
-        excess = size - tolerance * tolerance * norm - resolution * resolution
-        if excess <= 0.0:
+        size, norm = apply_correction(rod, strain.xi, memory)
+        over = size - tolerance * tolerance * norm
+        if over - resolution * resolution <= 0.0:
             return -1
-        if not size < 1e300 or (
-            iteration > 0
-            and not size - tolerance * tolerance * norm <= CONTRACTION * CONTRACTION * last
-        ):
+        is_finite = size < 1e300
+        contracts = iteration == 0 or over <= CONTRACTION * CONTRACTION * last
+        if not (is_finite and contracts):
             break
         last = size
     return 2 * rod.packs
 
 
 @kernel
-def load_acceleration(rod, strain, work, out):
+def load_acceleration(arm, law, strain, kinematics, out):
     """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0, out (points x
     6), by differences; moves the poses."""
-    memory, turn = work.under_loads, 0.0
+    rod = arm.rod
+    memory = strain.under_loads
+    moved = memory.e
+    turn = 0.0
     for m in range(out.size):
-        turn += rod.weight[m // (6 * LANES) * LANES + m % LANES] * abs(work.xi_dot[m])
+        weight = rod.weight[m // (6 * LANES) * LANES + m % LANES]
+        turn += weight * abs(strain.xi_dot[m])
     out[:] = 0.0
-    if turn < 1e-100:  # at rest
+    if turn < AT_REST:
         return
     step = ALONG / turn
-    copy(work.xi, memory.e)
     for steps, share in STENCIL:
         for m in range(out.size):
-            work.xi[m] = memory.e[m] + steps * step * work.xi_dot[m]
-        poses(rod, work)
-        load_stress(rod, strain, 1.0, work, memory.step)
+            moved[m] = strain.xi[m] + steps * step * strain.xi_dot[m]
+        poses(rod, arm.base, moved, kinematics)
+        load_stress(rod, law, 1.0, moved, kinematics, memory.step)
         for m in range(out.size):
             out[m] += share / (step * step) * memory.step[m]
-    copy(memory.e, work.xi)
 
 
 @kernel
-def loaded_columns(arm, strain, u, q, q_dot, work):
+def loaded_columns(arm, loaded, tension, q, q_dot, strain, kinematics):
     """Columns, xi_dot, bias and mismatch, of which B u - K + F is made, of the strain with loads
     inside (35). The bias is -H^-1 times the balance, of tendons and loads, differentiated twice
     along the motion with xi_ddot = 0."""
-    rod, tendons, law, memory, size = (
-        arm.rod,
-        arm.tendons,
-        strain.law,
-        work.under_loads,
-        work.xi.size,
-    )
-    strain_tension(law, q_dot, work.tau_dot)
-    work.Phi[:] = 0.0
-    for block in range(2 * rod.packs):
-        coordinate_wrenches(arm, law, block, u, q, work)
+    rod = arm.rod
+    law = loaded.law
+    memory = strain.under_loads
+    blocks = 2 * rod.packs
+    # Phi = H^-1 [Phi_a Phi_p]
+    strain_tension(law, q_dot, strain.tau_dot)
+    strain.Phi[:] = 0.0
+    for block in range(blocks):
+        coordinate_wrenches(arm, law, block, tension, q, strain)
     for j in range(law.size):
-        solve_hessian(rod, memory, work.Phi, j * size)
-    sum_columns(work.Phi, q_dot, work.xi_dot)
-    load_acceleration(rod, strain, work, work.xi_bias)
-    for block in range(2 * rod.packs):
-        at = block * 6 * LANES
-        turning = turning_wrench(tendons, 2 * rod.packs, block, load6(work.xi_dot, at), work)
-        store6(work.xi_bias, at, twist_sum(load6(work.xi_bias, at), turning))
-    solve_hessian(rod, memory, work.xi_bias, 0)
+        solve_hessian(rod, memory, strain.Phi, j * strain.xi.size)
+    sum_columns(strain.Phi, q_dot, strain.xi_dot)
+    # xi_bias
+    load_acceleration(arm, loaded, strain, kinematics, strain.xi_bias)
+    for block in range(blocks):
+        rate = load6(strain.xi_dot, block)
+        turning = turning_wrench(arm.tendons, blocks, block, rate, strain)
+        store6(strain.xi_bias, block, twist_sum(load6(strain.xi_bias, block), turning))
+    solve_hessian(rod, memory, strain.xi_bias, 0)
 
 
 @kernel
-def loaded_matrices(arm, strain, work):
+def loaded_matrices(arm, loaded, strain, ones, matrices):
     """Stiffness G = int Phi^T Phi_w dX and D, of the columns."""
-    law, size = strain.law, work.xi.size
+    law = loaded.law
+    size = strain.xi.size
+    rows = point_rows(arm.rod)
     for i in range(law.size):
-        project(
-            work.Y,
-            work.Phi[i * size : (i + 1) * size],
-            point_rows(arm.rod),
-            law.pack_begin,
-            law.pack_end,
-            work.G[i],
-        )
-    damping_matrix(arm.rod, strain, work)
+        phi = strain.Phi[i * size : (i + 1) * size]
+        project(strain.Y, phi, rows, law.pack_begin, law.pack_end, matrices.G[i])
+    damping_matrix(arm.rod, loaded, strain, matrices.D)
 
 
 @kernel
-def loaded_is_unique(arm, strain, q, work):
+def loaded_is_unique(arm, loaded, q, strain):
     """False, since that is never known: loads make the energy non-convex."""
     return False
 
 
 @kernel
-def loaded_rate(arm, strain, q_dot, work):
+def loaded_rate(arm, loaded, q_dot, strain):
     """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded()
     left."""
+    law = loaded.law
     blocks = 2 * arm.rod.packs
-    strain_tension(strain.law, q_dot, work.tau_dot)
+    strain_tension(law, q_dot, strain.tau_dot)
     for block in range(blocks):
-        store6(
-            work.xi_dot,
-            block * 6 * LANES,
-            rate_wrench(arm.tendons, strain.law, blocks, block, q_dot, work),
-        )
-    solve_hessian(arm.rod, work.under_loads, work.xi_dot, 0)
+        wrench = rate_wrench(arm.tendons, law, blocks, block, q_dot, strain)
+        store6(strain.xi_dot, block, wrench)
+    solve_hessian(arm.rod, strain.under_loads, strain.xi_dot, 0)
 
 
 PARAMETRISATIONS[Loaded] = Parametrisation(
-    solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, loaded_rate
+    solve_loaded,
+    loaded_columns,
+    loaded_matrices,
+    loaded_is_unique,
+    loaded_rate,
 )

@@ -16,102 +16,99 @@ from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 @kernel(inline=True)
 def chord(geometry, at, k, p):
     """Chord t_c = k~ d + p + d' of a tendon (22)."""
-    y, z = load(geometry, at), load(geometry, at + LANES)
-    y_prime, z_prime = load(geometry, at + 2 * LANES), load(geometry, at + 3 * LANES)
-    return p[0] + k[1] * z - k[2] * y, p[1] - k[0] * z + y_prime, p[2] + k[0] * y + z_prime
+    y = load(geometry, at)
+    z = load(geometry, at + LANES)
+    y_prime = load(geometry, at + 2 * LANES)
+    z_prime = load(geometry, at + 3 * LANES)
+    k_x, k_y, k_z = k
+    p_x, p_y, p_z = p
+    along = p_x + k_y * z - k_z * y
+    across_y = p_y - k_x * z + y_prime
+    across_z = p_z + k_x * y + z_prime
+    return along, across_y, across_z
 
 
 @kernel(inline=True)
 def wrench_column(geometry, at, t):
     """Wrench column s = S t = (d x t, t)."""
-    y, z = load(geometry, at), load(geometry, at + LANES)
-    return (y * t[2] - z * t[1], z * t[0], -y * t[0]), t
+    y = load(geometry, at)
+    z = load(geometry, at + LANES)
+    t_x, t_y, t_z = t
+    moment = (y * t_z - z * t_y, z * t_x, -y * t_x)
+    return moment, t
 
 
 @kernel(inline=True)
 def chord_rate(geometry, at, xi_dot):
     """Rate of the chord t_c, S^T xi_dot."""
-    y, z = load(geometry, at), load(geometry, at + LANES)
-    k, p = xi_dot
-    return p[0] + k[1] * z - k[2] * y, p[1] - k[0] * z, p[2] + k[0] * y
+    y = load(geometry, at)
+    z = load(geometry, at + LANES)
+    (k_x, k_y, k_z), (p_x, p_y, p_z) = xi_dot
+    along = p_x + k_y * z - k_z * y
+    return along, p_y - k_x * z, p_z + k_x * y
+
+
+@kernel(inline=True)
+def presence_of(geometry, at):
+    """Presence of a tendon: 1 where it is, 0 beyond its ends."""
+    return load(geometry, at + 4 * LANES)
 
 
 @kernel(inline=True)
 def add_stiffness(h, geometry, at, w, s, free):
     """Adds a tendon's stiffness: h + w S (I - t t^T) S^T, h and the result 21-tuples; w = q /
     |t_c|."""
-    (
-        h0,
-        h1,
-        h2,
-        h3,
-        h4,
-        h5,
-        h6,
-        h7,
-        h8,
-        h9,
-        h10,
-        h11,
-        h12,
-        h13,
-        h14,
-        h15,
-        h16,
-        h17,
-        h18,
-        h19,
-        h20,
-    ) = h
-    y, z = load(geometry, at), load(geometry, at + LANES)
-    wy, wz = w * y, w * z
+    # S (I - t t^T) S^T = S S^T - s s^T, with S S^T = [[-d~^2, d~], [-d~, I]] and d = (0, y, z)
+    y = load(geometry, at)
+    z = load(geometry, at + LANES)
+    wy = w * y
+    wz = w * z
     (s0, s1, s2), (s3, s4, s5) = s
-    w0, w1, w2 = w * s0, w * s1, w * s2
-    h0, h1, h2 = h0 + (wy * y + wz * z) - w0 * s0, h1 - w1 * s0, h2 + wz * z - w1 * s1
-    h3, h4, h5 = h3 - w2 * s0, h4 - wy * z - w2 * s1, h5 + wy * y - w2 * s2
-    if len(free) > 3:
-        h6, h7, h8, h9 = h6 - w0 * s3, h7 + wz - w1 * s3, h8 - wy - w2 * s3, h9 + w - w * s3 * s3
-    if len(free) > 4:
-        w3, w4, w5 = w * s3, w * s4, w * s5
-        h10, h11, h12, h13, h14 = (
-            h10 - wz - w0 * s4,
-            h11 - w1 * s4,
-            h12 - w2 * s4,
-            h13 - w3 * s4,
-            h14 + w - w4 * s4,
-        )
-        h15, h16, h17, h18 = h15 + wy - w0 * s5, h16 - w1 * s5, h17 - w2 * s5, h18 - w3 * s5
-        h19, h20 = h19 - w4 * s5, h20 + w - w5 * s5
-    return (
-        h0,
-        h1,
-        h2,
-        h3,
-        h4,
-        h5,
-        h6,
-        h7,
-        h8,
-        h9,
-        h10,
-        h11,
-        h12,
-        h13,
-        h14,
-        h15,
-        h16,
-        h17,
-        h18,
-        h19,
-        h20,
+    w0 = w * s0
+    w1 = w * s1
+    w2 = w * s2
+    rows_0_to_2 = (
+        h[0] + (wy * y + wz * z) - w0 * s0,
+        h[1] - w1 * s0,
+        h[2] + wz * z - w1 * s1,
+        h[3] - w2 * s0,
+        h[4] - wy * z - w2 * s1,
+        h[5] + wy * y - w2 * s2,
     )
+    row_3 = h[6:10]
+    if len(free) > 3:
+        row_3 = (
+            h[6] - w0 * s3,
+            h[7] + wz - w1 * s3,
+            h[8] - wy - w2 * s3,
+            h[9] + w - w * s3 * s3,
+        )
+    rows_4_and_5 = h[10:21]
+    if len(free) > 4:
+        w3 = w * s3
+        w4 = w * s4
+        w5 = w * s5
+        rows_4_and_5 = (
+            h[10] - wz - w0 * s4,
+            h[11] - w1 * s4,
+            h[12] - w2 * s4,
+            h[13] - w3 * s4,
+            h[14] + w - w4 * s4,
+            h[15] + wy - w0 * s5,
+            h[16] - w1 * s5,
+            h[17] - w2 * s5,
+            h[18] - w3 * s5,
+            h[19] - w4 * s5,
+            h[20] + w - w5 * s5,
+        )
+    return rows_0_to_2 + row_3 + rows_4_and_5
 
 
 @kernel(inline=True)
 def tangent_rate(geometry, at, xi_dot, t, inverse):
     """Relative rate of |t_c|, and t_dot (Appendix E)."""
     rate = times(inverse, chord_rate(geometry, at, xi_dot))
-    stretch = rate[0] * t[0] + rate[1] * t[1] + rate[2] * t[2]
+    stretch = dot(rate, t)
     return stretch, minus(rate, times(stretch, t))
 
 
@@ -119,71 +116,76 @@ def tangent_rate(geometry, at, xi_dot, t, inverse):
 def pull(rod, tendons, block, xi, tau, tangent):
     """Sum of the tendons' wrenches tau s and of their stiffness at one block; leaves the tangents
     in `tangent`."""
-    h, total = zero21(), zero6()
+    h = zero21()
+    total = zero6()
     k, p = xi
-    blocks, pack = 2 * rod.packs, block // 2
+    blocks = 2 * rod.packs
+    pack = block // 2
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
             at = (i * blocks + block) * 5 * LANES
             t_c = chord(tendons.geometry, at, k, p)
             inverse = 1.0 / sqrt(dot(t_c, t_c))
-            t = t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse
+            t = times(inverse, t_c)
             s = wrench_column(tendons.geometry, at, t)
-            tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
+            tension = tau[i] * presence_of(tendons.geometry, at)
             total = twist_sum(total, scale_twist(tension, s))
             h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
-            store_at = (i * blocks + block) * 4 * LANES
-            store3(tangent, store_at, t)
-            store(tangent, store_at + 3 * LANES, inverse)
+            tangent_at = (i * blocks + block) * 4 * LANES
+            store3(tangent, tangent_at, t)
+            store(tangent, tangent_at + 3 * LANES, inverse)
     return h, total
 
 
 @kernel(inline=True)
 def actuation_wrench(tendons, blocks, block, i, tangent):
     """Actuation wrench Phi_a of a tendon at one block, by the tangents that pull() left."""
-    at = i * blocks + block
-    presence, t = load(tendons.geometry, (at * 5 + 4) * LANES), load3(tangent, at * 4 * LANES)
-    return scale_twist(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
+    row = i * blocks + block
+    t = load3(tangent, row * 4 * LANES)
+    at = row * 5 * LANES
+    presence = presence_of(tendons.geometry, at)
+    return scale_twist(-presence, wrench_column(tendons.geometry, at, t))
 
 
 @kernel
-def actuation_matrix(arm, work, out):
-    """Actuation matrix B (n, n_a)."""
+def actuation_matrix(arm, strain, ones, spare, out):
+    """Actuation matrix B (n, n_a); overwrites the matrix and the stress of `spare`."""
+    column = spare.matrix[0]
     for i in range(arm.tendons.size):
-        column = work.extra[0]
-        actuation_column(arm, i, work.whole, work, column)
+        actuation_column(arm, i, ones.tendon, strain, spare.stress, column)
         for j in range(column.size):
             out[j, i] = column[j]
 
 
 @kernel
-def tendon_lengths(rod, tendons, work, out):
-    """Lengths out (n_a) of the tendons along the rod strained by work.xi."""
+def tendon_lengths(rod, tendons, xi, out):
+    """Lengths out (n_a) of the tendons along the rod with strain xi (points x 6)."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        total = spread(0.0)
+        length = spread(0.0)
+        # int |t_c| dX over the part of the rod where the tendon is
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
-            at, (k, p) = (i * blocks + block) * 5 * LANES, load6(work.xi, block * 6 * LANES)
+            at = (i * blocks + block) * 5 * LANES
+            k, p = load6(xi, block)
             t_c = chord(tendons.geometry, at, k, p)
-            total = total + load(rod.weight, block * LANES) * load(
-                tendons.geometry, at + 4 * LANES
-            ) * sqrt(dot(t_c, t_c))
-        out[i] = lane_sum(total)
+            weight = load(rod.weight, block * LANES) * presence_of(tendons.geometry, at)
+            length = length + weight * sqrt(dot(t_c, t_c))
+        out[i] = lane_sum(length)
 
 
 @kernel
-def actuation_column(arm, i, share, work, out):
+def actuation_column(arm, i, share, strain, stress, out):
     """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n), with a share
-    (tendons x points) of the tension."""
-    rod, strain, blocks = arm.rod, arm.strain, 2 * arm.rod.packs
+    (tendons x points) of the tension; overwrites `stress` (points x 6)."""
+    rod = arm.rod
+    law = arm.strain
+    blocks = 2 * rod.packs
     for block in range(blocks):
-        weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
-        store6(
-            work.mismatch,
-            block * 6 * LANES,
-            scale_twist(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)),
-        )
-    project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, out)
+        row = i * blocks + block
+        weight = load(rod.weight, block * LANES) * load(share, row * LANES)
+        wrench = actuation_wrench(arm.tendons, blocks, block, i, strain.tangent)
+        store6(stress, block, scale_twist(weight, wrench))
+    project(strain.Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, out)
 
 
 @kernel
@@ -193,17 +195,14 @@ def tendon_forces(rod, tendons, share, tangent, rate, out):
     there; from the tangents that pull() left."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        sum_i = spread(0.0)
+        force = spread(0.0)
+        # Phi_a . rate = -t . S^T rate
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
-            at = i * blocks + block
-            weight = (
-                load(rod.weight, block * LANES)
-                * load(share, at * LANES)
-                * load(tendons.geometry, at * 5 * LANES + 4 * LANES)
-            )
-            t, moved = (
-                load3(tangent, at * 4 * LANES),
-                chord_rate(tendons.geometry, at * 5 * LANES, load6(rate, block * 6 * LANES)),
-            )
-            sum_i = sum_i - weight * (t[0] * moved[0] + t[1] * moved[1] + t[2] * moved[2])
-        out[i] = lane_sum(sum_i)
+            row = i * blocks + block
+            at = row * 5 * LANES
+            weight = load(rod.weight, block * LANES) * load(share, row * LANES)
+            present = weight * presence_of(tendons.geometry, at)
+            t = load3(tangent, row * 4 * LANES)
+            moved = chord_rate(tendons.geometry, at, load6(rate, block))
+            force = force - present * dot(t, moved)
+        out[i] = lane_sum(force)

@@ -16,9 +16,10 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
+    angle_coefficients,
     coad_apply,
-    coefficients,
     cross,
+    dexp_transposed_apply,
     dot,
     exp_se3,
     minus,
@@ -26,16 +27,18 @@ from soft_tendon_env.mechanics.algebra.lie import (
     rotate,
     rotate_back,
     scale_twist,
-    times,
+    twist_difference,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import (
     KAPPA,
+    interval_strains,
     load_pose,
     magnus,
     pose_at,
+    share_of_second,
     strains_of_part,
 )
 from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
@@ -44,16 +47,19 @@ from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
 @kernel(inline=True)
 def wrench_at_start(R, r, total):
     """Wrench at the interval's start, in its frame, Ad_g^T of one in the base frame."""
-    return rotate_back(R, minus(total[0], cross(r, total[1]))), rotate_back(R, total[1])
+    moment = minus(total[0], cross(r, total[1]))
+    return rotate_back(R, moment), rotate_back(R, total[1])
 
 
 @kernel(inline=True)
-def transposed_dexp(Omega, c, psi):
-    """Transposed tangent operator times a wrench, T^T psi."""
-    kp, once = dot(Omega[0], Omega[1]), coad_apply(Omega, psi)
-    twice = coad_apply(Omega, once)
-    t = twist_sum(psi, twist_sum(scale_twist(-c.a, once), scale_twist(c.b, twice)))
-    return plus(t[0], plus(times(-c.a1 * kp, once[1]), times(c.b1 * kp, twice[1]))), t[1]
+def magnus_transposed(h, xi_1, xi_2, psi):
+    """Generalised forces Z_1^T T^T psi and Z_2^T T^T psi, over the weight h / 2, on the strains at
+    the two points of an interval of length h: of a wrench psi on its end, in the frame of its
+    start."""
+    mu = 2.0 * KAPPA * h
+    Omega = magnus(h, xi_1, xi_2)
+    t = dexp_transposed_apply(Omega, angle_coefficients(Omega), psi)
+    return zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
 
 
 @kernel(inline=True)
@@ -66,52 +72,61 @@ def zanna_transposed(mu, xi, t):
 def wrench_in_base(R, r, f):
     """Wrench in the base frame, Ad_g^-T f, of one in the frame g."""
     force = rotate(R, f[1])
-    return plus(rotate(R, f[0]), cross(r, force)), force
+    moment = plus(rotate(R, f[0]), cross(r, force))
+    return moment, force
+
+
+@kernel(inline=True)
+def sum_to_tip(x, beyond):
+    """Sums of a pack over the lanes from each one on, and beyond the pack; and the sum that the
+    pack before needs."""
+    total = beyond + lane_sum(x)
+    return spread(total) - prefix_sum(x) + x, total
 
 
 @kernel(inline=True)
 def sums_to_tip(x, beyond):
-    """Sums of the components of a wrench over the lanes from each one on, and beyond the pack, with
-    the sums that the pack before needs."""
-    (a, b, c), (d, e, f) = x
-    (p, q, r), (s, t, u) = beyond
-    p, q, r, s, t, u = (
-        p + lane_sum(a),
-        q + lane_sum(b),
-        r + lane_sum(c),
-        s + lane_sum(d),
-        t + lane_sum(e),
-        u + lane_sum(f),
-    )
-    k = spread(p) - prefix_sum(a) + a, spread(q) - prefix_sum(b) + b, spread(r) - prefix_sum(c) + c
-    m = spread(s) - prefix_sum(d) + d, spread(t) - prefix_sum(e) + e, spread(u) - prefix_sum(f) + f
-    return (k, m), ((p, q, r), (s, t, u))
+    """sum_to_tip() of the components of a wrench."""
+    moment, force = x
+    moment_beyond, force_beyond = beyond
+    m_x, m_x_total = sum_to_tip(moment[0], moment_beyond[0])
+    m_y, m_y_total = sum_to_tip(moment[1], moment_beyond[1])
+    m_z, m_z_total = sum_to_tip(moment[2], moment_beyond[2])
+    f_x, f_x_total = sum_to_tip(force[0], force_beyond[0])
+    f_y, f_y_total = sum_to_tip(force[1], force_beyond[1])
+    f_z, f_z_total = sum_to_tip(force[2], force_beyond[2])
+    total = (m_x_total, m_y_total, m_z_total), (f_x_total, f_y_total, f_z_total)
+    return ((m_x, m_y, m_z), (f_x, f_y, f_z)), total
 
 
 @kernel
-def add_wrench_stress(rod, wrench, work, stress):
+def add_wrench_stress(rod, wrench, xi, kinematics, stress):
     """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6), of which the
-    last is the tip; after poses()."""
+    last is the tip; after poses() of strains xi (points x 6)."""
     beyond = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for back in range(rod.packs):
         pack = rod.packs - 1 - back
-        at, node_at = 2 * pack * 6 * LANES, pack * 6 * LANES
-        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
-        total, beyond = sums_to_tip(wrench_in_base(R_end, r_end, load6(wrench, node_at)), beyond)
-        R, r = load_pose(work.start, pack * 12 * LANES)
+        # wrench on all that an interval carries, in the base frame, then in that of its start
+        R_end, r_end = load_pose(kinematics.pose, pack)
+        at_node = wrench_in_base(R_end, r_end, load6(wrench, pack))
+        total, beyond = sums_to_tip(at_node, beyond)
+        R, r = load_pose(kinematics.start, pack)
+        psi = wrench_at_start(R, r, total)
         h = load(rod.length, pack * LANES)
-        xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        xi_1, xi_2 = interval_strains(xi, pack)
+        # times the weight h / 2
         Omega = magnus(h, xi_1, xi_2)
-        t = transposed_dexp(
-            Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, total)
-        )
-        t, mu = scale_twist(0.5 * h, t), (2.0 * KAPPA) * h
-        store6(stress, at, twist_sum(load6(stress, at), zanna_transposed(-mu, xi_2, t)))
-        store6(
-            stress,
-            at + 6 * LANES,
-            twist_sum(load6(stress, at + 6 * LANES), zanna_transposed(mu, xi_1, t)),
-        )
+        t = dexp_transposed_apply(Omega, angle_coefficients(Omega), psi)
+        t = scale_twist(0.5 * h, t)
+        mu = (2.0 * KAPPA) * h
+        add_to_block(stress, 2 * pack, zanna_transposed(-mu, xi_2, t))
+        add_to_block(stress, 2 * pack + 1, zanna_transposed(mu, xi_1, t))
+
+
+@kernel(inline=True)
+def add_to_block(field, block, x):
+    """Adds a twist or a wrench of packs to a field."""
+    store6(field, block, twist_sum(load6(field, block), x))
 
 
 @kernel
@@ -122,8 +137,8 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     for i in range(tendons.size):
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             weight = -force[i] * load(rod.weight, block * LANES)
-            wrench = scale_twist(weight, actuation_wrench(tendons, blocks, block, i, tangent))
-            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), wrench))
+            wrench = actuation_wrench(tendons, blocks, block, i, tangent)
+            add_to_block(stress, block, scale_twist(weight, wrench))
 
 
 @kernel
@@ -132,41 +147,65 @@ def add_strain_stress(length, interval, distance, force, stress):
     strains_inside()."""
     for m in range(interval.size):
         i = interval[m]
-        share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
-        at = 2 * (i // LANES) * 6 * LANES + i % LANES
+        share = share_of_second(length, i, distance[m])
+        at = first_point_of(i)
         for k in range(6):
             stress[at + k * LANES] += (1.0 - share) * force[m, k]
             stress[at + (6 + k) * LANES] += share * force[m, k]
 
 
+@kernel(inline=True)
+def index_of_node(node):
+    """Index in a field over nodes of the first component at a node."""
+    return (node // LANES) * 6 * LANES + node % LANES
+
+
+@kernel(inline=True)
+def first_point_of(interval):
+    """Index in a field over points of an interval's first point."""
+    return 2 * (interval // LANES) * 6 * LANES + interval % LANES
+
+
 @kernel
-def add_station_forces(length, interval, distance, force, work, wrench, stress):
+def add_station_forces(rod, stations, force, xi, kinematics, wrench, stress):
     """Adds what does the work of forces (m, 3), world frame, on the positions of poses_inside(): to
     `stress` (points x 6) in their own intervals, and to body wrenches (nodes x 6) at the nodes
-    where these begin, for add_wrench_stress(); after poses()."""
+    where these begin, for add_wrench_stress(); after poses() of strains xi (points x 6). stations:
+    intervals (m,) and distances (m,) from their start."""
+    interval, distance = stations
     for m in range(interval.size):
-        f = force[m, 0], force[m, 1], force[m, 2]
+        f = (force[m, 0], force[m, 1], force[m, 2])
         if dot(f, f) == 0.0:
             continue
-        i, part, h = interval[m], distance[m], length[interval[m]]
-        xi_1, xi_2 = strains_of_part(h, i, part, work)
+        i = interval[m]
+        part = distance[m]
+        h = rod.length[i]
+        xi_1, xi_2 = strains_of_part(h, i, part, xi)
         Omega = magnus(part, xi_1, xi_2)
-        c = coefficients(dot(Omega[0], Omega[0]))
-        R = pose_at(work.start, i)[0]
-        way = rotate(R, exp_se3(Omega, c)[1])
-        at_start = rotate_back(R, cross(way, f)), rotate_back(R, f)
+        c = angle_coefficients(Omega)
+        # the force at the station as a wrench at the node before, in its frame
+        R, _ = pose_at(kinematics.start, i)
+        _, r_part = exp_se3(Omega, c)
+        way = rotate(R, r_part)
+        psi = rotate_back(R, cross(way, f)), rotate_back(R, f)
         if i > 0:
-            add_at(wrench, ((i - 1) // LANES) * 6 * LANES + (i - 1) % LANES, at_start)
-        t, mu = scale_twist(0.5 * part, transposed_dexp(Omega, c, at_start)), 2.0 * KAPPA * part
-        first, second = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
-        both, apart = twist_sum(first, second), twist_sum(second, scale_twist(-1.0, first))
-        turned = twist_sum(
-            scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both),
-            scale_twist(0.5 * part / h, apart),
-        )
-        at = 2 * (i // LANES) * 6 * LANES + i % LANES
-        add_at(stress, at, twist_sum(scale_twist(0.5, both), scale_twist(-1.0, turned)))
-        add_at(stress, at + 6 * LANES, twist_sum(scale_twist(0.5, both), turned))
+            add_at(wrench, index_of_node(i - 1), psi)
+        # generalised forces on the strains at the two points of the part
+        t = scale_twist(0.5 * part, dexp_transposed_apply(Omega, c, psi))
+        mu = 2.0 * KAPPA * part
+        first = zanna_transposed(-mu, xi_2, t)
+        second = zanna_transposed(mu, xi_1, t)
+        # and on those at the points of the interval, between which the strain is linear: half of
+        # the sum by their mean, and the rest by their difference
+        both = twist_sum(first, second)
+        apart = twist_difference(second, first)
+        by_middle = scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both)
+        by_reach = scale_twist(0.5 * part / h, apart)
+        turned = twist_sum(by_middle, by_reach)
+        half = scale_twist(0.5, both)
+        at = first_point_of(i)
+        add_at(stress, at, twist_difference(half, turned))
+        add_at(stress, at + 6 * LANES, twist_sum(half, turned))
 
 
 @kernel(inline=True)
@@ -178,6 +217,6 @@ def add_at(field, at, x):
 
 
 @kernel
-def stress_force(rod, strain, work, stress, out):
+def stress_force(rod, law, Phi, stress, out):
     """Generalised force Phi^T stress of a stress field with the weights in it, out (n)."""
-    project(work.Phi, stress, point_rows(rod), strain.pack_begin, strain.pack_end, out)
+    project(Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, out)

@@ -69,12 +69,11 @@ ANGLES = (
 def on_packs(Omegas, rates, xs, out):
     """T x and T_dot x, flat fields (pack, component, lane)."""
     for i in range(Omegas.size // (6 * LANES)):
-        at, out_at = i * 6 * LANES, i * 12 * LANES
-        Omega, x = load6(Omegas, at), load6(xs, at)
+        Omega, x = load6(Omegas, i), load6(xs, i)
         c = coefficients(dot(Omega[0], Omega[0]))
         A, C = dexp_operator(Omega, c)
-        store6(out, out_at, operator_apply(A, C, x))
-        store6(out, out_at + 6 * LANES, dexp_dot_apply(Omega, load6(rates, at), c, x))
+        store6(out, 2 * i, operator_apply(A, C, x))
+        store6(out, 2 * i + 1, dexp_dot_apply(Omega, load6(rates, i), c, x))
 
 
 def evaluate_on_packs(Omegas, rates, xs):

@@ -237,21 +237,17 @@ def test_filter_adjoint_is_that_of_differences(name, build):
     def run(start, command, count=200):
         """What the cotangents belong to, mean commands in the halves and the internal state at the
         end, in many steps."""
-        state, mean, acting, until, step = (
-            start.copy(),
-            np.zeros((2, 3)),
-            np.zeros(3),
-            np.zeros(1),
-            PERIOD / count,
-        )
+        state, mean, step = start.copy(), np.zeros((2, 3)), PERIOD / count
+        arrival = scratch.arrival
         for k in range(count):
-            receive(effects, command, k == 0, times[0] + k * step, state, acting, until)
-            now = acting.copy()
+            receive(effects, command, k == 0, times[0] + k * step, state, arrival)
+            now = arrival.command.copy()
             for i in range(3 if effects.transmission.lags else 0):
-                now[i] = lag_response(effects.transmission, state[i], acting[i], 0.5 * step)
-                state[i] = lag_response(effects.transmission, state[i], acting[i], step)
+                arrived = arrival.command[i]
+                now[i] = lag_response(effects.transmission, state[i], arrived, 0.5 * step)
+                state[i] = lag_response(effects.transmission, state[i], arrived, step)
             mean[2 * k // count] += now / (count / 2)
-        receive(effects, command, False, times[1], state, acting, until)
+        receive(effects, command, False, times[1], state, arrival)
         return (of_means * mean).sum() + (of_state * state).sum()
 
     memory.force[:] = of_means

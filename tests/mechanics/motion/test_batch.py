@@ -84,6 +84,49 @@ def test_a_row_is_read_as_the_model_says(small):
     assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
 
 
+ELASTIC = {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}}
+LAGGING = {"effects.actuators": {"time_constant": 0.05}}
+
+
+def tension_of(arms, row, command):
+    """Tensions (n_a,) [N] that act on a row under a command (n_a,): as the actuators have followed
+    it, of tendons that are springs by their lengths."""
+    effects = arms.model.arm.effects
+    path = effects.transmission
+    if path.lags:
+        return arms.rows.state[row, : command.size]
+    if path.elastic:
+        shortening = path.length - arms.reading.tendon_length[row]
+        return np.clip(path.stiffness * (command - shortening), 0.0, path.strength)
+    return command
+
+
+@pytest.mark.parametrize(
+    ("changes", "command"),
+    [
+        ({}, [2.0, 0.5, 1.0]),
+        ({"effects.gravity.acceleration": [0.0, 0.0, -9.81]}, [2.0, 0.5, 1.0]),
+        (LAGGING, [2.0, 0.5, 1.0]),
+        (ELASTIC, [0.004, 0.0, 0.002]),
+    ],
+    ids=["no effects", "gravity", "lagging actuators", "elastic tendons"],
+)
+def test_the_tension_that_acts_is_read_on_every_arm(changes, command, build):
+    command = np.array(command)
+    arms = arms_of(build("three_tendon", {"quadrature.intervals": 2, **changes}), rows=2)
+    rows = np.arange(2)
+    held = np.array([[2.0, 0.5, 1.0], [0.0, 1.5, 1.0]])
+    arms.place(rows, np.zeros((2, arms.model.coordinate_count)), held)
+    np.testing.assert_allclose(arms.reading.tension, held, rtol=1e-9, atol=1e-12)
+    later = np.stack([0.5 * command, command])
+    arms.step(later[:, None], rows)
+    assert not arms.outcome.status.any()
+    for row in rows:
+        expected = tension_of(arms, row, later[row])
+        np.testing.assert_allclose(arms.reading.tension[row], expected, rtol=1e-9, atol=1e-9)
+    assert arms.reading.tension[0, 0] != arms.reading.tension[1, 0] > 0.0
+
+
 def matrix(twist):
     (kx, ky, kz), p = twist[:3], twist[3:]
     return np.array(

@@ -80,7 +80,7 @@ def test_gradient_is_that_of_all_terms(build, scene):
 
     scratch, memory = make_scratch(model.arm, 1), zeros(GradientMemory, sizes_of(model.arm))
     motion = Motion(q, v, model.packed_strain(q), np.zeros(0), np.array([TIME]))
-    scratch.work.xi[:] = motion.xi
+    scratch.work.strain.xi[:] = motion.xi
     evaluate_force(
         model.arm,
         step_method(model)._replace(strain_tolerance=1e-12),
@@ -93,7 +93,7 @@ def test_gradient_is_that_of_all_terms(build, scene):
     )
     start_matrices(model.arm, scratch)
     memory.w[:], memory.a[:] = w, a
-    damping = scratch.first.damping @ w
+    damping = scratch.first.matrices.D @ w
     force_gradient(model.arm, u, motion, 2e-3, True, scratch.work, memory)
     for found, expected in (
         (memory.by_q, gradient(1.0, 0.0)),
@@ -110,13 +110,14 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
         simulation.step(rng.uniform(1.0, 4.0, 3), PERIOD)
     arm, n, motion = simulation.model.arm, simulation.model.coordinate_count, simulation._motion
     scratch, method = make_scratch(arm, 2), Extrapolated(2, 2, True, False, 1e-9)
-    scratch.work.xi[:] = motion.xi
+    scratch.work.strain.xi[:] = motion.xi
     assert (
         evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch)
         == OK
     )
     matrices_of_motion(arm, method, scratch)
-    mass, damping, stiffness = scratch.first.mass, scratch.first.damping, scratch.first.stiffness
+    matrices = scratch.first.matrices
+    mass, damping, stiffness = matrices.M, matrices.D, matrices.G
 
     def step(h):
         v = np.linalg.solve(

@@ -42,7 +42,7 @@ def with_effects(model, *parameters):
 def evaluate_at(arm, q):
     """The workspace after an evaluation without tensions."""
     work = make_workspace(arm)
-    work.xi[:] = arm.rod.reference_strain
+    work.strain.xi[:] = arm.rod.reference_strain
     assert evaluate(arm, np.zeros(arm.tendons.size), q, np.zeros(q.size), 1e-12, work) == -1
     return work
 
@@ -61,7 +61,7 @@ def evaluate_at(arm, q):
 def test_the_effects_of_the_table_act_in_order(build, effects, result):
     model = build("four_tendon")
     assert (
-        evaluate_at(with_effects(model, *effects), np.zeros(model.coordinate_count)).wrench[0]
+        evaluate_at(with_effects(model, *effects), np.zeros(model.coordinate_count)).loads.wrench[0]
         == result
     )
 
@@ -92,4 +92,4 @@ def test_a_pickled_table_finds_its_kernels(build):
     text = pickle.dumps(arm)
     assert str(int(arm.effects.wrench[0])).encode() not in text
     copy = pickle.loads(text)
-    assert evaluate_at(copy, np.zeros(model.coordinate_count)).wrench[0] == 23.0
+    assert evaluate_at(copy, np.zeros(model.coordinate_count)).loads.wrench[0] == 23.0

@@ -77,7 +77,7 @@ def test_body_jacobian_at_all_nodes_against_differences(
         (model.grid.start + model.grid.length)[model.grid.real],
         workspace_at(model, q, q_dot),
     )
-    J, pose = at_nodes(model, work.J), model.backbone_at(q, nodes)
+    J, pose = at_nodes(model, work.kinematics.J), model.backbone_at(q, nodes)
     step = 1e-4 * np.abs(q).max()
     for j in range(0, q.size, 1 if q.size < 25 else 7):
         change = step * np.eye(q.size)[j]
@@ -88,7 +88,7 @@ def test_body_jacobian_at_all_nodes_against_differences(
             J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max()
         )
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_jacobian, J[:, -1].T)
-    eta = at_nodes(model, work.eta)[0]
+    eta = at_nodes(model, work.kinematics.eta)[0]
     np.testing.assert_allclose(
         eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max()
     )
@@ -100,9 +100,11 @@ def test_bias_at_all_nodes_against_differences(name, changes, build, random_stat
     model = build(name, changes)
     q, q_dot = random_state(model, 2)
     h = 1e-4 * np.abs(q).max() / np.abs(q_dot).max()
-    ahead, behind = (at_nodes(model, workspace_at(model, q + s * h * q_dot).J) for s in (1, -1))
+    ahead, behind = (
+        at_nodes(model, workspace_at(model, q + s * h * q_dot).kinematics.J) for s in (1, -1)
+    )
     expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
-    bias = at_nodes(model, workspace_at(model, q, q_dot).eta_bias)[0]
+    bias = at_nodes(model, workspace_at(model, q, q_dot).kinematics.eta_bias)[0]
     np.testing.assert_allclose(bias, expected, atol=2e-6 * np.abs(expected).max())
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_bias, bias[-1])
 

@@ -7,7 +7,12 @@ import pytest
 from soft_tendon_env.mechanics.motion.equilibrium import strain_is_continuous
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
-from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_statics, strain_tension
+from soft_tendon_env.mechanics.terms.statics_newton import (
+    ANY,
+    Search,
+    solve_statics,
+    strain_tension,
+)
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.grid import screw_matrices
@@ -106,7 +111,7 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
     X, xi = model.strain(q)
     np.testing.assert_array_equal(xi[:, rigid], reference_strain(model.scene, X)[:, rigid])
     work = workspace_at(model, q, q_dot)
-    for field in (work.xi_dot, work.xi_bias, work.Phi):
+    for field in (work.strain.xi_dot, work.strain.xi_bias, work.strain.Phi):
         values = at_points(model, field)
         assert not values[..., rigid].any() and values[..., ~rigid].any()
 
@@ -114,9 +119,11 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
 def solve_from_guess(model, q, guess):
     """solve_statics from a guess: what it returns, and the strain."""
     work = make_workspace(model.arm)
-    work.xi[:] = guess
-    failed = solve_statics(model.arm, model.arm.strain, q, 1.0, TOLERANCE, ANY, work)
-    return failed, work.xi
+    work.strain.xi[:] = guess
+    search = Search(1.0, TOLERANCE, ANY)
+    law = model.arm.strain
+    failed = solve_statics(model.arm, law, q, search, work.strain, work.kinematics)
+    return failed, work.strain.xi
 
 
 @pytest.mark.no_jit
@@ -133,16 +140,14 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
         if reaches
         else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
     )
-    if not reaches:  # what is left in work.xi is the strain at the part that was reached
-        np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.xi)[0], -1)
+    if not reaches:  # what is left in strain.xi is the strain at the part that was reached
+        np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.strain.xi)[0], -1)
 
 
 def has_margin(model, tension):
-    return bool(
-        strain_has_margin(
-            model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)
-        )
-    )
+    work = make_workspace(model.arm)
+    q = model.rest_coordinates(tension)
+    return bool(strain_has_margin(model.arm, q, 1e-6, work.strain, work.kinematics))
 
 
 def test_strains_near_the_limit_of_a_push_have_no_margin(build):
@@ -157,7 +162,9 @@ def test_strains_near_the_limit_of_a_push_have_no_margin(build):
         False,
         False,
     ]
-    assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
+    work = make_workspace(model.arm)
+    pushed = -315.0 * one
+    assert strain_from_rest(model.arm, pushed, TOLERANCE, work.strain, work.kinematics)[0] == -1
     assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [
         True,
         True,
@@ -175,4 +182,6 @@ def test_strains_near_the_limit_of_a_push_have_no_margin(build):
 def test_a_strain_is_continuous_up_to_the_end_of_its_branch(start, end, continuous):
     arm = build_model(load_scene("paper")).arm
     first = np.eye(10)[0]
-    assert strain_is_continuous(arm, start * first, end * first, make_workspace(arm)) is continuous
+    work = make_workspace(arm)
+    way = (start * first, end * first)
+    assert strain_is_continuous(arm, *way, work.strain, work.kinematics) is continuous

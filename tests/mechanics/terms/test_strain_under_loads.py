@@ -84,14 +84,17 @@ def net_force(model, work, at_points):
     rod, loads, n = model.arm.rod, model.arm.strain, model.coordinate_count
     weight = at_points(model, np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel())[0]
     stiff = at_points(model, rod.root_stiffness)[0] ** 2
-    strained = at_points(model, work.xi - rod.reference_strain)[0]
-    force = np.einsum("jmi,mi->j", at_points(model, work.Phi), weight * stiff * strained)
+    strained = at_points(model, work.strain.xi - rod.reference_strain)[0]
+    force = np.einsum("jmi,mi->j", at_points(model, work.strain.Phi), weight * stiff * strained)
     last = slice(-6 * LANES + LANES - 1, None, LANES)
-    tip, pose = work.J.reshape(n, -1)[:, last], work.pose.reshape(-1, 12, LANES)
+    tip, pose = (
+        work.kinematics.J.reshape(n, -1)[:, last],
+        work.kinematics.pose.reshape(-1, 12, LANES),
+    )
     dead = rod.inertia.reshape(-1, 6, LANES)[:, None, 3] * np.array(loads.acceleration)[:, None]
     force -= np.einsum(
         "jpal,pbal,pbl->j",
-        work.J.reshape(n, -1, 6, LANES)[:, :, 3:],
+        work.kinematics.J.reshape(n, -1, 6, LANES)[:, :, 3:],
         pose[:, :9].reshape(-1, 3, 3, LANES),
         dead,
     )
@@ -195,4 +198,6 @@ def test_coordinates_near_buckling_have_no_margin():
         )
         work, q = make_workspace(model.arm), np.zeros(model.coordinate_count)
         assert configure(model.arm, q, TOLERANCE, work)[0] == -1
-        assert strain_has_margin(model.arm, q, TOLERANCE, work) == has_margin
+        assert (
+            strain_has_margin(model.arm, q, TOLERANCE, work.strain, work.kinematics) == has_margin
+        )
