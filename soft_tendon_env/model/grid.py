@@ -171,7 +171,7 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     size = np.linalg.norm(chord, axis=-1)
     length = (size * geometry[..., 4] * grid.weights).sum(axis=(1, 2))
     t = (chord / size[..., None])[:, grid.real].reshape(len(chord), -1, 3)
-    there = geometry[:, grid.real, :, 4].reshape(len(chord), -1)
+    there = geometry[..., 4][:, grid.real].reshape(len(chord), -1)
     rate, distance = (
         np.cross(k[grid.real].reshape(-1, 3), t),
         np.diff(grid.points[grid.real].ravel())[:, None],

@@ -59,6 +59,18 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
     assert np.count_nonzero(difference) == 6
 
 
+def test_helical_tendons_turn_by_the_curvature_of_a_helix_over_their_own_length():
+    """A helix of radius r and rate w has the curvature r w^2 / (1 + r^2 w^2) of its path."""
+    scene, grid = grid_of("paper", 96)
+    turn = at_points(scene, grid).rod.tendon_turn
+    rate = 4.0 * np.pi
+    for tendons, radius, length in (((3, 4), 0.02, 1.0), ((8, 9), 0.025, 0.5)):
+        expected = radius * rate**2 / np.sqrt(1.0 + (radius * rate) ** 2) * length
+        np.testing.assert_allclose(turn[[*tendons]], expected, rtol=0.01)
+    straight = [0, 1, 2, 5, 6, 7]
+    assert turn[straight].max() < 0.1
+
+
 @pytest.mark.parametrize("name", ("paper", "three_tendon"))
 @pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):
