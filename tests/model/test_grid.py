@@ -16,7 +16,7 @@ from soft_tendon_env.model.grid import (
 )
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.scene.strain import STRAINS, Modes
+from soft_tendon_env.scene.strain import Modes
 
 ANGULAR = ("torsion", "bend_y", "bend_z")
 
@@ -48,9 +48,7 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (
-        make_rod(s, grid, STRAINS, at_points(s, grid)) for s in (scene, scene.replace(payload))
-    )
+    bare, loaded = (make_rod(s, grid, at_points(s, grid)) for s in (scene, scene.replace(payload)))
     base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
     mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
     np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
