@@ -46,8 +46,10 @@ def build_model(scene: Scene) -> Model:
     else:
         estimate = test.error_estimate(intervals)
         sufficient = test.search(intervals) if estimate.problem else estimate
+    # the model is made all the same: it may do for what it is asked
     if estimate.problem:
         warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=2)
+    # the test leaves obstacles out; the model that it made is the scene's own where there are none
     if test.scene.effects == scene.effects:
         model = test.model(estimate.intervals)
     else:
@@ -97,9 +99,7 @@ def _check_coordinates(model: Model) -> None:
     """
     n = model.coordinate_count
     if n == 0:
-        raise _strain_error(
-            "gives no coordinates: no tendon and no passive field strains the rod",
-        )
+        raise _strain_error("gives no coordinates: no tendon and no passive field strains the rod")
     rest = np.zeros(n)
     try:
         terms = model.terms(rest, rest)

@@ -71,12 +71,14 @@ def make_arm(
 
 def effects_inside(scene: Scene) -> bool:
     """Whether the strain answers to dead loads."""
-    return isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
+    strain = scene.strain
+    return isinstance(strain, StaticsBasedStrain) and strain.include_loads
 
 
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
-    return scene.effects.outside() if effects_inside(scene) else scene.effects
+    effects = scene.effects
+    return effects.outside() if effects_inside(scene) else effects
 
 
 def coordinate_count(scene: Scene) -> int:
@@ -105,7 +107,8 @@ def make_strain(
     if law is None:
         law = tension_law(scene, scene.strain, grid, stress_free)
     dead_loads = scene.effects.dead_loads()
-    if not effects_inside(scene) or not np.any(dead_loads):
+    has_loads_inside = effects_inside(scene) and np.any(dead_loads)
+    if not has_loads_inside:
         return law
     return Loaded(
         size=law.size,
@@ -122,18 +125,22 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
 
     They are in the order of pieces, then strains, then orders.
     """
+    points = grid.points
     borders = grid.breakpoints
     whole_rod = [(0.0, borders[-1])]
+    pieces = list(pairwise(borders))
     fields = list[Array]()
     for group in modes:
-        spans = whole_rod if group.span == "rod" else list(pairwise(borders))
+        spans = whole_rod if group.span == "rod" else pieces
         for a, b in spans:
-            polynomials = _legendre_polynomials(grid.points, a, b, group.order)
+            polynomials = _legendre_polynomials(points, a, b, group.order)
             for strain in group.strains:
+                component = STRAINS.index(strain)
                 block = np.zeros((*polynomials.shape, 6))
-                block[..., STRAINS.index(strain)] = polynomials
+                block[..., component] = polynomials
                 fields.extend(block)
-    return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
+    count = len(fields)
+    return np.array(fields).reshape(count, *points.shape, 6)
 
 
 def tension_law(
@@ -156,8 +163,10 @@ def tension_law(
     size = active + len(passive)
     # where each coordinate strains the rod
     is_part = mixing.T != 0
-    active_parts = is_part.astype(int) @ _intervals_of(actuation)
-    present = np.concatenate([active_parts > 0, _intervals_of(passive)])
+    parts = is_part.astype(int) @ _intervals_of(actuation)
+    active_present = parts > 0
+    passive_present = _intervals_of(passive)
+    present = np.concatenate([active_present, passive_present])
     begin, end = grid.pack_ranges(present)
     rows, columns = np.nonzero(mixing)
     return StaticsBased(
@@ -183,7 +192,8 @@ def with_every_tension(arm: Arm) -> Arm:
     strain = arm.strain
     assert not isinstance(strain, Explicit)
     count = arm.tendons.size
-    size = count + strain.law.size - strain.law.active
+    passive_count = strain.law.size - strain.law.active
+    size = count + passive_count
     packs = np.full(size, arm.rod.packs)
     everywhere = {
         "size": size,
@@ -200,7 +210,8 @@ def with_every_tension(arm: Arm) -> Arm:
         active=count,
     )
     if isinstance(strain, Loaded):
-        return arm.replaced(strain=strain.replaced(**everywhere, law=law))
+        loaded = strain.replaced(**everywhere, law=law)
+        return arm.replaced(strain=loaded)
     return arm.replaced(strain=law)
 
 
@@ -213,11 +224,13 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
         p: linear strains (.., 3).
     """
     d, chord = chords(geometry, k, p)
-    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    chord_size = np.linalg.norm(chord, axis=-1, keepdims=True)
+    t = chord / chord_size
     d = np.broadcast_to(d, t.shape)
-    pulls = -np.concatenate([np.cross(d, t), t], axis=-1)
+    moment = np.cross(d, t)
+    push = np.concatenate([moment, t], axis=-1)
     presence = geometry[..., 4:]
-    return np.asarray(pulls * presence)
+    return np.asarray(-push * presence)
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
@@ -233,17 +246,22 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
     scale = np.sqrt(np.diag(gram))
     # a tendon that strains nothing: all that it would strain is rigid
     scale[scale == 0] = 1.0
-    sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
-    is_independent = sizes > tolerance**2 * sizes[-1]
+    scaled = gram / np.outer(scale, scale)
+    sizes, directions = np.linalg.eigh(scaled)
+    least = tolerance**2 * sizes[-1]
+    is_independent = sizes > least
     if is_independent.all():
         return np.eye(count)
     independent = directions[:, is_independent]
-    span, _ = np.linalg.qr(independent / scale[:, None])
+    tensions = independent / scale[:, None]
+    span, _ = np.linalg.qr(tensions)
     # eigenvectors may differ from machine to machine, and the projector to their span does not
     projector = span @ span.T
-    basis = _spanning_columns(projector, span.shape[1])
+    rank = int(is_independent.sum())
+    basis = _spanning_columns(projector, rank)
     mixing = np.array(basis).reshape(-1, count).T
-    return np.where(np.abs(mixing) > NO_SHARE, mixing, 0.0)
+    is_share = np.abs(mixing) > NO_SHARE
+    return np.where(is_share, mixing, 0.0)
 
 
 def _effect_table(scene: Scene, stress_free: StressFreeArm) -> EffectTable:
@@ -262,7 +280,8 @@ def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeA
     """Arrays of an explicit basis."""
     fields = mode_fields(strain.modes, grid)
     count = len(fields)
-    begin, end = grid.pack_ranges(_intervals_of(fields))
+    present = _intervals_of(fields)
+    begin, end = grid.pack_ranges(present)
     weight = grid.weights[..., None]
     return Explicit(
         size=count,
@@ -278,17 +297,24 @@ def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeA
 def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
     """Legendre polynomials on [a, b] at points (intervals, 2), 0 beside it: (order + 1, intervals,
     2)."""
-    on_unit = 2 * (points - a) / (b - a) - 1
-    is_inside = (points > a) & (points < b)
-    values = legendre.legvander(on_unit, order) * is_inside[..., None]
+    length = b - a
+    from_start = points - a
+    on_unit = 2 * from_start / length - 1
+    is_behind_start = points > a
+    is_before_end = points < b
+    is_inside = is_behind_start & is_before_end
+    polynomials = legendre.legvander(on_unit, order)
+    values = polynomials * is_inside[..., None]
     return np.asarray(np.moveaxis(values, -1, 0))
 
 
 def _passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
     """The passive fields as the scene has them, (fields, intervals, 2, 6)."""
-    if isinstance(strain.passive, Snapshots):
-        return fields_of(scene).at(grid.points, strain.passive.fields)
-    return mode_fields(strain.passive, grid)
+    passive = strain.passive
+    if isinstance(passive, Snapshots):
+        own_fields = fields_of(scene)
+        return own_fields.at(grid.points, passive.fields)
+    return mode_fields(passive, grid)
 
 
 def _intervals_of(fields: Array) -> Array:
@@ -302,7 +328,8 @@ def _spanning_columns(projector: Array, rank: int) -> list[Array]:
     for column in projector.T:
         spanned = np.zeros(len(projector))
         for vector in basis:
-            spanned = spanned + vector * (vector @ column)
+            amplitude = vector @ column
+            spanned += vector * amplitude
         rest = column - spanned
         size = np.linalg.norm(rest)
         if len(basis) < rank and size > SPANNED:
@@ -317,16 +344,19 @@ def _orthogonal_to(actuation: Array, passive: Array, weight: Array, tolerance: f
     """
     weight = weight.ravel()
     fields = np.concatenate([actuation, passive])
+    rows = fields.reshape(-1, weight.size)
     basis = list[Array]()
     actuation_rank = 0
-    for i, field in enumerate(fields.reshape(-1, weight.size)):
+    for i, field in enumerate(rows):
         rest = _orthogonal_part(field, basis, weight)
         size = _energy_norm(rest, weight)
-        if size > tolerance * _energy_norm(field, weight):
+        least = tolerance * _energy_norm(field, weight)
+        if size > least:
             basis.append(rest / size)
             if i < len(actuation):
                 actuation_rank += 1
-    return np.array(basis[actuation_rank:]).reshape(-1, *passive.shape[1:])
+    orthogonal = np.array(basis[actuation_rank:])
+    return orthogonal.reshape(-1, *passive.shape[1:])
 
 
 def _orthogonal_part(field: Array, basis: list[Array], weight: Array) -> Array:

@@ -26,11 +26,12 @@ from soft_tendon_env.scene.scene import (
     tendon_ends,
     tendon_offset,
 )
-from soft_tendon_env.scene.strain import STRAINS
+from soft_tendon_env.scene.strain import STRAINS, Strain
 from soft_tendon_env.tools.types import Array
 
-# places of the two Gauss points in an interval of length 1
-GAUSS = np.array([0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6])
+# distance of the two Gauss points from the middle of an interval of length 1, and their places
+GAUSS_FROM_MIDDLE = np.sqrt(3) / 6
+GAUSS = np.array([0.5 - GAUSS_FROM_MIDDLE, 0.5 + GAUSS_FROM_MIDDLE])
 # linear strain p without stretch and shear
 STRAIGHT = np.array([1.0, 0.0, 0.0])
 # intervals up to which closed Newton-Cotes rules have positive weights
@@ -58,7 +59,8 @@ class Grid:
     @property
     def weights(self) -> Array:
         """Weight of every point [m], (intervals, 2)."""
-        return np.repeat(0.5 * self.length[:, None], 2, axis=1)
+        half = 0.5 * self.length
+        return np.stack([half, half], axis=1)
 
     def unpacked(self, field: Array) -> Array:
         """Strains (.., points, 6) at the points from base to tip.
@@ -66,10 +68,11 @@ class Grid:
         Args:
             field: strains (.., m) in the kernels' flat layout, see `mechanics.types`.
         """
-        lead = field.shape[:-1]
+        *lead, _ = field.shape
         padded = self.at_points(field, 6)
-        strain = np.ascontiguousarray(padded[..., self.real, :, :])
-        return strain.reshape(*lead, -1, 6)
+        strain = padded[..., self.real, :, :]
+        from_base = np.ascontiguousarray(strain)
+        return from_base.reshape(*lead, -1, 6)
 
     def packed(self, strain: Array) -> Array:
         """The inverse of `unpacked`; empty intervals get the strain of the last point."""
@@ -88,7 +91,7 @@ class Grid:
             field: (.., m) in the kernels' flat layout, see `mechanics.types`.
             components: numbers at each point.
         """
-        lead = field.shape[:-1]
+        *lead, _ = field.shape
         by_pack = field.reshape(*lead, self.packs, 2, components, LANES)
         by_lane = np.moveaxis(by_pack, -1, -3)
         return by_lane.reshape(*lead, -1, 2, components)
@@ -98,8 +101,8 @@ class Grid:
         starts = self.start[self.real]
         starts_before = np.searchsorted(starts, arc_length, side="right")
         interval = np.maximum(starts_before - 1, 0)
-        distance = arc_length - starts[interval]
-        return interval.astype(np.int64), np.asarray(distance, dtype=np.float64)
+        distance = np.asarray(arc_length - starts[interval], dtype=np.float64)
+        return interval.astype(np.int64), distance
 
     def places(self, stations: Array, sensors: Array) -> Places:
         """Places for kernels that read poses at stations and strains at sensors.
@@ -126,11 +129,13 @@ class Grid:
             present: (m, intervals), whether a field is present in an interval.
         """
         in_rod = present & self.real
-        by_pack = in_rod.reshape(len(present), self.packs, LANES)
-        marked = np.asarray(by_pack.any(axis=2))
-        from_tip = np.flip(marked, axis=1)
-        begin = marked.argmax(axis=1)
-        end = self.packs - from_tip.argmax(axis=1)
+        rows = len(present)
+        by_pack = in_rod.reshape(rows, self.packs, LANES)
+        from_base = np.any(by_pack, axis=2)
+        from_tip = np.flip(from_base, axis=1)
+        begin = np.argmax(from_base, axis=1)
+        empty_at_tip = np.argmax(from_tip, axis=1)
+        end = self.packs - empty_at_tip
         return begin.astype(np.int64), end.astype(np.int64)
 
 
@@ -151,23 +156,27 @@ class StressFreeArm(NamedTuple):
 def make_grid(scene: Scene, count: int) -> Grid:
     """Grid of `count` uniform intervals on every piece between breakpoints."""
     borders = breakpoints(scene)
-    piece_length = np.diff(borders)[:, None]
-    in_piece = piece_length * np.arange(count) / count
     piece_start = borders[:-1, None]
+    piece_length = np.diff(borders)[:, None]
+    index = np.arange(count)
+    in_piece = piece_length * index / count
     start = np.ravel(piece_start + in_piece)
     length = np.repeat(piece_length / count, count)
-    points = start[:, None] + length[:, None] * GAUSS
+    in_interval = length[:, None] * GAUSS
+    points = start[:, None] + in_interval
     # empty intervals at the tip, up to a whole pack
-    padding = -start.size % LANES
+    size = start.size
+    padding = -size % LANES
     tip = np.full(padding, borders[-1])
     no_length = np.zeros(padding)
-    last_point = np.full((padding, 2), points[-1, 1])
-    interval = np.arange(start.size + padding)
+    last_point = points[-1, 1]
+    at_tip = np.full((padding, 2), last_point)
+    interval = np.arange(size + padding)
     return Grid(
         start=np.append(start, tip),
         length=np.append(length, no_length),
-        points=np.vstack([points, last_point]),
-        real=interval < start.size,
+        points=np.vstack([points, at_tip]),
+        real=interval < size,
         breakpoints=borders,
         per_piece=count,
     )
@@ -178,10 +187,11 @@ def at_points(scene: Scene, grid: Grid) -> StressFreeArm:
 
     Lengths and turns of tendons are exact to second order in the intervals.
     """
-    elasticity, damping, _ = screw_matrices(scene, grid.points.ravel())
-    segment = segment_index(scene, grid.points)
-    by_segment = np.array([segment.curvature for segment in scene.segments])
-    curvature = by_segment[segment]
+    places = grid.points.ravel()
+    elasticity, damping, _ = screw_matrices(scene, places)
+    index = segment_index(scene, grid.points)
+    by_segment = [segment.curvature for segment in scene.segments]
+    curvature = np.array(by_segment)[index]
     geometry = tendon_geometry(scene, grid)
     length, turn = _lengths_and_turns(geometry, curvature, grid)
     return StressFreeArm(
@@ -221,7 +231,8 @@ def make_rod(scene: Scene, grid: Grid, stress_free: StressFreeArm) -> Rod:
 
 def existing_strains(names: tuple[str, ...]) -> Array:
     """1 for each of the six strains that is named, 0 for the others: (6,)."""
-    return np.array([strain in names for strain in STRAINS], dtype=float)
+    is_named = [strain in names for strain in STRAINS]
+    return np.array(is_named, dtype=float)
 
 
 def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array]:
@@ -252,10 +263,11 @@ def disc_inertia(discs: Array) -> Array:
     """
     _, mass, radius, thickness = discs.T
     about_axis = mass * radius**2 / 2
-    across = mass * (radius**2 / 4 + thickness**2 / 12)
-    angular = [about_axis, across, across]
-    linear = [mass, mass, mass]
-    return np.stack([*angular, *linear], axis=-1)
+    of_circle = radius**2 / 4
+    of_thickness = thickness**2 / 12
+    across = mass * (of_circle + of_thickness)
+    diagonal = [about_axis, across, across, mass, mass, mass]
+    return np.stack(diagonal, axis=-1)
 
 
 def newton_cotes(intervals: int) -> Array:
@@ -264,13 +276,15 @@ def newton_cotes(intervals: int) -> Array:
     They are composed of panels with positive weights, whose sizes differ by one at most.
     """
     panels = math.ceil(intervals / LARGEST_PANEL)
-    sizes = np.full(panels, intervals // panels)
-    sizes[: intervals % panels] += 1
+    smaller, larger_panels = divmod(intervals, panels)
+    sizes = np.full(panels, smaller)
+    sizes[:larger_panels] += 1
     weights = np.zeros(intervals + 1)
     first = 0
     for size in sizes:
         last = first + size
-        weights[first : last + 1] += _panel_weights(size) * 0.5 * size / intervals
+        panel = _panel_weights(size) * 0.5 * size / intervals
+        weights[first : last + 1] += panel
         first = last
     return weights
 
@@ -288,13 +302,17 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
     borders = grid.breakpoints
     into_piece = INTO_PIECE * borders[-1]
     weights = newton_cotes(count)[:, None]
-    components = density(borders[:1]).shape[1]
-    total = np.zeros((grid.length.size, components))
+    at_base = density(borders[:1])
+    components = at_base.shape[1]
+    nodes_in_all = grid.length.size
+    total = np.zeros((nodes_in_all, components))
     first = 0  # node of the piece, beside the one on its first border
     for a, b in pairwise(borders):
         nodes = np.linspace(a, b, count + 1)
         # a node on a border has a share on either side
-        inside = np.clip(nodes, a + into_piece, b - into_piece)
+        least = a + into_piece
+        greatest = b - into_piece
+        inside = np.clip(nodes, least, greatest)
         shares = (b - a) * weights * density(inside)
         behind = first + count
         total[first:behind] += shares[1:]
@@ -310,18 +328,19 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
     Returns:
         The numbers (n_a, intervals, 2, 5).
     """
-    places = grid.points
-    geometry = np.zeros((len(scene.tendons), *places.shape, 5))
-    for values, tendon in zip(geometry, scene.tendons, strict=True):
+    places = grid.points.ravel()
+    rows = list[Array]()
+    for tendon in scene.tendons:
         start, end = tendon_ends(scene, tendon)
         on_tendon = np.clip(places, start, end)
-        offset, slope = tendon_offset(scene, tendon, on_tendon.ravel())
-        y, z = offset.T
-        y_prime, z_prime = slope.T
-        is_present = (places > start) & (places < end)
-        columns = [y, z, y_prime, z_prime, is_present.ravel()]
-        values[:] = np.stack(columns, axis=-1).reshape(values.shape)
-    return geometry
+        offset, slope = tendon_offset(scene, tendon, on_tendon)
+        is_behind_start = places > start
+        is_before_end = places < end
+        presence = is_behind_start & is_before_end
+        columns = [offset, slope, presence[:, None]]
+        rows.append(np.concatenate(columns, axis=1))
+    geometry = np.array(rows)
+    return geometry.reshape(len(rows), *grid.points.shape, 5)
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
@@ -332,10 +351,13 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
         k: angular strains (.., 3) [1/m].
         p: linear strains (.., 3).
     """
-    d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
+    *lead, _ = geometry.shape
+    d = np.zeros((*lead, 3))
+    d_prime = np.zeros((*lead, 3))
     d[..., 1:] = geometry[..., 0:2]
     d_prime[..., 1:] = geometry[..., 2:4]
-    return d, np.cross(k, d) + p + d_prime
+    t_c = np.cross(k, d) + p + d_prime
+    return d, t_c
 
 
 def _lengths_and_turns(geometry: Array, curvature: Array, grid: Grid) -> tuple[Array, Array]:
@@ -343,29 +365,33 @@ def _lengths_and_turns(geometry: Array, curvature: Array, grid: Grid) -> tuple[A
     presence = geometry[..., 4]
     _, chord = chords(geometry, curvature, STRAIGHT)
     chord_size = np.linalg.norm(chord, axis=-1)
-    length_of_points = chord_size * presence * grid.weights
+    length_at_points = chord_size * presence * grid.weights
+    length = np.sum(length_at_points, axis=(1, 2))
     tangent = chord / chord_size[..., None]
     # points from base to tip, without the empty intervals
     count = len(geometry)
-    tangent = tangent[:, grid.real].reshape(count, -1, 3)
-    presence = presence[:, grid.real].reshape(count, -1)
-    k = curvature[grid.real].reshape(-1, 3)
-    place = grid.points[grid.real].ravel()
+    real = grid.real
+    tangent = tangent[:, real].reshape(count, -1, 3)
+    presence = presence[:, real].reshape(count, -1)
+    k = curvature[real].reshape(-1, 3)
+    place = grid.points[real].ravel()
     # from point to point a tangent turns in the section, and with it
     distance = np.diff(place)[:, None]
     rate = np.cross(k, tangent)
     rate_sum = rate[:, 1:] + rate[:, :-1]
-    turn = np.diff(tangent, axis=1) + 0.5 * distance * rate_sum
-    angle = np.linalg.norm(turn, axis=-1)
-    presence_at_both = presence[:, 1:] * presence[:, :-1]
-    total_angle = np.sum(angle * presence_at_both, axis=1)
-    return length_of_points.sum(axis=(1, 2)), np.asarray(total_angle)
+    with_section = 0.5 * distance * rate_sum
+    in_section = np.diff(tangent, axis=1)
+    angle = np.linalg.norm(in_section + with_section, axis=-1)
+    present_at_both = presence[:, 1:] * presence[:, :-1]
+    turn = np.sum(angle * present_at_both, axis=1)
+    return np.asarray(length), np.asarray(turn)
 
 
 def _tendon_arrays(geometry: Array, grid: Grid) -> Tendons:
     """The tendons as the kernels read them."""
-    presence = geometry[..., 4]
-    begin, end = grid.pack_ranges(np.any(presence > 0.0, axis=2))
+    is_present = geometry[..., 4] > 0.0
+    in_interval = np.any(is_present, axis=2)
+    begin, end = grid.pack_ranges(in_interval)
     return Tendons(
         size=len(geometry),
         geometry=point_field(geometry),
@@ -410,7 +436,12 @@ def _node_inertia(scene: Scene, grid: Grid, rod: Discretisation) -> tuple[Array,
     """Screw inertia (nodes, 6) [kg m^2, kg] with what effects add, and mass (nodes,) [kg] that
     gravity pulls at."""
     effects = scene.effects
-    inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
+
+    def density(arc_length: Array) -> Array:
+        _, _, inertia = screw_matrices(scene, arc_length)
+        return inertia
+
+    inertia = over_nodes(grid, density)
     disc_place = rod.discs[:, 0]
     share_of_disc = weights(rod, disc_place).T
     inertia += share_of_disc @ disc_inertia(rod.discs)
@@ -421,10 +452,10 @@ def _node_inertia(scene: Scene, grid: Grid, rod: Discretisation) -> tuple[Array,
     return inertia, mass
 
 
-def _leading_strains(free: tuple[str, ...]) -> tuple[int, ...]:
+def _leading_strains(free: tuple[Strain, ...]) -> tuple[int, ...]:
     """Indices of the leading strains up to the last that is not rigid, as `Rod.free` has them."""
     stretch = STRAINS.index("stretch")
-    last = np.flatnonzero(existing_strains(free))[-1]
+    last = max(STRAINS.index(strain) for strain in free)
     if last < stretch:
         return tuple(range(3))
     if last == stretch:
@@ -437,5 +468,9 @@ def _panel_weights(size: int) -> Array:
     `size`."""
     nodes = np.linspace(-1.0, 1.0, size + 1)
     powers = np.arange(size + 1)
-    moments = (1.0 - (-1.0) ** (powers + 1)) / (powers + 1)
-    return np.asarray(np.linalg.solve(nodes ** powers[:, None], moments), dtype=np.float64)
+    of_nodes = nodes ** powers[:, None]
+    # integral of each power
+    integral_powers = powers + 1
+    moments = (1.0 - (-1.0) ** integral_powers) / integral_powers
+    weights = np.linalg.solve(of_nodes, moments)
+    return np.asarray(weights, dtype=np.float64)

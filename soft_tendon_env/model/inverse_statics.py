@@ -80,10 +80,11 @@ def tension_for_tip_pose(
     checked_type("model", model, Model, "see build_model")
     pose = checked_array("pose", pose, (4, 4))
     R = pose[:3, :3]
-    deviation = np.abs(R.T @ R - np.eye(3)).max()
-    last_row_deviation = np.abs(pose[3] - [0, 0, 0, 1]).max()
+    stretch = R.T @ R - np.eye(3)
+    off_last_row = pose[3] - [0, 0, 0, 1]
+    deviation = max(np.abs(stretch).max(), np.abs(off_last_row).max())
     is_reflection = np.linalg.det(R) < 0
-    if deviation > RIGID or is_reflection or last_row_deviation > RIGID:
+    if deviation > RIGID or is_reflection:
         raise ValueError(
             "pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R"
         )
@@ -123,7 +124,8 @@ class _TipSearch:
         self.model = model
         self.pose = pose
         self.angle_weight = angle_weight
-        self.least, self.greatest = model.discretisation.tension_limits.T
+        limits = model.discretisation.tension_limits
+        self.least, self.greatest = limits.T
         self.slack = np.clip(0.0, self.least, self.greatest)
         # the last tensions and their equilibrium
         self._last: tuple[Array, Equilibrium] | None = None
@@ -142,7 +144,8 @@ class _TipSearch:
         for tension in starts:
             efforts = EFFORTS if tension is self.slack else EFFORTS[NEAR:]
             within_limits = np.clip(tension, self.least, self.greatest)
-            solution = self.solution(self.descend(within_limits, efforts))
+            optimum = self.descend(within_limits, efforts)
+            solution = self.solution(optimum)
             if solution.reachable:
                 return solution
             solutions.append(solution)
@@ -156,14 +159,17 @@ class _TipSearch:
             efforts: mu, one after the other.
         """
         # tensions without equilibrium are halved towards slack
-        next_to_slack = NEXT_TO_SLACK * np.abs(self.greatest - self.least).max()
+        largest_range = np.abs(self.greatest - self.least).max()
+        next_to_slack = NEXT_TO_SLACK * largest_range
         while not self.equilibrium(u).converged:
-            if np.abs(u - self.slack).max() <= next_to_slack:
+            pull = np.abs(u - self.slack)
+            if pull.max() <= next_to_slack:
                 return u
             u = 0.5 * (self.slack + u)
         try:
             length = self.model.length
-            sensitivity = float(np.linalg.norm(self.derivative(u), 2))
+            slopes = self.derivative(u)
+            sensitivity = float(np.linalg.norm(slopes, 2))
             # [N], moves the tip by about the rod's length
             unit = length / (sensitivity or length)
             for mu in efforts:
@@ -195,8 +201,10 @@ class _TipSearch:
         R = tip[:3, :3]
         R_desired = self.pose[:3, :3]
         entries = np.ravel(R.T @ R_desired).tolist()
-        turn = np.array(rotation_log(tuple(entries)))
-        return turn, self.pose[:3, 3] - tip[:3, 3]
+        turn = rotation_log(tuple(entries))
+        position = tip[:3, 3]
+        desired = self.pose[:3, 3]
+        return np.array(turn), desired - position
 
     def error(self, u: Array) -> Array:
         """Error e (6,) [m]: weighted rotation vector and displacement from the tip to the desired
@@ -205,7 +213,8 @@ class _TipSearch:
         if not equilibrium.converged:
             return np.full(6, np.nan)
         turn, displacement = self.distance(equilibrium.tip_pose)
-        return np.concatenate([self.angle_weight * turn, displacement])
+        angular = self.angle_weight * turn
+        return np.concatenate([angular, displacement])
 
     def derivative(self, u: Array) -> Array:
         """Derivative d e / d u (6, n_a) of the error.
@@ -216,10 +225,13 @@ class _TipSearch:
         tip = equilibrium.tip_pose
         turn, _ = self.distance(tip)
         chord = ChordSolver(self.model, equilibrium.q, u)
+        # of the body by tensions
         motion = chord.terms.tip_jacobian @ chord.answer
-        angular = self.angle_weight * _inverse_left_jacobian(turn) @ motion[:3]
-        linear = tip[:3, :3] @ motion[3:]
-        return -np.concatenate([angular, linear])
+        rotation = motion[:3]
+        shift = motion[3:]
+        angular = self.angle_weight * _inverse_left_jacobian(turn) @ rotation
+        R = tip[:3, :3]
+        return -np.concatenate([angular, R @ shift])
 
     def solution(self, u: Array) -> InverseEquilibrium:
         """Solution that the tensions are, with the errors of its tip.
@@ -229,10 +241,12 @@ class _TipSearch:
         equilibrium = self.equilibrium(u)
         turn, displacement = self.distance(equilibrium.tip_pose)
         position_error = float(np.linalg.norm(displacement))
-        angle_error = float(np.linalg.norm(turn)) if self.angle_weight > 0 else 0.0
+        angle_error = 0.0
+        if self.angle_weight > 0:
+            angle_error = float(np.linalg.norm(turn))
+        tolerance = POSITION_TOLERANCE * self.model.length
         error = max(position_error, self.angle_weight * angle_error)
-        is_near = error <= POSITION_TOLERANCE * self.model.length
-        reachable = equilibrium.converged and is_near
+        reachable = equilibrium.converged and error <= tolerance
         reason = ""
         if not reachable:
             reason = equilibrium.reason or (
@@ -264,14 +278,24 @@ class _TipSearch:
         length = self.model.length
 
         def residual(x: Array) -> Array:
-            return np.concatenate([self.error(x * unit) / length, mu * x])
+            error = self.error(x * unit) / length
+            effort = mu * x
+            return np.concatenate([error, effort])
 
         def jacobian(x: Array) -> Array:
-            slopes = self.derivative(x * unit) * unit / length
-            return np.concatenate([slopes, mu * np.eye(x.size)])
+            error_slopes = self.derivative(x * unit) * unit / length
+            effort_slopes = mu * np.eye(x.size)
+            return np.concatenate([error_slopes, effort_slopes])
 
-        bounds = (self.least / unit, self.greatest / unit)
-        optimum = least_squares(residual, u / unit, jacobian, bounds, **OPTIONS)
+        least = self.least / unit
+        greatest = self.greatest / unit
+        optimum = least_squares(
+            residual,
+            u / unit,
+            jacobian,
+            (least, greatest),
+            **OPTIONS,
+        )
         return np.asarray(unit * optimum.x)
 
     def _error_of(self, solution: InverseEquilibrium) -> float:
@@ -283,6 +307,13 @@ class _TipSearch:
 def _inverse_left_jacobian(turn: Array) -> Array:
     """Inverse (3, 3) of the left Jacobian of SO(3) at a rotation vector (3,) [rad]."""
     x, y, z = turn
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    skew = np.array(
+        [
+            [0.0, -z, y],
+            [z, 0.0, -x],
+            [-y, x, 0.0],
+        ]
+    )
     c = coefficients(turn @ turn)
-    return np.eye(3) - 0.5 * skew - 0.5 * c.a1 / c.a * skew @ skew
+    second_order = 0.5 * c.a1 / c.a * skew @ skew
+    return np.eye(3) - 0.5 * skew - second_order

@@ -96,7 +96,9 @@ class LoadPath:
         """
         balance = self.balance
         way = balance.angle(point.tangent - self._answer)
-        step = 1.0 if way <= FIRST_REACH else max(FIRST_REACH / way, LEAST_LOAD)
+        step = 1.0
+        if way > FIRST_REACH:
+            step = max(FIRST_REACH / way, LEAST_LOAD)
         while point.at.part < 1.0:
             part = point.at.part
             aim = min(part + step, 1.0)
@@ -122,17 +124,21 @@ class LoadPath:
             aim: part of the load, 0 to 1.
         """
         balance = self.balance
+        q = point.at.q
         h = aim - point.at.part
-        predicted = point.at.q + h * point.tangent
+        predicted = q + h * point.tangent
         ahead = self.equilibrium(predicted, aim)
         if ahead is None or not self._is_stable(ahead.stability):
             return None
         # branches lie close where the arm is soft
         least = min(point.stability.least, ahead.stability.least)
         soft = max(min(1.0, least / SOFT), SOFTEST)
-        if balance.angle(ahead.at.q - predicted) <= soft * CORRECTION:
-            between = 0.5 * (point.at.q + ahead.at.q)
-            middle = between + 0.125 * h * (point.tangent - ahead.tangent)
+        q_ahead = ahead.at.q
+        correction = balance.angle(q_ahead - predicted)
+        if correction <= soft * CORRECTION:
+            # of the cubic through both ends
+            tangent_change = point.tangent - ahead.tangent
+            middle = 0.5 * (q + q_ahead) + 0.125 * h * tangent_change
             stray = self._stray(middle, point, ahead)
             if stray is None:
                 return None
@@ -141,7 +147,7 @@ class LoadPath:
         if not stray <= soft * STRAY:
             balance.obstacle = "the equilibria bend away from steps of any size"
             return None
-        return ahead if balance.is_continuous(point.at.q, ahead.at.q) else None
+        return ahead if balance.is_continuous(q, q_ahead) else None
 
     def equilibrium(self, q: Array, part: float) -> Linearised | None:
         """The equilibrium under this part of the load to which Newton's method leads.
@@ -192,21 +198,23 @@ class LoadPath:
             end: of the path.
         """
         balance = self.balance
-        part = min((1.0 + BEYOND) * end.at.part + LEAST_LOAD, 1.0)
+        beyond = (1.0 + BEYOND) * end.at.part + LEAST_LOAD
+        part = min(beyond, 1.0)
         mode = end.stability.modes[:, 0]
         largest_entry = mode[np.argmax(np.abs(mode))]
         side = balance.product(mode, end.tangent) or largest_entry
-        push = PUSH * np.copysign(1.0, side)
-        point = balance.linearise(end.at.q + push * mode, part)
+        push = PUSH * np.copysign(1.0, side) * mode
+        point = balance.linearise(end.at.q + push, part)
         h = FIRST_FLOW
         while point is not None and balance.linearisations < self.most:
             if point.at.residual <= RESIDUAL:
                 return point if self._is_stable(point.stability) else None
+            q = point.at.q
             change = _flow(point, h)
-            size = np.inf if change is None else balance.angle(change)
+            size = balance.angle(change)
             ahead = None
-            if change is not None and size <= FLOW_STEP:
-                ahead = balance.linearise(point.at.q + change, part)
+            if size <= FLOW_STEP:
+                ahead = balance.linearise(q + change, part)
             if ahead is not None:
                 point = ahead
                 if size < 0.5 * FLOW_STEP:
@@ -224,7 +232,8 @@ class LoadPath:
             return linearised
         way = self.balance.angle(equilibrium.q - linearised.at.q)
         stability = linearised.stability
-        if way <= NEAR and stability.has_potential and stability.least > SOFT:
+        is_stiff = stability.has_potential and stability.least > SOFT
+        if way <= NEAR and is_stiff:
             linearised.at = equilibrium
             return linearised
         return self.balance.linearise(equilibrium.q, equilibrium.part)
@@ -246,20 +255,24 @@ class LoadPath:
             linearised = balance.linearise(middle, part)
             if linearised is None or not self._is_stable(linearised.stability):
                 return None
-            return balance.angle(linearised.compliance @ linearised.at.force)
+            force = linearised.at.force
+            return balance.angle(linearised.compliance @ force)
         watched = ahead.stability.modes[:, :WATCHED]
         balanced = balance.curvature(middle, part, watched)
         if balanced is None:
             return None
         at_middle, curvature = balanced
         symmetric = 0.5 * (curvature + curvature.T)
-        least = float(np.linalg.eigvalsh(symmetric)[0])
+        eigenvalues = np.linalg.eigvalsh(symmetric)
+        least = float(eigenvalues[0])
         is_stable = least > -NEUTRAL * len(middle)
-        if not self._is_stable(ahead.stability._replace(stable=is_stable)):
+        stability = ahead.stability._replace(stable=is_stable)
+        if not self._is_stable(stability):
             return None
         # by the stiffnesses at either end
-        from_point = balance.angle(point.compliance @ at_middle.force)
-        from_ahead = balance.angle(ahead.compliance @ at_middle.force)
+        force = at_middle.force
+        from_point = balance.angle(point.compliance @ force)
+        from_ahead = balance.angle(ahead.compliance @ force)
         return max(from_point, from_ahead)
 
     def _is_stable(self, stability: Stability) -> bool:
@@ -277,14 +290,18 @@ class LoadPath:
         if stability.least < SOFT and not is_known:
             softest_mode = stability.modes[:, 0]
             along_mode = abs(balance.product(softest_mode, point.tangent))
-            obstacle = SNAPS if along_mode > 0.5 * balance.angle(point.tangent) else BUCKLES
-        return f"beyond {100 * point.at.part:.4g} % of the load: {obstacle}"
+            tangent_size = balance.angle(point.tangent)
+            # at a limit point the path goes on along the softest mode, at a bifurcation it does not
+            snaps = along_mode > 0.5 * tangent_size
+            obstacle = SNAPS if snaps else BUCKLES
+        percent = 100 * point.at.part
+        return f"beyond {percent:.4g} % of the load: {obstacle}"
 
 
-def _flow(point: Linearised, h: float) -> Array | None:
+def _flow(point: Linearised, h: float) -> Array:
     """Change of coordinates (n,) by a linearly implicit step of the flow G q_dot = f.
 
-    None where the step is too long for a motion that runs away from rest.
+    It is infinite where the step is too long for a motion that runs away from rest.
 
     Args:
         point: the balance to first order.
@@ -293,9 +310,11 @@ def _flow(point: Linearised, h: float) -> Array | None:
     # here: it takes longer to import than all else that most scenes need
     from scipy.linalg import cho_factor, cho_solve
 
+    force = point.at.force
     symmetric = point.stiffness + point.stiffness.T
     try:
         root = cho_factor(point.at.G + 0.5 * h * symmetric)
     except np.linalg.LinAlgError:
-        return None
-    return np.asarray(h * cho_solve(root, point.at.force))
+        return np.full_like(force, np.inf)
+    rate = cho_solve(root, force)
+    return np.asarray(h * rate)

@@ -64,6 +64,13 @@ class QuadratureEstimate(NamedTuple):
     excess: float  # by what factor the worst of its errors exceeds what is allowed
 
 
+class Displacement(NamedTuple):
+    """Displacement of the tip at rest between two quadratures."""
+
+    share: float  # of the length
+    tension: Array  # (n_a,) [N]
+
+
 class QuadratureTest:
     """A scene on several quadratures, and the tensions that they are compared at.
 
@@ -95,16 +102,18 @@ class QuadratureTest:
             is_hopeless = intervals >= fine and hardly_less
             if not estimate.problem or is_hopeless or intervals == MOST_INTERVALS:
                 return estimate
-            factor = min(SPARE * estimate.excess ** (1 / ORDER), 2.0)
+            by_order = estimate.excess ** (1 / ORDER)
+            factor = min(SPARE * by_order, 2.0)
             excess_of_half = estimate.excess if factor == 2.0 else np.inf
-            more = max(intervals + 1, math.ceil(intervals * factor))
+            suggested = math.ceil(intervals * factor)
+            more = max(intervals + 1, suggested)
             intervals = min(more, MOST_INTERVALS)
 
     def error_estimate(self, intervals: int) -> QuadratureEstimate:
         """The estimate with this many intervals per piece, against a finer quadrature."""
-        finer = max(2 * intervals + 1, self.resolving)
+        twice = 2 * intervals + 1
         coarse = self.model(intervals)
-        fine = self.model(finer)
+        fine = self.model(max(twice, self.resolving))
         # by build_model, on any quadrature
         refused = QuadratureEstimate(intervals, error=0.0, problem="", excess=0.0)
         if fine.coordinate_count == 0:
@@ -117,10 +126,12 @@ class QuadratureTest:
         mass = _mass_error(coarse, fine)
         mass_problem = f"the moment of the rod's mass is off by {100 * mass:.2g} %"
         inertia_problem = f"a combination of coordinates keeps {100 * kept:.2g} % of its inertia"
+        tolerance = self.scene.quadrature.tolerance
+        some_inertia = max(kept, LEAST_INERTIA**4)
         excess, worst_problem = max(
-            (error / self.scene.quadrature.tolerance, problem),
+            (error / tolerance, problem),
             (mass / MASS_TOLERANCE, mass_problem),
-            (LEAST_INERTIA / max(kept, LEAST_INERTIA**4), inertia_problem),
+            (LEAST_INERTIA / some_inertia, inertia_problem),
         )
         return QuadratureEstimate(
             intervals,
@@ -129,34 +140,31 @@ class QuadratureTest:
             excess=excess,
         )
 
-    def displacement(self, coarse: Model, fine: Model) -> tuple[float, Array]:
-        """Largest displacement of the tip at rest between two quadratures, of the tensions tried.
-
-        Returns:
-            The displacement as a share of the length, and the tensions (n_a,) [N].
-        """
+    def displacement(self, coarse: Model, fine: Model) -> Displacement:
+        """Largest displacement of the tip at rest between two quadratures, of tensions tried."""
         responses = (_response(coarse), _response(fine))
-        unloaded = list[tuple[float, Array]]()
+        unloaded = list[Displacement]()
         for tension in self.tensions:
             share = _unloaded_share(coarse, fine, responses, tension)
-            unloaded.append((share, tension))
+            unloaded.append(Displacement(share, tension))
         unloaded.sort(key=_share_of, reverse=True)
-        has_loads = bool(coarse.arm.effects.load)
-        if isinstance(coarse.arm.strain, Implicit) and not has_loads:
+        arm = coarse.arm
+        has_loads = bool(arm.effects.load)
+        if isinstance(arm.strain, Implicit) and not has_loads:
             # they are at rest there
             return unloaded[0]
-        worst = [tension for _, tension in unloaded[:SETTLED]]
+        worst = [displacement.tension for displacement in unloaded[:SETTLED]]
         if has_loads:
             full = self.limits[:, 1]
             half = 0.5 * (self.slack + full)
             worst = [self.slack, full, half, *worst]
         coarse_response, _ = responses
         answer = np.zeros(coarse.coordinate_count)  # to the loads
-        at_rest = list[tuple[float, Array]]()
+        at_rest = list[Displacement]()
         for tension in worst:
             guess = answer + coarse_response @ tension
             share, rest = _share_at_rest(coarse, fine, tension, guess)
-            at_rest.append((share, tension))
+            at_rest.append(Displacement(share, tension))
             if tension is self.slack:
                 answer = rest
         return max(at_rest, key=_share_of)
@@ -170,8 +178,10 @@ class QuadratureTest:
         count = fine.coordinate_count
         # forces of a hopeless quadrature may be infinite or NaN
         with np.errstate(all="ignore"):
-            if coarse.coordinate_count != count or is_singular(coarse.metric):
-                return np.inf, 1.0, f"its points do not tell all {count} coordinates apart"
+            has_all = coarse.coordinate_count == count
+            if not has_all or is_singular(coarse.metric):
+                problem = f"its points do not tell all {count} coordinates apart"
+                return np.inf, 1.0, problem
             share, tension = self.displacement(coarse, fine)
             kept = inertia_kept(coarse, fine)
         error = share / SAFETY
@@ -195,9 +205,11 @@ def inertia_kept(coarse: Model, fine: Model) -> float:
     scale = 1.0 / np.sqrt(diagonal)
     scaled = M_fine * np.outer(scale, scale)
     sizes, directions = np.linalg.eigh(scaled)
-    is_moving = sizes > NO_INERTIA * sizes[-1]
+    no_inertia = NO_INERTIA * sizes[-1]
+    is_moving = sizes > no_inertia
     moving = scale[:, None] * directions[:, is_moving]
-    unit = moving / np.sqrt(sizes[is_moving])
+    roots = np.sqrt(sizes[is_moving])
+    unit = moving / roots
     kept = np.linalg.eigvalsh(unit.T @ M @ unit)
     least = float(kept[0])
     return max(least, 0.0)
@@ -213,7 +225,8 @@ def _tensions_to_try(limits: Array, slack: Array) -> list[Array]:
     count = len(limits)
     tendons = np.arange(count)
     if 2**count <= CORNERS:
-        corners = np.indices((2,) * count).reshape(count, -1)
+        two_sides = (2,) * count
+        corners = np.indices(two_sides).reshape(count, -1)
         sides = np.flip(corners.T, axis=0)
     else:
         random = np.random.default_rng(0)
@@ -242,9 +255,10 @@ def _resolving_intervals(scene: Scene) -> int:
             wavelengths.append(taper.wavelength())
     shortest_wave = min(wavelengths)
     pieces = np.diff(breakpoints(scene))
-    for_waves = math.ceil(PER_WAVE * pieces.max() / shortest_wave)
-    for_fields = PER_FUNCTION * (scene.strain.highest_order + 1)
-    return min(max(for_waves, for_fields), MOST_INTERVALS)
+    waves = PER_WAVE * pieces.max() / shortest_wave
+    functions = scene.strain.highest_order + 1
+    intervals = max(math.ceil(waves), PER_FUNCTION * functions)
+    return min(intervals, MOST_INTERVALS)
 
 
 def _mass_error(coarse: Model, fine: Model) -> float:
@@ -254,7 +268,10 @@ def _mass_error(coarse: Model, fine: Model) -> float:
     def moment(places: Array) -> Array:
         return places * rod.line_mass(places)
 
-    by_node = rod.over_nodes(lambda places: moment(places)[:, None])
+    def column(places: Array) -> Array:
+        return moment(places)[:, None]
+
+    by_node = rod.over_nodes(column)
     points = fine.grid.points.ravel()
     weights = fine.grid.weights.ravel()
     exact = moment(points) @ weights
@@ -262,10 +279,9 @@ def _mass_error(coarse: Model, fine: Model) -> float:
     return abs(ratio - 1.0)
 
 
-def _share_of(row: tuple[float, Array]) -> float:
-    """The share of a pair of share and tensions, to sort by."""
-    share, _ = row
-    return share
+def _share_of(displacement: Displacement) -> float:
+    """The share of a displacement, to sort by."""
+    return displacement.share
 
 
 def _response(model: Model) -> Array:
@@ -294,15 +310,16 @@ def _unloaded_share(
     coarse_response, fine_response = responses
     for _ in range(MOST_HALVINGS):
         try:
-            tip = coarse.tip_pose(coarse_response @ tension)[:3, 3]
-            fine_tip = fine.tip_pose(fine_response @ tension)[:3, 3]
+            tip = _tip(coarse, coarse_response @ tension)
+            fine_tip = _tip(fine, fine_response @ tension)
         except StrainLimitError:
             tension = 0.5 * tension
             continue
         from_base = [tip - base, fine_tip - base]
         distances = np.linalg.norm(from_base, axis=1)
         if distances.max() <= FARTHEST * coarse.length:
-            return float(np.linalg.norm(fine_tip - tip)) / coarse.length
+            displacement = np.linalg.norm(fine_tip - tip)
+            return float(displacement) / coarse.length
         tension = 0.5 * tension
     return 0.0
 
@@ -313,8 +330,10 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
     It has a margin for an arm that falls over.
     """
     with coarse.workspace() as work, fine.workspace() as fine_work:
-        path = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS)
-        fine_path = LoadPath(Balance(fine, tension, fine_work))
+        balance = Balance(coarse, tension, work)
+        fine_balance = Balance(fine, tension, fine_work)
+        path = LoadPath(balance, MOST_LINEARISATIONS)
+        fine_path = LoadPath(fine_balance)
         end = _rest(path, guess)
         has_fallen = end.at.part < 1.0
         q = end.at.q
@@ -328,14 +347,21 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
             if near is not None:
                 fine_q = near.at.q
     try:
-        fine_tip = fine.tip_pose(fine_q)[:3, 3]
-        tip = coarse.tip_pose(q)[:3, 3]
+        fine_tip = _tip(fine, fine_q)
+        tip = _tip(coarse, q)
     except StrainLimitError:
         return 0.0, guess
-    share = float(np.linalg.norm(fine_tip - tip)) / coarse.length
+    displacement = np.linalg.norm(fine_tip - tip)
+    share = float(displacement) / coarse.length
     if has_fallen:
         share *= MARGIN
     return share, q
+
+
+def _tip(model: Model, q: Array) -> Array:
+    """Position (3,) [m] of the tip at q (n,). Raises StrainLimitError."""
+    pose = model.tip_pose(q)
+    return pose[:3, 3]
 
 
 def _rest(path: LoadPath, guess: Array) -> Linearised:

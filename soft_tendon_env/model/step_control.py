@@ -85,8 +85,8 @@ def step_control(model: Model, duration: float) -> Control:
         duration: [s].
     """
     integrator = model.scene.integrator
-    steps = np.ceil(duration / integrator.step * (1.0 - ROUND_OFF))
-    step = duration / steps
+    at_least = duration / integrator.step * (1.0 - ROUND_OFF)
+    step = duration / np.ceil(at_least)
     if integrator.tolerance is None:
         tolerance = UNSTABLE * model.length
     else:
@@ -123,9 +123,10 @@ def linear_rate(model: Model) -> float:
     """
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
-    squared_rates = np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real
-    slowest = float(np.sqrt(squared_rates.min()))
-    return slowest / RESOLVED
+    acceleration = np.linalg.solve(terms.mass, terms.stiffness)
+    squared_rates = np.linalg.eigvals(acceleration).real
+    slowest = np.sqrt(squared_rates.min())
+    return float(slowest) / RESOLVED
 
 
 def command_table(
@@ -146,7 +147,8 @@ def command_table(
     tendons = model.tendon_count
     if callable(command):
         count = samples * per_sample
-        middles: Array = start + step * (np.arange(count, dtype=np.float64) + 0.5)
+        index = np.arange(count, dtype=np.float64)
+        middles: Array = start + step * (index + 0.5)
         rows = _sample(command, middles, tendons)
         if count > 1:
             beside = _sample(command, middles + BESIDE_MIDDLE * step, tendons)
@@ -189,6 +191,7 @@ def _sample(command: Callable[[float], ArrayLike], times: Array, size: int) -> A
     """The function at all times (m,): (m, size). An error names the time."""
     rows = list[Array]()
     for time in times:
-        row = checked_array(f"command({time:.6g})", command(time), (size,))
+        name = f"command({time:.6g})"
+        row = checked_array(name, command(time), (size,))
         rows.append(row)
     return np.array(rows).reshape(-1, size)

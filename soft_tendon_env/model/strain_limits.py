@@ -36,12 +36,13 @@ def nearest_limit(
     strain = arm.strain
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
-    tau = strain.law.tensions(reached * q if reached else q)
+    part = reached * q if reached else q
+    tau = strain.law.tensions(part)
     chord_size, give = _chords_and_give(arm, grid, xi)
     has_chord = chord_size > 0.0
     size = np.maximum(chord_size, NO_CHORD)
-    pull = np.abs(tau)[:, None, None] * has_chord
-    softening = pull / size * give
+    pull = np.abs(tau)[:, None, None]
+    softening = pull * has_chord / size * give
     softest = np.argmax(softening)
     tendon, *point = np.unravel_index(softest, softening.shape)
     place = grid.points[*point]
@@ -49,7 +50,8 @@ def nearest_limit(
     if not reached:
         cause = "is far beyond what any strain balances"
     elif tension > 0:
-        cause = f"pulls its own chord down to {chord_size[tendon, *point]:.2g} of its length"
+        size_left = chord_size[tendon, *point]
+        cause = f"pulls its own chord down to {size_left:.2g} of its length"
     else:
         cause = "pushes the section as far as its stiffness holds"
     limit = f"tendon {tendon} at arc length {place:.4g} m, with {tension:.4g} N, {cause}"
@@ -77,9 +79,9 @@ def _chords_and_give(arm: Arm, grid: Grid, xi: Array) -> tuple[Array, Array]:
     chord_size = presence * np.linalg.norm(chord, axis=0)
     # tr C S S^T
     compliance = np.moveaxis(root_compliance, -1, 0) ** 2
-    about_x = compliance[0] * (y**2 + z**2)
-    about_y = compliance[1] * z**2
-    about_z = compliance[2] * y**2
-    linear = compliance[3:].sum(axis=0)
-    give = about_x + about_y + about_z + linear
+    torsion, bend_y, bend_z, *linear = compliance
+    about_x = torsion * (y**2 + z**2)
+    about_y = bend_y * z**2
+    about_z = bend_z * y**2
+    give = about_x + about_y + about_z + np.sum(linear, axis=0)
     return chord_size, give
