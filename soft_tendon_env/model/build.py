@@ -49,7 +49,7 @@ def build_model(scene: Scene) -> Model:
     # the model is made all the same: it may do for what it is asked
     if estimate.problem:
         warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=2)
-    # the test leaves obstacles out; the model that it made is the scene's own where there are none
+    # the test leaves obstacles and actuators out, and its model is the scene's own without them
     if test.scene.effects == scene.effects:
         model = test.model(estimate.intervals)
     else:

@@ -74,7 +74,7 @@ class Displacement(NamedTuple):
 class QuadratureTest:
     """A scene on several quadratures, and the tensions that they are compared at.
 
-    Obstacles are left out.
+    Obstacles and actuators are left out.
     """
 
     def __init__(self, scene: Scene) -> None:
