@@ -17,16 +17,7 @@ from soft_tendon_env.mechanics.types import (
     StaticsBased,
     point_field,
 )
-from soft_tendon_env.model.grid import (
-    STRAIGHT,
-    Grid,
-    StressFreeArm,
-    at_points,
-    chords,
-    existing_strains,
-    make_grid,
-    make_rod,
-)
+from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid, make_rod
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -150,10 +141,9 @@ def tension_law(
 
     They say which tensions are independent, and which passive fields are left beside them.
     """
-    compliance = existing_strains(strain.strains) / stress_free.elasticity
     # of the inner product that energies are: int F^T Sigma^-1 G dX
-    weight = compliance * grid.weights[..., None]
-    actuation = actuation_columns(stress_free.geometry, stress_free.curvature, STRAIGHT)
+    weight = stress_free.compliance * grid.weights[..., None]
+    actuation = stress_free.actuation
     gram = _inner(actuation, actuation, weight)
     mixing = independent_tensions(gram, strain.rank_tolerance)
     passive = _passive_fields(scene, strain, grid)
@@ -213,24 +203,6 @@ def with_every_tension(arm: Arm) -> Arm:
         loaded = strain.replaced(**everywhere, law=law)
         return arm.replaced(strain=loaded)
     return arm.replaced(strain=law)
-
-
-def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
-    """Actuation columns Phi_a = -[d~ t; t] (.., 6) of tendons.
-
-    Args:
-        geometry: of the tendons (.., 5), see `tendon_geometry`.
-        k: angular strains (.., 3) [1/m].
-        p: linear strains (.., 3).
-    """
-    d, chord = chords(geometry, k, p)
-    chord_size = np.linalg.norm(chord, axis=-1, keepdims=True)
-    t = chord / chord_size
-    d = np.broadcast_to(d, t.shape)
-    moment = np.cross(d, t)
-    push = np.concatenate([moment, t], axis=-1)
-    presence = geometry[..., 4:]
-    return np.asarray(-push * presence)
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:

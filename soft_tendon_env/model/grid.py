@@ -146,9 +146,10 @@ class StressFreeArm(NamedTuple):
     """
 
     elasticity: Array  # (intervals, 2, 6) diag(Sigma) [N m^2, N]
+    compliance: Array  # (intervals, 2, 6) diag(Sigma)^-1, 0 for rigid strains
     damping: Array  # (intervals, 2, 6) diag(Upsilon)
     curvature: Array  # (intervals, 2, 3) [1/m]
-    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
+    actuation: Array  # (n_a, intervals, 2, 6) the columns Phi_a, see `actuation_columns`
     tendons: Tendons
     rod: Discretisation  # as effects see it
 
@@ -189,16 +190,18 @@ def at_points(scene: Scene, grid: Grid) -> StressFreeArm:
     """
     places = grid.points.ravel()
     elasticity, damping, _ = screw_matrices(scene, places)
+    elasticity = elasticity.reshape(-1, 2, 6)
     index = segment_index(scene, grid.points)
     by_segment = [segment.curvature for segment in scene.segments]
     curvature = np.array(by_segment)[index]
     geometry = tendon_geometry(scene, grid)
     length, turn = _lengths_and_turns(geometry, curvature, grid)
     return StressFreeArm(
-        elasticity=elasticity.reshape(-1, 2, 6),
+        elasticity=elasticity,
+        compliance=_existing_strains(scene) / elasticity,
         damping=damping.reshape(-1, 2, 6),
         curvature=curvature,
-        geometry=geometry,
+        actuation=actuation_columns(geometry, curvature, STRAIGHT),
         tendons=_tendon_arrays(geometry, grid),
         rod=_discretisation(scene, grid, length, turn),
     )
@@ -206,8 +209,7 @@ def at_points(scene: Scene, grid: Grid) -> StressFreeArm:
 
 def make_rod(scene: Scene, grid: Grid, stress_free: StressFreeArm) -> Rod:
     """Arrays of the rod's section for the kernels; strains that the scene has not are rigid."""
-    free = scene.strain.free
-    exists = existing_strains(free)
+    exists = _existing_strains(scene)
     reference = np.empty_like(stress_free.elasticity)
     reference[..., :3] = stress_free.curvature
     reference[..., 3:] = STRAIGHT
@@ -216,7 +218,7 @@ def make_rod(scene: Scene, grid: Grid, stress_free: StressFreeArm) -> Rod:
     weight = grid.weights[..., None]
     return Rod(
         packs=grid.packs,
-        free=_leading_strains(free),
+        free=_leading_strains(scene.strain.free),
         mass=inertia[:, 3].sum(keepdims=True),
         length=grid.length,
         weight=point_field(weight),
@@ -227,12 +229,6 @@ def make_rod(scene: Scene, grid: Grid, stress_free: StressFreeArm) -> Rod:
         inertia=node_field(inertia),
         node_mass=node_field(mass[:, None]),
     )
-
-
-def existing_strains(names: tuple[str, ...]) -> Array:
-    """1 for each of the six strains that is named, 0 for the others: (6,)."""
-    is_named = [strain in names for strain in STRAINS]
-    return np.array(is_named, dtype=float)
 
 
 def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array]:
@@ -268,6 +264,21 @@ def disc_inertia(discs: Array) -> Array:
     across = mass * (of_circle + of_thickness)
     diagonal = [about_axis, across, across, mass, mass, mass]
     return np.stack(diagonal, axis=-1)
+
+
+def mass_moment_over_nodes(scene: Scene, grid: Grid) -> float:
+    """Moment [kg m] of the rod's mass about its base, by the rule of the nodes, without discs."""
+
+    def density(places: Array) -> Array:
+        return _mass_moment_density(scene, places)[:, None]
+
+    return float(over_nodes(grid, density).sum())
+
+
+def mass_moment_over_points(scene: Scene, grid: Grid) -> float:
+    """Moment [kg m] of the rod's mass about its base, by the rule of the points, without discs."""
+    density = _mass_moment_density(scene, grid.points.ravel())
+    return float(density @ grid.weights.ravel())
 
 
 def newton_cotes(intervals: int) -> Array:
@@ -358,6 +369,37 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
     d_prime[..., 1:] = geometry[..., 2:4]
     t_c = np.cross(k, d) + p + d_prime
     return d, t_c
+
+
+def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
+    """Actuation columns Phi_a = -[d~ t; t] (.., 6) of tendons.
+
+    Args:
+        geometry: of the tendons (.., 5), see `tendon_geometry`.
+        k: angular strains (.., 3) [1/m].
+        p: linear strains (.., 3).
+    """
+    d, chord = chords(geometry, k, p)
+    chord_size = np.linalg.norm(chord, axis=-1, keepdims=True)
+    t = chord / chord_size
+    d = np.broadcast_to(d, t.shape)
+    moment = np.cross(d, t)
+    push = np.concatenate([moment, t], axis=-1)
+    presence = geometry[..., 4:]
+    return np.asarray(-push * presence)
+
+
+def _existing_strains(scene: Scene) -> Array:
+    """1 for each of the six strains that the rod has, 0 for the rigid ones: (6,)."""
+    exists = [strain in scene.strain.free for strain in STRAINS]
+    return np.array(exists, dtype=float)
+
+
+def _mass_moment_density(scene: Scene, arc_length: Array) -> Array:
+    """Moment of the rod's mass about its base per length (m,) [kg] at arc lengths (m,) [m]."""
+    _, _, inertia = screw_matrices(scene, arc_length)
+    line_mass = inertia[:, 3]
+    return arc_length * line_mass
 
 
 def _lengths_and_turns(geometry: Array, curvature: Array, grid: Grid) -> tuple[Array, Array]:

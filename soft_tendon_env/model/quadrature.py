@@ -9,6 +9,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
+from soft_tendon_env.model.grid import mass_moment_over_nodes, mass_moment_over_points
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -263,20 +264,9 @@ def _resolving_intervals(scene: Scene) -> int:
 
 def _mass_error(coarse: Model, fine: Model) -> float:
     """Relative error of the moment of the rod's mass about its base."""
-    rod = coarse.discretisation
-
-    def moment(places: Array) -> Array:
-        return places * rod.line_mass(places)
-
-    def column(places: Array) -> Array:
-        return moment(places)[:, None]
-
-    by_node = rod.over_nodes(column)
-    points = fine.grid.points.ravel()
-    weights = fine.grid.weights.ravel()
-    exact = moment(points) @ weights
-    ratio = float(by_node.sum() / exact)
-    return abs(ratio - 1.0)
+    moment = mass_moment_over_nodes(coarse.scene, coarse.grid)
+    exact = mass_moment_over_points(fine.scene, fine.grid)
+    return abs(moment / exact - 1.0)
 
 
 def _share_of(displacement: Displacement) -> float:

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.coordinates import actuation_columns, make_strain, mode_fields
+from soft_tendon_env.model.coordinates import make_strain, mode_fields
 from soft_tendon_env.model.grid import (
-    STRAIGHT,
     at_points,
     make_grid,
     make_rod,
@@ -110,11 +109,9 @@ def test_orthogonal_passive_fields(order, span, count):
     scene, grid = scene_and_grid(
         "paper", **{"strain.passive": [{"strains": list(ANGULAR), "order": order, "span": span}]}
     )
-    here = at_points(scene, grid)
-    strain, actuation = (
-        make_strain(scene, grid, here),
-        actuation_columns(here.geometry, here.curvature, STRAIGHT),
-    )
+    stress_free = at_points(scene, grid)
+    actuation = stress_free.actuation
+    strain = make_strain(scene, grid, stress_free)
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == count
     np.testing.assert_allclose(
