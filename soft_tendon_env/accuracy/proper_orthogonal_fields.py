@@ -28,9 +28,13 @@ from soft_tendon_env.accuracy.reference import (
     trajectory,
 )
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics
-from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
+from soft_tendon_env.model.grid import (
+    Grid,
+    actuation_columns,
+    screw_matrices,
+    tendon_geometry,
+)
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length

@@ -1,22 +1,23 @@
-"""Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit
-bases; and all arrays of the arm."""
+"""Strain coordinates of a scene, what moves: actuation and passive fields, independent tensions and
+explicit bases; and all arrays of an arm."""
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
-from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded, StaticsBased, point_field
-from soft_tendon_env.model.grid import (
-    STRAIGHT,
-    AtPoints,
-    Grid,
-    at_points,
-    chords,
-    make_grid,
-    make_rod,
-    pack_ranges,
+from soft_tendon_env.mechanics.effects import EffectTable
+from soft_tendon_env.mechanics.types import (
+    Arm,
+    Explicit,
+    Implicit,
+    Loaded,
+    StaticsBased,
+    point_field,
 )
+from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid, make_rod
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -24,208 +25,338 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
+# intervals of each piece on which coordinates are counted: their number does not depend on it
+COUNTING_INTERVALS = 6
+# size of what is left of a unit vector beside a basis, up to which the basis spans it
+SPANNED = 1e-6
+# share of a tension in an independent combination, up to which it is round-off
+NO_SHARE = 1e-12
+
 
 def make_arm(
     scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None
 ) -> Arm:
-    """All that the kernels read of a scene, on this grid; strain: with the combinations of tensions
-    and passive fields that stay."""
-    here = at_points(scene, grid)
-    effects = effects_outside(scene).table(here.rod)
-    if effects.base.any() and effects_inside(scene):
-        text = (
-            "is given, but the loads inside of a strain have to stand still beside the arm's base,"
-            " which moves: leave it out"
-        )
-        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    law = None if strain is None or isinstance(strain, Explicit) else strain.law
-    rod, strain = (
-        make_rod(scene, grid, scene.strain.free, here),
-        make_strain(scene, grid, here, law),
+    """All that the kernels read of a scene, on this grid.
+
+    Args:
+        scene: of the arm.
+        grid: of the scene's rod.
+        strain: with the combinations of tensions and the passive fields that stay; None: they are
+            made anew.
+
+    Raises:
+        ConfigurationError: for loads inside of the strain of an arm whose base moves.
+    """
+    stress_free = at_points(scene, grid)
+    effects = _effect_table(scene, stress_free)
+    law = strain.law if isinstance(strain, Implicit) else None
+    pose = scene.base.pose
+    return Arm(
+        base=aligned_copy(np.append(pose[:3, :3], pose[:3, 3])),
+        rod=make_rod(scene, grid, stress_free),
+        tendons=stress_free.tendons,
+        strain=make_strain(scene, grid, stress_free, law),
+        effects=effects,
     )
-    base = aligned_copy(np.append(scene.base.pose[:3, :3], scene.base.pose[:3, 3]))
-    return Arm(base=base, rod=rod, tendons=here.tendons, strain=strain, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
     """Whether the strain answers to dead loads."""
-    return isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
+    strain = scene.strain
+    return isinstance(strain, StaticsBasedStrain) and strain.include_loads
 
 
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
-    return scene.effects.outside() if effects_inside(scene) else scene.effects
+    effects = scene.effects
+    return effects.outside() if effects_inside(scene) else effects
 
 
 def coordinate_count(scene: Scene) -> int:
     """How many coordinates the strain of a scene has."""
-    grid = make_grid(scene, 6)  # it does not depend on the intervals
-    return make_strain(scene, grid, at_points(scene, grid)).size
+    grid = make_grid(scene, COUNTING_INTERVALS)
+    stress_free = at_points(scene, grid)
+    return make_strain(scene, grid, stress_free).size
 
 
 def make_strain(
-    scene: Scene, grid: Grid, here: AtPoints, law: StaticsBased | None = None
+    scene: Scene, grid: Grid, stress_free: StressFreeArm, law: StaticsBased | None = None
 ) -> StaticsBased | Loaded | Explicit:
-    """Arrays of the scene's strain parametrisation: an explicit basis, or a law, made anew if None,
-    with its dead loads, if any."""
+    """Arrays of the scene's strain parametrisation.
+
+    Args:
+        scene: of the arm.
+        grid: of the scene's rod.
+        stress_free: the arm at the points of the grid.
+        law: of tensions and passive wrenches; None: made anew, where the strain needs one.
+
+    Returns:
+        An explicit basis, or the law, with its dead loads, if any.
+    """
     if isinstance(scene.strain, ExplicitStrain):
-        fields = mode_fields(scene.strain.modes, grid)
-        begin, end = pack_ranges(fields.any(axis=(2, 3)) & grid.real)
-        stiffness, damping = (
-            _inner(fields, fields, density, grid) for density in (here.elasticity, here.damping)
-        )
-        reach = {
-            "size": len(fields),
-            "pack_begin": begin,
-            "pack_end": end,
-            "jacobian_end": np.full(len(fields), grid.packs),
-        }
-        return Explicit(**reach, field=point_field(fields), stiffness=stiffness, damping=damping)
-    law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
-    if not (effects_inside(scene) and np.any(dead)):
+        return _explicit_basis(scene.strain, grid, stress_free)
+    if law is None:
+        law = tension_law(scene, scene.strain, grid, stress_free)
+    dead_loads = scene.effects.dead_loads()
+    has_loads_inside = effects_inside(scene) and np.any(dead_loads)
+    if not has_loads_inside:
         return law
-    begin, end = np.zeros_like(law.pack_begin), law.jacobian_end
     return Loaded(
-        size=law.size, pack_begin=begin, pack_end=end, jacobian_end=end, law=law, **dead._asdict()
+        size=law.size,
+        pack_begin=np.zeros_like(law.pack_begin),
+        pack_end=law.jacobian_end,
+        jacobian_end=law.jacobian_end,
+        law=law,
+        **dead_loads._asdict(),
     )
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
-    """Legendre fields at the points: (fields, intervals, 2, 6); by piece, then strain, then
-    order."""
-    borders, length = grid.breakpoints, grid.breakpoints[-1]
-    fields = []
+    """Legendre fields at the points: (fields, intervals, 2, 6).
+
+    They are in the order of pieces, then strains, then orders.
+    """
+    points = grid.points
+    borders = grid.breakpoints
+    whole_rod = [(0.0, borders[-1])]
+    pieces = list(pairwise(borders))
+    fields = list[Array]()
     for group in modes:
-        spans = (
-            [(0.0, length)]
-            if group.span == "rod"
-            else list(zip(borders[:-1], borders[1:], strict=True))
-        )
+        spans = whole_rod if group.span == "rod" else pieces
         for a, b in spans:
-            inside = (grid.points > a) & (grid.points < b)
-            values = (
-                legendre.legvander(2 * (grid.points - a) / (b - a) - 1, group.order)
-                * inside[..., None]
-            )
+            polynomials = _legendre_polynomials(points, a, b, group.order)
             for strain in group.strains:
-                block = np.zeros((group.order + 1, *grid.points.shape, 6))
-                block[..., STRAINS.index(strain)] = np.moveaxis(values, -1, 0)
-                fields += [*block]
-    return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
+                component = STRAINS.index(strain)
+                block = np.zeros((*polynomials.shape, 6))
+                block[..., component] = polynomials
+                fields.extend(block)
+    count = len(fields)
+    return np.array(fields).reshape(count, *points.shape, 6)
 
 
 def tension_law(
-    scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints
+    scene: Scene, strain: StaticsBasedStrain, grid: Grid, stress_free: StressFreeArm
 ) -> StaticsBased:
-    """Arrays of the strain law: which tensions are independent, and the passive fields that are
-    left beside them."""
-    exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
-    compliance = exists / here.elasticity
-    actuation = actuation_columns(here.geometry, here.curvature, STRAIGHT)
-    mixing = independent_tensions(
-        _inner(actuation, actuation, compliance, grid), strain.rank_tolerance
-    )
-    if isinstance(strain.passive, Snapshots):
-        passive = fields_of(scene).at(grid.points, strain.passive.fields)
-    else:
-        passive = mode_fields(strain.passive, grid)
+    """Arrays of the strain law.
+
+    They say which tensions are independent, and which passive fields are left beside them.
+    """
+    # of the inner product that energies are: int F^T Sigma^-1 G dX
+    weight = stress_free.compliance * grid.weights[..., None]
+    actuation = stress_free.actuation
+    gram = _inner(actuation, actuation, weight)
+    mixing = independent_tensions(gram, strain.rank_tolerance)
+    passive = _passive_fields(scene, strain, grid)
     if strain.passive_coordinates == "orthogonal":
-        passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
-    active = mixing.shape[1]
+        passive = _orthogonal_to(actuation, passive, weight, strain.rank_tolerance)
+    tendons, active = mixing.shape
+    size = active + len(passive)
+    # where each coordinate strains the rod
+    is_part = mixing.T != 0
+    parts = is_part.astype(int) @ _intervals_of(actuation)
+    active_present = parts > 0
+    passive_present = _intervals_of(passive)
+    present = np.concatenate([active_present, passive_present])
+    begin, end = grid.pack_ranges(present)
     rows, columns = np.nonzero(mixing)
-    pulled = (mixing != 0).T.astype(int) @ actuation.any(axis=(2, 3)) > 0
-    begin, end = pack_ranges(np.concatenate([pulled, passive.any(axis=(2, 3))]) & grid.real)
     return StaticsBased(
-        size=active + len(passive),
+        size=size,
         pack_begin=begin,
         pack_end=end,
-        jacobian_end=np.full(active + len(passive), grid.packs),
-        row_start=np.searchsorted(rows, np.arange(len(actuation) + 1)),
-        column=np.ascontiguousarray(
-            columns
-        ),  # the same type for all scenes and for copies, or the kernels compile again
+        jacobian_end=np.full(size, grid.packs),
+        row_start=np.searchsorted(rows, np.arange(tendons + 1)),
+        # the same type for all scenes and for copies, or the kernels compile again
+        column=np.ascontiguousarray(columns),
         weight=mixing[rows, columns],
-        mixed=int(active < len(actuation)),
+        mixed=int(active < tendons),
         active=active,
         passive=point_field(passive),
     )
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension, those of redundant tendons too: it can be
-    placed, and not moved."""
-    strain, count = arm.strain, arm.tendons.size
+    """The arm with a coordinate for every tension, those of redundant tendons too.
+
+    It can be placed, and not moved.
+    """
+    strain = arm.strain
     assert not isinstance(strain, Explicit)
-    size = count + strain.law.size - strain.law.active
-    begin, end, each = (
-        np.zeros(size, dtype=np.int64),
-        np.full(size, arm.rod.packs),
-        np.arange(count),
-    )
-    everywhere = {"size": size, "pack_begin": begin, "pack_end": end, "jacobian_end": end}
+    count = arm.tendons.size
+    passive_count = strain.law.size - strain.law.active
+    size = count + passive_count
+    packs = np.full(size, arm.rod.packs)
+    everywhere = {
+        "size": size,
+        "pack_begin": np.zeros(size, dtype=np.int64),
+        "pack_end": packs,
+        "jacobian_end": packs,
+    }
     law = strain.law.replaced(
         **everywhere,
         row_start=np.arange(count + 1),
-        column=each,
+        column=np.arange(count),
         weight=np.ones(count),
         mixed=0,
         active=count,
     )
-    return arm.replaced(
-        strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law
-    )
-
-
-def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
-    """Actuation columns Phi_a (.., 6) of tendons of this geometry (.., 5), see `tendon_geometry`,
-    at strains k, p (.., 3)."""
-    d, chord = chords(geometry, k, p)
-    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    return np.asarray(
-        -np.concatenate([np.cross(np.broadcast_to(d, t.shape), t), t], axis=-1) * geometry[..., 4:]
-    )
+    if isinstance(strain, Loaded):
+        loaded = strain.replaced(**everywhere, law=law)
+        return arm.replaced(strain=loaded)
+    return arm.replaced(strain=law)
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
-    """Basis of the independent tensions (n_a, rank), the identity where all are; else orthonormal
-    and the same on every machine."""
+    """Basis of the independent tensions (n_a, rank).
+
+    It is the identity where all are independent; else orthonormal and the same on every machine.
+
+    Args:
+        gram: inner products of the actuation columns (n_a, n_a).
+        tolerance: relative size below which a combination of columns is dependent.
+    """
+    count = len(gram)
     scale = np.sqrt(np.diag(gram))
-    scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
-    sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
-    keep = sizes > tolerance**2 * sizes[-1]
-    if keep.all():
-        return np.eye(len(gram))
-    span = np.linalg.qr(directions[:, keep] / scale[:, None])[0]
+    # a tendon that strains nothing: all that it would strain is rigid
+    scale[scale == 0] = 1.0
+    scaled = gram / np.outer(scale, scale)
+    sizes, directions = np.linalg.eigh(scaled)
+    least = tolerance**2 * sizes[-1]
+    is_independent = sizes > least
+    if is_independent.all():
+        return np.eye(count)
+    independent = directions[:, is_independent]
+    tensions = independent / scale[:, None]
+    span, _ = np.linalg.qr(tensions)
+    # eigenvectors may differ from machine to machine, and the projector to their span does not
     projector = span @ span.T
-    basis: list[Array] = []
+    rank = int(is_independent.sum())
+    basis = _spanning_columns(projector, rank)
+    mixing = np.array(basis).reshape(-1, count).T
+    is_share = np.abs(mixing) > NO_SHARE
+    return np.where(is_share, mixing, 0.0)
+
+
+def _effect_table(scene: Scene, stress_free: StressFreeArm) -> EffectTable:
+    """The effects outside of the strain, as the kernels read them."""
+    effects = effects_outside(scene).table(stress_free.rod)
+    if effects.base.any() and effects_inside(scene):
+        text = (
+            "is given, but the loads inside of a strain have to stand still beside the arm's base,"
+            " which moves: leave it out"
+        )
+        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
+    return effects
+
+
+def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeArm) -> Explicit:
+    """Arrays of an explicit basis."""
+    fields = mode_fields(strain.modes, grid)
+    count = len(fields)
+    present = _intervals_of(fields)
+    begin, end = grid.pack_ranges(present)
+    weight = grid.weights[..., None]
+    return Explicit(
+        size=count,
+        pack_begin=begin,
+        pack_end=end,
+        jacobian_end=np.full(count, grid.packs),
+        field=point_field(fields),
+        stiffness=_inner(fields, fields, stress_free.elasticity * weight),
+        damping=_inner(fields, fields, stress_free.damping * weight),
+    )
+
+
+def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
+    """Legendre polynomials on [a, b] at points (intervals, 2), 0 beside it: (order + 1, intervals,
+    2)."""
+    length = b - a
+    from_start = points - a
+    on_unit = 2 * from_start / length - 1
+    is_behind_start = points > a
+    is_before_end = points < b
+    is_inside = is_behind_start & is_before_end
+    polynomials = legendre.legvander(on_unit, order)
+    values = polynomials * is_inside[..., None]
+    return np.asarray(np.moveaxis(values, -1, 0))
+
+
+def _passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
+    """The passive fields as the scene has them, (fields, intervals, 2, 6)."""
+    passive = strain.passive
+    if isinstance(passive, Snapshots):
+        own_fields = fields_of(scene)
+        return own_fields.at(grid.points, passive.fields)
+    return mode_fields(passive, grid)
+
+
+def _intervals_of(fields: Array) -> Array:
+    """Whether fields (m, intervals, 2, 6) are present in each interval, (m, intervals)."""
+    return np.asarray(fields.any(axis=(2, 3)))
+
+
+def _spanning_columns(projector: Array, rank: int) -> list[Array]:
+    """Orthonormal basis of what a projector (n, n) leaves, of its first columns that span it."""
+    basis = list[Array]()
     for column in projector.T:
-        rest = column - sum((b * (b @ column) for b in basis), np.zeros(len(gram)))
-        if len(basis) < keep.sum() and np.linalg.norm(rest) > 1e-6:
-            basis.append(rest / np.linalg.norm(rest))
-    mixing = np.array(basis).reshape(-1, len(gram)).T
-    return np.where(np.abs(mixing) > 1e-12, mixing, 0.0)
+        spanned = np.zeros(len(projector))
+        for vector in basis:
+            amplitude = vector @ column
+            spanned += vector * amplitude
+        rest = column - spanned
+        size = np.linalg.norm(rest)
+        if len(basis) < rank and size > SPANNED:
+            basis.append(rest / size)
+    return basis
 
 
-def _orthogonal_to(
-    actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float
-) -> Array:
-    """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit
-    energy; dependent ones dropped."""
-    weight = (compliance * grid.weights[..., None]).ravel()
-    basis, begin = list[Array](), 0  # of the passive ones
-    for i, field in enumerate(np.concatenate([actuation, passive]).reshape(-1, weight.size)):
-        rest = field
-        for _ in range(2):  # the second pass removes the rounding of the first
-            for b in basis:
-                rest = rest - b * (b @ (rest * weight))
-        before, left = (float(np.sqrt(part @ (part * weight))) for part in (field, rest))
-        if left > tolerance * before:
-            basis.append(rest / left)
-            begin += i < len(actuation)
-    return np.array(basis[begin:]).reshape(-1, *passive.shape[1:])
+def _orthogonal_to(actuation: Array, passive: Array, weight: Array, tolerance: float) -> Array:
+    """The parts of the passive fields orthogonal to the actuation fields and to each other.
+
+    They are of unit energy; dependent ones are dropped.
+    """
+    weight = weight.ravel()
+    fields = np.concatenate([actuation, passive])
+    rows = fields.reshape(-1, weight.size)
+    basis = list[Array]()
+    actuation_rank = 0
+    for i, field in enumerate(rows):
+        rest = _orthogonal_part(field, basis, weight)
+        size = _energy_norm(rest, weight)
+        least = tolerance * _energy_norm(field, weight)
+        if size > least:
+            basis.append(rest / size)
+            if i < len(actuation):
+                actuation_rank += 1
+    orthogonal = np.array(basis[actuation_rank:])
+    return orthogonal.reshape(-1, *passive.shape[1:])
 
 
-def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
-    """int left^T diag(weight) right dX for fields (m, intervals, 2, 6): (m_left, m_right)."""
-    weighted = right * (weight * grid.weights[..., None])
-    return left.reshape(len(left), -1) @ weighted.reshape(len(right), -1).T
+def _orthogonal_part(field: Array, basis: list[Array], weight: Array) -> Array:
+    """The part of a field orthogonal to an orthonormal basis, by Gram-Schmidt."""
+    rest = field
+    # the second pass removes the rounding of the first
+    for _ in range(2):
+        for vector in basis:
+            amplitude = vector @ (rest * weight)
+            rest = rest - vector * amplitude
+    return rest
+
+
+def _energy_norm(field: Array, weight: Array) -> float:
+    """Square root of the energy of a field, both (m,)."""
+    energy = field @ (field * weight)
+    return float(np.sqrt(energy))
+
+
+def _inner(left: Array, right: Array, weight: Array) -> Array:
+    """Inner products (m_left, m_right) of fields (m, intervals, 2, 6).
+
+    Args:
+        left: int left^T diag(density) right dX is computed.
+        right: as left.
+        weight: the density times the weight of the points, (intervals, 2, 6).
+    """
+    weighted = right * weight
+    left_rows = left.reshape(len(left), -1)
+    right_rows = weighted.reshape(len(right), -1)
+    return left_rows @ right_rows.T

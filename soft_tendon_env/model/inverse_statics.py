@@ -1,4 +1,4 @@
-"""Inverse statics: tensions u within limits whose equilibrium has a wanted tip pose or position.
+"""Inverse statics: tensions u within limits whose equilibrium has a desired tip pose or position.
 
 Bounded least squares of the scaled tip error e and of the effort, |e|^2 + mu^2 |u|^2 with mu that
 fall, with exact derivatives by statics.
@@ -6,7 +6,6 @@ fall, with exact derivatives by statics.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -19,43 +18,39 @@ from soft_tendon_env.model.statics import ChordSolver, Equilibrium, static_equil
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
-EFFORTS = (
-    1e-1,
-    1e-2,
-    1e-3,
-    1e-4,
-    1e-5,
-    1e-6,
-)  # mu, for errors in lengths of the rod, and tensions that would move the tip by as much
-NEAR, RANDOM_STARTS = (
-    3,
-    6,
-    # efforts that a start other than at rest leaves out, as a large mu leads back to rest; such
-    # starts
-)
-POSITION_TOLERANCE, ANGLE_WEIGHT = (
-    1e-4,
-    0.5,
-)  # of the rod's length: error that counts as reached; way of a tip per radian of an arc's bend
+# weights mu of the effort, one after the other, for errors in lengths of the rod, and tensions that
+# would move the tip by as much
+EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+# efforts that a start other than at rest leaves out, as a large mu leads back to rest
+NEAR = 3
+# starts other than at rest
+RANDOM_STARTS = 6
+# share of the tensions' largest range from slack up to which an arm without equilibrium is given up
+NEXT_TO_SLACK = 1e-3
+# error of the tip that counts as reached, of the rod's length
+POSITION_TOLERANCE = 1e-4
+# way of a tip per radian of an arc's bend, of the rod's length
+ANGLE_WEIGHT = 0.5
+# of scipy's least_squares; its "dogbox" stalls where many tendons are at limits
 OPTIONS = {
     "method": "trf",
     "ftol": 1e-8,
     "xtol": 1e-8,
     "gtol": 1e-14,
     "max_nfev": 60,
-}  # "dogbox" stalls where many tendons are at limits
-RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
+}
+# deviation of R^T R from the identity up to which a matrix counts as a rotation
+RIGID = 1e-6
 
 
 class InverseEquilibrium(NamedTuple):
-    """Solution of the inverse statics: tensions, their equilibrium, and the distance of its tip
-    from the desired one."""
+    """Solution of the inverse statics: tensions, their equilibrium, and its tip's distance."""
 
     tension: Array  # (n_a,) [N]
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
-    position_error: float  # [m]
-    angle_error: float  # [rad], 0 for a position alone
+    position_error: float  # [m] from the desired position
+    angle_error: float  # [rad] from the desired orientation, 0 for a position alone
     reachable: bool  # whether both errors are within the tolerance
     reason: str  # empty when reachable
 
@@ -63,156 +58,262 @@ class InverseEquilibrium(NamedTuple):
 def tension_for_tip_pose(
     model: Model, pose: ArrayLike, *, start: ArrayLike | None = None
 ) -> InverseEquilibrium:
-    """Inverse statics for a tip pose (4, 4): tensions within the scene's limits, locally of least
-    effort |u| if there are many.
+    """Inverse statics for a tip pose: tensions within the scene's limits.
 
-    If the pose cannot be reached within 1e-4 of the rod's length, the result is the nearest pose,
-    with a `reason`. A radian counts as half the rod's length.
+    They are locally of least effort |u| if there are many. If the pose cannot be reached within
+    1e-4 of the rod's length, the result is the nearest pose, with a `reason`. A radian counts as
+    half the rod's length.
 
-    start: tensions (n_a,) near the solution, when following a path: one local search from there
-    instead of several from afar.
+    Args:
+        model: of the arm.
+        pose: (4, 4) in the world frame.
+        start: tensions (n_a,) near the solution, when following a path: one local search from
+            there instead of several from afar.
 
-    Raises ValueError or TypeError for wrong shapes and types, NaN, or a matrix that is no rigid
-    transform.
+    Returns:
+        The tensions and their equilibrium.
+
+    Raises:
+        TypeError: for wrong types.
+        ValueError: for wrong shapes, NaN, or a matrix that is no rigid transform.
     """
     checked_type("model", model, Model, "see build_model")
     pose = checked_array("pose", pose, (4, 4))
     R = pose[:3, :3]
-    if (
-        np.abs(R.T @ R - np.eye(3)).max() > RIGID
-        or np.linalg.det(R) < 0
-        or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID
-    ):
+    stretch = R.T @ R - np.eye(3)
+    off_last_row = pose[3] - [0, 0, 0, 1]
+    deviation = max(np.abs(stretch).max(), np.abs(off_last_row).max())
+    is_reflection = np.linalg.det(R) < 0
+    if deviation > RIGID or is_reflection:
         raise ValueError(
             "pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R"
         )
-    return _TipSearch(model, pose, ANGLE_WEIGHT * model.length).nearest(start)
+    search = _TipSearch(model, pose, ANGLE_WEIGHT * model.length)
+    return search.nearest(start)
 
 
 def tension_for_tip_position(
     model: Model, position: ArrayLike, *, start: ArrayLike | None = None
 ) -> InverseEquilibrium:
-    """Inverse statics for a tip position (3,) [m] alone, whatever the tip's orientation; otherwise
-    as `tension_for_tip_pose`."""
+    """Inverse statics for a tip position alone, whatever the tip's orientation.
+
+    Args:
+        model: of the arm.
+        position: (3,) [m] in the world frame.
+        start: as of `tension_for_tip_pose`.
+
+    Returns:
+        The tensions and their equilibrium, as of `tension_for_tip_pose`.
+
+    Raises:
+        TypeError: for wrong types.
+        ValueError: for wrong shapes, or NaN.
+    """
     checked_type("model", model, Model, "see build_model")
     pose = np.eye(4)
     pose[:3, 3] = checked_array("position", position, (3,))
-    return _TipSearch(model, pose, 0.0).nearest(start)
+    search = _TipSearch(model, pose, angle_weight=0.0)
+    return search.nearest(start)
 
 
 class _TipSearch:
     """The search for one tip pose."""
 
     def __init__(self, model: Model, pose: Array, angle_weight: float) -> None:
-        self.model, self.pose, self.angle_weight = model, pose, angle_weight
-        self.least, self.greatest = model.discretisation.tension_limits.T
+        """angle_weight: [m] that a radian counts as; 0: orientations do not matter."""
+        self.model = model
+        self.pose = pose
+        self.angle_weight = angle_weight
+        limits = model.discretisation.tension_limits
+        self.least, self.greatest = limits.T
         self.slack = np.clip(0.0, self.least, self.greatest)
+        # the last tensions and their equilibrium
         self._last: tuple[Array, Equilibrium] | None = None
 
     def nearest(self, start: ArrayLike | None) -> InverseEquilibrium:
-        """The first solution that reaches the pose, or the nearest of all: from `start`, or from
-        slack and then anywhere."""
+        """The first solution that reaches the pose, or the nearest of all.
+
+        Args:
+            start: tensions (n_a,) to search from; None: from slack and then from anywhere.
+        """
         if start is None:
-            anywhere = np.random.default_rng(0).uniform(
-                self.least, self.greatest, (RANDOM_STARTS, self.slack.size)
-            )
-            starts = [self.slack, *(0.5 * (self.slack + anywhere))]
+            starts = [self.slack, *self._random_starts()]
         else:
             starts = [checked_array("start", start, self.slack.shape)]
-        found: list[InverseEquilibrium] = []
-        for u in starts:
-            efforts = EFFORTS if u is self.slack else EFFORTS[NEAR:]
-            found.append(
-                self.solution(self.descend(np.clip(u, self.least, self.greatest), efforts))
-            )
-            if found[-1].reachable:
-                return found[-1]
-        return min(
-            found, key=lambda one: np.hypot(one.position_error, self.angle_weight * one.angle_error)
-        )
+        solutions = list[InverseEquilibrium]()
+        for tension in starts:
+            efforts = EFFORTS if tension is self.slack else EFFORTS[NEAR:]
+            within_limits = np.clip(tension, self.least, self.greatest)
+            optimum = self.descend(within_limits, efforts)
+            solution = self.solution(optimum)
+            if solution.reachable:
+                return solution
+            solutions.append(solution)
+        return min(solutions, key=self._error_of)
 
     def descend(self, u: Array, efforts: Iterable[float]) -> Array:
-        """The tensions of least |e|^2 + mu^2 |u|^2 within the limits, for one mu after the
-        other."""
-        from scipy.optimize import (
-            least_squares,
-        )  # here: it takes longer to import than all else that most scenes need
+        """The tensions (n_a,) of least |e|^2 + mu^2 |u|^2 within the limits.
 
+        Args:
+            u: tensions (n_a,) [N] to start from.
+            efforts: mu, one after the other.
+        """
+        # tensions without equilibrium are halved towards slack
+        largest_range = np.abs(self.greatest - self.least).max()
+        next_to_slack = NEXT_TO_SLACK * largest_range
         while not self.equilibrium(u).converged:
-            if np.abs(u - self.slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
+            pull = np.abs(u - self.slack)
+            if pull.max() <= next_to_slack:
                 return u
             u = 0.5 * (self.slack + u)
-        with contextlib.suppress(
-            ArithmeticError, ValueError, np.linalg.LinAlgError
-        ):  # next to the strain limit; the last u stands
+        try:
             length = self.model.length
-            unit = length / (
-                float(np.linalg.norm(self.derivative(u), 2)) or length
-            )  # [N], moves the tip by about the rod's length
-            bounds = self.least / unit, self.greatest / unit
+            slopes = self.derivative(u)
+            sensitivity = float(np.linalg.norm(slopes, 2))
+            # [N], moves the tip by about the rod's length
+            unit = length / (sensitivity or length)
             for mu in efforts:
-
-                def residual(x: Array, mu: float = mu) -> Array:
-                    return np.concatenate([self.error(x * unit) / length, mu * x])
-
-                def jacobian(x: Array, mu: float = mu) -> Array:
-                    return np.concatenate(
-                        [self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]
-                    )
-
-                u = unit * least_squares(residual, u / unit, jacobian, bounds, **OPTIONS).x
+                u = self._least_squares(u, mu, unit)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            # next to the strain limit; the last u stands
+            pass
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:
         """The equilibrium under tensions (n_a,), kept for the next call."""
-        if self._last is None or not np.array_equal(self._last[0], u):
-            self._last = u.copy(), static_equilibrium(self.model, u)
-        return self._last[1]
+        if self._last is not None:
+            tension, equilibrium = self._last
+            if np.array_equal(tension, u):
+                return equilibrium
+        equilibrium = static_equilibrium(self.model, u)
+        self._last = (u.copy(), equilibrium)
+        return equilibrium
 
     def distance(self, tip: Array) -> tuple[Array, Array]:
-        """Rotation vector (3,) [rad] in the tip frame and displacement (3,) [m] from a tip pose to
-        the wanted one."""
-        turn = np.array(rotation_log(tuple((tip[:3, :3].T @ self.pose[:3, :3]).ravel().tolist())))
-        return turn, self.pose[:3, 3] - tip[:3, 3]
+        """Rotation vector in the tip frame and displacement from a tip pose to the desired one.
+
+        Args:
+            tip: pose (4, 4).
+
+        Returns:
+            (3,) [rad] and (3,) [m].
+        """
+        R = tip[:3, :3]
+        R_desired = self.pose[:3, :3]
+        entries = np.ravel(R.T @ R_desired).tolist()
+        turn = rotation_log(tuple(entries))
+        position = tip[:3, 3]
+        desired = self.pose[:3, 3]
+        return np.array(turn), desired - position
 
     def error(self, u: Array) -> Array:
-        """(weighted rotation vector in the tip frame, position) from the tip to the wanted pose
-        (6,) [m]; NaN without equilibrium."""
-        found = self.equilibrium(u)
-        turn, away = self.distance(found.tip_pose)
-        return (
-            np.concatenate([self.angle_weight * turn, away])
-            if found.converged
-            else np.full(6, np.nan)
-        )
+        """Error e (6,) [m]: weighted rotation vector and displacement from the tip to the desired
+        pose; NaN without equilibrium."""
+        equilibrium = self.equilibrium(u)
+        if not equilibrium.converged:
+            return np.full(6, np.nan)
+        turn, displacement = self.distance(equilibrium.tip_pose)
+        angular = self.angle_weight * turn
+        return np.concatenate([angular, displacement])
 
     def derivative(self, u: Array) -> Array:
-        """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus
-        R on its shift."""
-        found = self.equilibrium(u)
-        tip, near = found.tip_pose, ChordSolver(self.model, found.q, u)
-        motion = near.terms.tip_jacobian @ near.answer
-        x, y, z = k = self.distance(tip)[0]
-        c = coefficients(k @ k)
-        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        inverse_jacobian = np.eye(3) - 0.5 * skew - 0.5 * c.a1 / c.a * skew @ skew
-        return -np.concatenate(
-            [self.angle_weight * inverse_jacobian @ motion[:3], tip[:3, :3] @ motion[3:]]
-        )
+        """Derivative d e / d u (6, n_a) of the error.
+
+        It is minus the inverse left Jacobian of SO(3) on the body's turn, and minus R on its shift.
+        """
+        equilibrium = self.equilibrium(u)
+        tip = equilibrium.tip_pose
+        turn, _ = self.distance(tip)
+        chord = ChordSolver(self.model, equilibrium.q, u)
+        # of the body by tensions
+        motion = chord.terms.tip_jacobian @ chord.answer
+        rotation = motion[:3]
+        shift = motion[3:]
+        angular = self.angle_weight * _inverse_left_jacobian(turn) @ rotation
+        R = tip[:3, :3]
+        return -np.concatenate([angular, R @ shift])
 
     def solution(self, u: Array) -> InverseEquilibrium:
-        """Solution that the tensions are, with the errors of its tip and a reason where that is too
-        far."""
-        at = self.equilibrium(u)
-        turn, away = map(float, map(np.linalg.norm, self.distance(at.tip_pose)))
-        turn = turn if self.angle_weight > 0 else 0.0
-        reachable = (
-            at.converged
-            and max(away, self.angle_weight * turn) <= POSITION_TOLERANCE * self.model.length
+        """Solution that the tensions are, with the errors of its tip.
+
+        It has a reason where the tip is too far.
+        """
+        equilibrium = self.equilibrium(u)
+        turn, displacement = self.distance(equilibrium.tip_pose)
+        position_error = float(np.linalg.norm(displacement))
+        angle_error = 0.0
+        if self.angle_weight > 0:
+            angle_error = float(np.linalg.norm(turn))
+        tolerance = POSITION_TOLERANCE * self.model.length
+        error = max(position_error, self.angle_weight * angle_error)
+        reachable = equilibrium.converged and error <= tolerance
+        reason = ""
+        if not reachable:
+            reason = equilibrium.reason or (
+                f"the nearest tip found is {position_error:.3g} m and {angle_error:.3g} rad away"
+            )
+        return InverseEquilibrium(
+            tension=u,
+            q=equilibrium.q,
+            tip_pose=equilibrium.tip_pose,
+            position_error=position_error,
+            angle_error=angle_error,
+            reachable=reachable,
+            reason=reason,
         )
-        reason = (
-            ""
-            if reachable
-            else at.reason or f"the nearest tip found is {away:.3g} m and {turn:.3g} rad away"
+
+    def _random_starts(self) -> Array:
+        """Tensions (starts, n_a) [N] half-way from slack to anywhere within the limits."""
+        random = np.random.default_rng(0)
+        shape = (RANDOM_STARTS, self.slack.size)
+        anywhere = random.uniform(self.least, self.greatest, shape)
+        return 0.5 * (self.slack + anywhere)
+
+    def _least_squares(self, u: Array, mu: float, unit: float) -> Array:
+        """Tensions (n_a,) [N] of least |e|^2 + mu^2 |u|^2, tensions in units of `unit` [N] and
+        errors in lengths."""
+        # here: it takes longer to import than all else that most scenes need
+        from scipy.optimize import least_squares
+
+        length = self.model.length
+
+        def residual(x: Array) -> Array:
+            error = self.error(x * unit) / length
+            effort = mu * x
+            return np.concatenate([error, effort])
+
+        def jacobian(x: Array) -> Array:
+            error_slopes = self.derivative(x * unit) * unit / length
+            effort_slopes = mu * np.eye(x.size)
+            return np.concatenate([error_slopes, effort_slopes])
+
+        least = self.least / unit
+        greatest = self.greatest / unit
+        optimum = least_squares(
+            residual,
+            u / unit,
+            jacobian,
+            (least, greatest),
+            **OPTIONS,
         )
-        return InverseEquilibrium(u, at.q, at.tip_pose, away, turn, reachable, reason)
+        return np.asarray(unit * optimum.x)
+
+    def _error_of(self, solution: InverseEquilibrium) -> float:
+        """Weighted error [m] of a solution."""
+        angle_error = self.angle_weight * solution.angle_error
+        return float(np.hypot(solution.position_error, angle_error))
+
+
+def _inverse_left_jacobian(turn: Array) -> Array:
+    """Inverse (3, 3) of the left Jacobian of SO(3) at a rotation vector (3,) [rad]."""
+    x, y, z = turn
+    skew = np.array(
+        [
+            [0.0, -z, y],
+            [z, 0.0, -x],
+            [-y, x, 0.0],
+        ]
+    )
+    c = coefficients(turn @ turn)
+    second_order = 0.5 * c.a1 / c.a * skew @ skew
+    return np.eye(3) - 0.5 * skew - second_order

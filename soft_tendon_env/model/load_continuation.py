@@ -11,197 +11,269 @@ import numpy as np
 from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.tools.types import Array
 
-RESIDUAL, ON_THE_WAY = (
-    1e-10,
-    1e-7,
-)  # residual below which forces count as balanced, at the full load and on the way to it
-CORRECTION, STRAY, FIRST_REACH = 0.5, 0.1, 3.0
-"""[rad] that Newton's method may go from the predicted equilibrium, that the middle of a step may
-be off the cubic through its ends, and that the first step may move the arm to first order, its
-answer to the tensions alone left out."""
-SHORTEST, BEYOND, LEAST_LOAD = (
-    2e-5,
-    1e-2,
-    1e-7,
-)  # steps, and how far past its path's end an arm settles, of the load reached; least step
-MOST_LINEARISATIONS, MOST_CORRECTIONS, MOST_SETTLINGS = 5000, 25, 20
-SLOW, FEW = (
-    0.05,
-    8,
-    # contraction of Newton's method above which its stiffness is computed anew; coordinates up to
-    # which that costs little
-)
-NEAR, SOFT, SOFTEST = 0.05, 0.3, 1e-2
-"""[rad] from an equilibrium up to which a stiffness stands for its own where the least eigenvalue
-is above SOFT; that of shortest steps."""
-WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
-PUSH, FLOW_STEP, SHORTEST_FLOW = (
-    1e-3,
-    0.1,
-    1e-9,
-)  # [rad] out of an unstable equilibrium, and of a step that settles; step of its time
+# residual below which forces count as balanced, at the full load
+RESIDUAL = 1e-10
+# the same on the way to the full load
+ON_THE_WAY = 1e-7
+# way [rad] that Newton's method may go from the predicted equilibrium
+CORRECTION = 0.5
+# angle [rad] that the middle of a step may be off the cubic through its ends
+STRAY = 0.1
+# way [rad] that the first step may move the arm to first order, its answer to the tensions alone
+# left out
+FIRST_REACH = 3.0
+# shortest step, as a share of the load reached
+SHORTEST = 2e-5
+# how far past its path's end an arm settles, as a share of the load reached
+BEYOND = 1e-2
+# least step, as a share of the full load
+LEAST_LOAD = 1e-7
+# linearisations of the balance after which a path is given up
+MOST_LINEARISATIONS = 5000
+# iterations of Newton's method
+MOST_CORRECTIONS = 25
+# times that an arm settles beyond the ends of its paths
+MOST_SETTLINGS = 20
+# contraction of Newton's method above which its stiffness is computed anew
+SLOW = 0.05
+# coordinates up to which computing it anew costs little
+FEW = 8
+# angle [rad] from an equilibrium up to which a stiffness stands for its own
+NEAR = 0.05
+# least eigenvalue of a stiffness, 1 for the unloaded arm, below which branches lie close
+SOFT = 0.3
+# share of the allowed angles of steps that is left where the arm is softest
+SOFTEST = 1e-2
+# softest modes whose stiffness is watched in the middle of a step
+WATCHED = 3
+# push [rad] out of an unstable equilibrium
+PUSH = 1e-3
+# angle [rad] of a step that settles
+FLOW_STEP = 0.1
+# first step of time of an arm that settles, in units of its flow
+FIRST_FLOW = 0.1
+# shortest step of time of an arm that settles
+SHORTEST_FLOW = 1e-9
+# reasons why paths end
 SNAPS = "the arm snaps to another shape (limit point: no equilibrium is near)"
 BUCKLES = "the arm is no longer stable (bifurcation: it buckles)"
 FLUTTERS = "the arm is no longer stable (flutter: oscillations grow)"
 
 
 class LoadPath:
-    """The path of one arm under one load; most: linearisations of the balance after which it is
-    given up."""
+    """The path of one arm under one load."""
 
     def __init__(self, balance: Balance, most: int = MOST_LINEARISATIONS) -> None:
-        self.balance, self.most = balance, most
+        """most: linearisations of the balance after which the path is given up."""
+        self.balance = balance
+        self.most = most
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find
         # is the answer to the effects
-        self._answer = balance.model.arm.strain.rest_coordinates(balance.tension)
+        strain = balance.model.arm.strain
+        self._answer = strain.rest_coordinates(balance.tension)
 
     def rest(self, settlings: int = 0) -> tuple[Linearised, str]:
-        """The last equilibrium on the path, and why it ends there, "" at the full load; before that
-        the arm settles so often at most."""
+        """The last equilibrium on the path, and why it ends there, "" at the full load.
+
+        Args:
+            settlings: times that the arm settles at most, before it reaches the full load.
+        """
         end, reason = self.follow(self.balance.unloaded())
         for _ in range(settlings):
-            if not reason or (point := self.settle(end)) is None:
+            if not reason:
                 break
-            end, reason = self.follow(point)
+            settled = self.settle(end)
+            if settled is None:
+                break
+            end, reason = self.follow(settled)
         return end, reason
 
     def follow(self, point: Linearised) -> tuple[Linearised, str]:
-        """Follow the path from `point` to the full load, or to where it ends or loses stability;
-        see `rest`."""
-        moved = self.balance.angle(point.tangent - self._answer)
-        step = 1.0 if moved <= FIRST_REACH else max(FIRST_REACH / moved, LEAST_LOAD)
+        """Follow the path to the full load, or to where it ends or loses stability; see `rest`.
+
+        Args:
+            point: of the path, from which it is followed.
+        """
+        balance = self.balance
+        way = balance.angle(point.tangent - self._answer)
+        step = 1.0
+        if way > FIRST_REACH:
+            step = max(FIRST_REACH / way, LEAST_LOAD)
         while point.at.part < 1.0:
-            aim = min(point.at.part + step, 1.0)
+            part = point.at.part
+            aim = min(part + step, 1.0)
             ahead = self.step(point, aim)
             if ahead is not None:
-                step, point = 2.0 * (aim - point.at.part), ahead
+                step = 2.0 * (aim - part)
+                point = ahead
                 continue
-            step = 0.5 * (aim - point.at.part)
-            is_shortest = step < max(SHORTEST * point.at.part, LEAST_LOAD)
-            if not is_shortest and self.balance.linearisations > self.most:
-                self.balance.obstacle = (
-                    f"the path is too winding, {self.most} iterations did not do"
-                )
-            if is_shortest or self.balance.linearisations > self.most:
+            step = 0.5 * (aim - part)
+            is_shortest = step < max(SHORTEST * part, LEAST_LOAD)
+            is_too_long = balance.linearisations > self.most
+            if is_too_long and not is_shortest:
+                balance.obstacle = f"the path is too winding, {self.most} iterations did not do"
+            if is_shortest or is_too_long:
                 return point, self._reason(point)
         return point, ""
 
     def step(self, point: Linearised, aim: float) -> Linearised | None:
-        """The equilibrium under `aim` of the load, if it is shown to be on the path through
-        `point`."""
+        """The equilibrium under `aim` of the load, if it is shown to be on the path.
+
+        Args:
+            point: of the path, where the step begins.
+            aim: part of the load, 0 to 1.
+        """
+        balance = self.balance
+        q = point.at.q
         h = aim - point.at.part
-        predicted = point.at.q + h * point.tangent
+        predicted = q + h * point.tangent
         ahead = self.equilibrium(predicted, aim)
         if ahead is None or not self._is_stable(ahead.stability):
             return None
-        soft = max(
-            min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT), SOFTEST
-        )  # branches lie close where it is soft
-        middle = 0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent)
-        is_near = self.balance.angle(ahead.at.q - predicted) <= soft * CORRECTION
-        if (stray := self._stray(middle, point, ahead) if is_near else np.inf) is None:
-            return None
+        # branches lie close where the arm is soft
+        least = min(point.stability.least, ahead.stability.least)
+        soft = max(min(1.0, least / SOFT), SOFTEST)
+        q_ahead = ahead.at.q
+        correction = balance.angle(q_ahead - predicted)
+        if correction <= soft * CORRECTION:
+            # of the cubic through both ends
+            tangent_change = point.tangent - ahead.tangent
+            middle = 0.5 * (q + q_ahead) + 0.125 * h * tangent_change
+            stray = self._stray(middle, point, ahead)
+            if stray is None:
+                return None
+        else:
+            stray = np.inf
         if not stray <= soft * STRAY:
-            self.balance.obstacle = "the equilibria bend away from steps of any size"
+            balance.obstacle = "the equilibria bend away from steps of any size"
             return None
-        return ahead if self.balance.is_continuous(point.at.q, ahead.at.q) else None
+        return ahead if balance.is_continuous(q, q_ahead) else None
 
     def equilibrium(self, q: Array, part: float) -> Linearised | None:
-        """The equilibrium under this part of the load to which Newton's method leads from q (n,),
-        with steps that shrink."""
+        """The equilibrium under this part of the load to which Newton's method leads.
+
+        Its steps have to shrink.
+
+        Args:
+            q: coordinates (n,) to start from.
+            part: of the load, 0 to 1.
+        """
+        balance = self.balance
         tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
-        slow = SLOW if self.balance.size > FEW else 0.0
-        here, last = self.balance.linearise(q, part), np.inf
-        at = None if here is None else here.at
-        for _ in range(MOST_CORRECTIONS + 1):  # the last one is looked at too
-            if here is None or at is None:
+        slow = SLOW if balance.size > FEW else 0.0
+        linearised = balance.linearise(q, part)
+        current = None if linearised is None else linearised.at
+        last_size = np.inf
+        # what the last correction leads to is looked at too
+        for _ in range(MOST_CORRECTIONS + 1):
+            if linearised is None or current is None:
                 return None
-            if at.residual <= tolerance:
-                return self._point_at(at, here)
-            change = here.compliance @ at.force
-            size = self.balance.angle(change)
-            if not size < last and at is here.at:
-                self.balance.obstacle = (
-                    f"Newton's method stalled at a residual of {at.residual:.2g}"
+            if current.residual <= tolerance:
+                return self._point_at(current, linearised)
+            change = linearised.compliance @ current.force
+            size = balance.angle(change)
+            is_own = current is linearised.at  # whether the stiffness is that of these coordinates
+            if is_own and not size < last_size:
+                balance.obstacle = (
+                    f"Newton's method stalled at a residual of {current.residual:.2g}"
                 )
                 return None
-            if size > slow * last and at is not here.at:
-                here = self.balance.linearise(at.q, part)
-                at = None if here is None else here.at
+            if size > slow * last_size and not is_own:
+                linearised = balance.linearise(current.q, part)
+                current = None if linearised is None else linearised.at
             else:
-                at, last = self.balance.at(at.q + change, part), size
-        self.balance.obstacle = (
+                current = balance.at(current.q + change, part)
+                last_size = size
+        balance.obstacle = (
             f"Newton's method did not balance the forces in {MOST_CORRECTIONS} iterations"
         )
         return None
 
     def settle(self, end: Linearised) -> Linearised | None:
-        """Rest of an arm under the load just beyond the end of its path: the flow G q_dot = f from
-        a small push along the softest mode."""
-        from scipy.linalg import (
-            cho_factor,
-            cho_solve,
-        )  # here: it takes longer to import than all else that most scenes need
+        """Rest of an arm under the load just beyond the end of its path.
 
-        part, mode, h = (
-            min((1.0 + BEYOND) * end.at.part + LEAST_LOAD, 1.0),
-            end.stability.modes[:, 0],
-            0.1,
-        )
-        side = self.balance.product(mode, end.tangent) or mode[np.argmax(np.abs(mode))]
-        here = self.balance.linearise(end.at.q + PUSH * np.copysign(1.0, side) * mode, part)
-        while here is not None and self.balance.linearisations < self.most:
-            if here.at.residual <= RESIDUAL:
-                return here if self._is_stable(here.stability) else None
-            try:
-                root = cho_factor(here.at.G + 0.5 * h * (here.stiffness + here.stiffness.T))
-            except (
-                np.linalg.LinAlgError
-            ):  # the step is too long for a motion that runs away from rest
-                h *= 0.5
-                continue
-            change = h * cho_solve(root, here.at.force)
-            size = self.balance.angle(change)
-            ahead = self.balance.linearise(here.at.q + change, part) if size <= FLOW_STEP else None
+        It follows the flow G q_dot = f from a small push along the softest mode.
+
+        Args:
+            end: of the path.
+        """
+        balance = self.balance
+        beyond = (1.0 + BEYOND) * end.at.part + LEAST_LOAD
+        part = min(beyond, 1.0)
+        mode = end.stability.modes[:, 0]
+        largest_entry = mode[np.argmax(np.abs(mode))]
+        side = balance.product(mode, end.tangent) or largest_entry
+        push = PUSH * np.copysign(1.0, side) * mode
+        point = balance.linearise(end.at.q + push, part)
+        h = FIRST_FLOW
+        while point is not None and balance.linearisations < self.most:
+            if point.at.residual <= RESIDUAL:
+                return point if self._is_stable(point.stability) else None
+            q = point.at.q
+            change = _flow(point, h)
+            size = balance.angle(change)
+            ahead = None
+            if size <= FLOW_STEP:
+                ahead = balance.linearise(q + change, part)
             if ahead is not None:
-                here, h = ahead, 2.0 * h if size < 0.5 * FLOW_STEP else h
+                point = ahead
+                if size < 0.5 * FLOW_STEP:
+                    h *= 2.0
             elif h > SHORTEST_FLOW:
                 h *= 0.5
             else:
                 return None
         return None
 
-    def _point_at(self, at: At, here: Linearised) -> Linearised | None:
+    def _point_at(self, equilibrium: At, linearised: Linearised) -> Linearised | None:
         """The balance around an equilibrium, with the derivatives computed nearby where they will
         do."""
-        if at is here.at:
-            return here
-        if (
-            self.balance.angle(at.q - here.at.q) <= NEAR
-            and here.stability.has_potential
-            and here.stability.least > SOFT
-        ):
-            here.at = at
-            return here
-        return self.balance.linearise(at.q, at.part)
+        if equilibrium is linearised.at:
+            return linearised
+        way = self.balance.angle(equilibrium.q - linearised.at.q)
+        stability = linearised.stability
+        is_stiff = stability.has_potential and stability.least > SOFT
+        if way <= NEAR and is_stiff:
+            linearised.at = equilibrium
+            return linearised
+        return self.balance.linearise(equilibrium.q, equilibrium.part)
 
     def _stray(self, middle: Array, point: Linearised, ahead: Linearised) -> float | None:
-        """How far [rad] coordinates (n,) in the middle of a step are from an equilibrium; None
-        where the arm is not stable."""
+        """How far [rad] the middle of a step is from an equilibrium.
+
+        Args:
+            middle: coordinates (n,).
+            point: where the step begins.
+            ahead: where it ends.
+
+        Returns:
+            The angle; None where the arm is not stable.
+        """
+        balance = self.balance
         part = 0.5 * (point.at.part + ahead.at.part)
         if not ahead.stability.has_potential:
-            here = self.balance.linearise(middle, part)
-            if here is None or not self._is_stable(here.stability):
+            linearised = balance.linearise(middle, part)
+            if linearised is None or not self._is_stable(linearised.stability):
                 return None
-            return self.balance.angle(here.compliance @ here.at.force)
-        found = self.balance.curvature(middle, part, ahead.stability.modes[:, :WATCHED])
-        if found is None:
+            force = linearised.at.force
+            return balance.angle(linearised.compliance @ force)
+        watched = ahead.stability.modes[:, :WATCHED]
+        balanced = balance.curvature(middle, part, watched)
+        if balanced is None:
             return None
-        at, curvature = found
-        least = float(np.linalg.eigvalsh(0.5 * (curvature + curvature.T))[0])
-        if not self._is_stable(ahead.stability._replace(stable=least > -NEUTRAL * len(middle))):
+        at_middle, curvature = balanced
+        symmetric = 0.5 * (curvature + curvature.T)
+        eigenvalues = np.linalg.eigvalsh(symmetric)
+        least = float(eigenvalues[0])
+        is_stable = least > -NEUTRAL * len(middle)
+        stability = ahead.stability._replace(stable=is_stable)
+        if not self._is_stable(stability):
             return None
-        return max(self.balance.angle(end.compliance @ at.force) for end in (point, ahead))
+        # by the stiffnesses at either end
+        force = at_middle.force
+        from_point = balance.angle(point.compliance @ force)
+        from_ahead = balance.angle(ahead.compliance @ force)
+        return max(from_point, from_ahead)
 
     def _is_stable(self, stability: Stability) -> bool:
         """Whether it is; the obstacle where it is not."""
@@ -211,8 +283,38 @@ class LoadPath:
 
     def _reason(self, point: Linearised) -> str:
         """Why the path goes no further than this point."""
-        obstacle, stability = self.balance.obstacle, point.stability
-        if stability.least < SOFT and not obstacle.startswith("no strain") and obstacle != FLUTTERS:
-            softest = abs(self.balance.product(stability.modes[:, 0], point.tangent))
-            obstacle = SNAPS if softest > 0.5 * self.balance.angle(point.tangent) else BUCKLES
-        return f"beyond {100 * point.at.part:.4g} % of the load: {obstacle}"
+        balance = self.balance
+        obstacle = balance.obstacle
+        stability = point.stability
+        is_known = obstacle.startswith("no strain") or obstacle == FLUTTERS
+        if stability.least < SOFT and not is_known:
+            softest_mode = stability.modes[:, 0]
+            along_mode = abs(balance.product(softest_mode, point.tangent))
+            tangent_size = balance.angle(point.tangent)
+            # at a limit point the path goes on along the softest mode, at a bifurcation it does not
+            snaps = along_mode > 0.5 * tangent_size
+            obstacle = SNAPS if snaps else BUCKLES
+        percent = 100 * point.at.part
+        return f"beyond {percent:.4g} % of the load: {obstacle}"
+
+
+def _flow(point: Linearised, h: float) -> Array:
+    """Change of coordinates (n,) by a linearly implicit step of the flow G q_dot = f.
+
+    It is infinite where the step is too long for a motion that runs away from rest.
+
+    Args:
+        point: the balance to first order.
+        h: the step of time.
+    """
+    # here: it takes longer to import than all else that most scenes need
+    from scipy.linalg import cho_factor, cho_solve
+
+    force = point.at.force
+    symmetric = point.stiffness + point.stiffness.T
+    try:
+        root = cho_factor(point.at.G + 0.5 * h * symmetric)
+    except np.linalg.LinAlgError:
+        return np.full_like(force, np.inf)
+    rate = cho_solve(root, force)
+    return np.asarray(h * rate)

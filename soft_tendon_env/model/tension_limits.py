@@ -9,7 +9,9 @@ import numpy as np
 
 from soft_tendon_env.tools.types import Array
 
-ROUND_OFF = 1e-9  # share of its range by which a command may be beyond it
+# share of its range by which a command may be beyond it
+ROUND_OFF = 1e-9
+
 _erring = ContextVar("_erring", default=False)
 
 
@@ -19,8 +21,10 @@ class TensionLimitWarning(UserWarning):
 
 @contextmanager
 def erring_actuators() -> Iterator[None]:
-    """Context in which commands are those of actuators that err, as an estimator believes: beyond
-    limits they are not warned of."""
+    """Context in which commands are those of actuators that err, as an estimator believes.
+
+    Beyond limits they are not warned of.
+    """
     before = _erring.set(True)
     try:
         yield
@@ -28,29 +32,30 @@ def erring_actuators() -> Iterator[None]:
         _erring.reset(before)
 
 
-def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: str = "N") -> None:
-    """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon, in
-    words that do not change."""
+def warn_beyond_limits(limits: Sequence[Sequence[float]], command: Array, unit: str = "N") -> None:
+    """Warns of the first tendon whose commands are beyond its limits, in words that do not change.
+
+    Args:
+        limits: least and greatest command of each tendon (n_a, 2).
+        command: (.., n_a).
+        unit: of both.
+    """
     if _erring.get():
         return
-    rows = asked.reshape(-1, len(limits))
-    low, high = (
-        (asked, asked)
-        if asked.ndim == 1
-        else (rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf))
-    )
-    for i, ((least, greatest), lowest, highest) in enumerate(
-        zip(limits, low.tolist(), high.tolist(), strict=True)
-    ):
+    if command.ndim == 1:
+        low = command
+        high = command
+    else:
+        rows = command.reshape(-1, len(limits))
+        low = rows.min(axis=0, initial=np.inf)
+        high = rows.max(axis=0, initial=-np.inf)
+    columns = zip(limits, low.tolist(), high.tolist(), strict=True)
+    for i, ((least, greatest), lowest, highest) in enumerate(columns):
         slack = ROUND_OFF * (greatest - least)
         if lowest < least - slack or highest > greatest + slack:
             text = (
                 f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}:"
-                " computed as asked"
+                " computed as asked, where actuators and environments stop at the limit"
             )
-            warnings.warn(
-                f"{text}, where actuators and environments stop at the limit",
-                TensionLimitWarning,
-                stacklevel=3,
-            )
+            warnings.warn(text, TensionLimitWarning, stacklevel=3)
             return

@@ -6,8 +6,9 @@ from soft_tendon_env.tools.types import Array
 
 
 class Terms(NamedTuple):
-    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23): n
-    coordinates, n_a tendons, angular before linear.
+    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23).
+
+    There are n coordinates and n_a tendons; angular comes before linear.
 
     `stiffness` is the Jacobian of K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T
     (Sigma - Psi_a)^-1 Phi_w dX with Phi_w = [Phi_a Phi_p], K = G q. With loads inside the strain it
@@ -25,18 +26,18 @@ class Terms(NamedTuple):
     tip_pose: Array  # (4, 4)
     tip_jacobian: Array  # body Jacobian J (6, n)
     tip_bias: Array  # J_dot q_dot (6,)
-    external_stiffness: (
-        Array  # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
-    )
-    external_damping: Array  # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
+    # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
+    external_stiffness: Array
+    # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
+    external_damping: Array
 
 
 class Energy(NamedTuple):
     """Kinetic, elastic and load energy [J]."""
 
-    kinetic: float  # [J]
-    elastic: float  # [J]
-    load: float  # [J] potential energy of the effects
+    kinetic: float
+    elastic: float
+    load: float  # potential energy of the effects
 
     @property
     def total(self) -> float:

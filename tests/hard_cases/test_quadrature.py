@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning
+from soft_tendon_env.model.build import QuadratureWarning
+from soft_tendon_env.model.quadrature import QuadratureTest
 from soft_tendon_env.scene.scene import TIP_TOLERANCE
 
 ALONG = np.linspace(0.0, 0.3, 61)

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.coordinates import actuation_columns, make_strain, mode_fields
+from soft_tendon_env.model.coordinates import make_strain, mode_fields
 from soft_tendon_env.model.grid import (
-    STRAIGHT,
     at_points,
     make_grid,
     make_rod,
@@ -16,7 +15,7 @@ from soft_tendon_env.model.grid import (
 )
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.scene.strain import STRAINS, Modes
+from soft_tendon_env.scene.strain import Modes
 
 ANGULAR = ("torsion", "bend_y", "bend_z")
 
@@ -48,15 +47,25 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (
-        make_rod(s, grid, STRAINS, at_points(s, grid)) for s in (scene, scene.replace(payload))
-    )
+    bare, loaded = (make_rod(s, grid, at_points(s, grid)) for s in (scene, scene.replace(payload)))
     base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
     mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
     np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
     difference = (loaded.inertia - bare.inertia).reshape(grid.packs, 6, LANES)
     np.testing.assert_allclose(difference[-1, :, -1], [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
     assert np.count_nonzero(difference) == 6
+
+
+def test_helical_tendons_turn_by_the_curvature_of_a_helix_over_their_own_length():
+    """A helix of radius r and rate w has the curvature r w^2 / (1 + r^2 w^2) of its path."""
+    scene, grid = grid_of("paper", 96)
+    turn = at_points(scene, grid).rod.tendon_turn
+    rate = 4.0 * np.pi
+    for tendons, radius, length in (((3, 4), 0.02, 1.0), ((8, 9), 0.025, 0.5)):
+        expected = radius * rate**2 / np.sqrt(1.0 + (radius * rate) ** 2) * length
+        np.testing.assert_allclose(turn[[*tendons]], expected, rtol=0.01)
+    straight = [0, 1, 2, 5, 6, 7]
+    assert turn[straight].max() < 0.1
 
 
 @pytest.mark.parametrize("name", ("paper", "three_tendon"))
@@ -100,11 +109,9 @@ def test_orthogonal_passive_fields(order, span, count):
     scene, grid = scene_and_grid(
         "paper", **{"strain.passive": [{"strains": list(ANGULAR), "order": order, "span": span}]}
     )
-    here = at_points(scene, grid)
-    strain, actuation = (
-        make_strain(scene, grid, here),
-        actuation_columns(here.geometry, here.curvature, STRAIGHT),
-    )
+    stress_free = at_points(scene, grid)
+    actuation = stress_free.actuation
+    strain = make_strain(scene, grid, stress_free)
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == count
     np.testing.assert_allclose(

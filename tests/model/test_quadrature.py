@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
-from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model
+from soft_tendon_env.model.build import QuadratureWarning, build_model
+from soft_tendon_env.model.quadrature import QuadratureTest
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
