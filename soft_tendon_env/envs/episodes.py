@@ -411,7 +411,7 @@ class Episodes:
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
         if self.task.goal is None:
-            self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
+            self.terms, self.reward = self._reward_terms.evaluate(self.errors, tracking)
         else:
             achieved = self._goal(measured.tip_pose[:, :3, 3])
             desired = self._goal(self.target_pose[:, :3, 3])
