@@ -72,7 +72,13 @@ def check_gradients(episodes: Episodes) -> None:
     reports = []
     for row in range(min(ROWS, episodes.arms.size)):
         model = episodes.arms.model_of(row)
-        report = gradient_accuracy(model, episodes.period, least, scale.greatest, change)
+        report = gradient_accuracy(
+            model,
+            episodes.period,
+            least,
+            scale.greatest,
+            change,
+        )
         reports.append(report)
     worst = min(reports, key=_quality)
     if not worst.cosine >= LEAST_COSINE:
@@ -140,7 +146,12 @@ def gradient_accuracy(
     return GradientAccuracy(float(cosine), float(length / length_of_differences))
 
 
-def _walks(random: np.random.Generator, least: Array, reach: Array, change: Array) -> Array:
+def _walks(
+    random: np.random.Generator,
+    least: Array,
+    reach: Array,
+    change: Array,
+) -> Array:
     """Two random walks (2, PERIODS, n_a) of commands, reflected at the ends of a trial's range."""
     low = least + LEAST_SHARE * reach
     begin = least + FIRST_SHARE * reach
@@ -157,7 +168,13 @@ def _costs(model: Model, period: float, commands: torch.Tensor) -> torch.Tensor:
     """Tracking errors (rows,) of arms under commands (rows, PERIODS, n_a); row 1 is tracked."""
     rows = len(commands)
     no_places = np.zeros(0)
-    arms = Arms(model, rows, period, no_places, no_places)
+    arms = Arms(
+        model,
+        rows,
+        period,
+        no_places,
+        no_places,
+    )
     rest = Simulation(model).reset_at_rest().q
     arms.place(np.arange(rows), np.tile(rest, (rows, 1)))
     now = arm_tensors(arms)

@@ -14,7 +14,10 @@ class _InwardClip(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, values: torch.Tensor, least: torch.Tensor, greatest: torch.Tensor
+        ctx: Any,
+        values: torch.Tensor,
+        least: torch.Tensor,
+        greatest: torch.Tensor,
     ) -> torch.Tensor:
         clipped = torch.minimum(torch.maximum(values, least), greatest)
         ctx.save_for_backward(values - clipped)

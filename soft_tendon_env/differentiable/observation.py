@@ -38,7 +38,12 @@ class TensorObservation:
             past = episodes.history.frames[:, 1:]
             self._past = torch.tensor(past, dtype=torch.float64)
 
-    def now(self, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
+    def now(
+        self,
+        arms: ArmTensors,
+        action: torch.Tensor,
+        command: torch.Tensor,
+    ) -> Any:
         """Observation of the present step.
 
         Args:

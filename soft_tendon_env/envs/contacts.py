@@ -86,10 +86,11 @@ class ObstacleFreeSpace:
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether the arm is clear of standing obstacles at coordinates q (m, n): (m,)."""
-        reading, has_strain = self._arms.read_samples(q, np.zeros_like(q), self._places)
+        no_motion = np.zeros_like(q)
+        reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
         positions = np.ascontiguousarray(reading.backbone[..., :3, 3])
         is_clear = np.zeros(len(q), dtype=bool)
         for i, balls in enumerate(positions):
-            deep = deepest(self._arms.model, balls, self._radius, standing=True)
-            is_clear[i] = deep.depth < 0.0
+            depth, _, _ = deepest(self._arms.model, balls, self._radius, standing=True)
+            is_clear[i] = depth < 0.0
         return has_strain & is_clear

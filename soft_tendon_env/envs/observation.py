@@ -259,7 +259,11 @@ class Layout:
     """
 
     def __init__(
-        self, groups: Mapping[str, Group], units: Units, observed: Observed, history: int = 0
+        self,
+        groups: Mapping[str, Group],
+        units: Units,
+        observed: Observed,
+        history: int = 0,
     ) -> None:
         """Lay out groups.
 
@@ -345,7 +349,12 @@ class History:
     does in a period would hardly show beside where it is.
     """
 
-    def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
+    def __init__(
+        self,
+        rows: int,
+        periods: int,
+        kept: NDArray[np.int64],
+    ) -> None:
         """Make a history of rows.
 
         Args:
@@ -372,9 +381,12 @@ class History:
         counts = step_count[members]
         begun = members[counts == 0]
         moved = members[counts > 0]
-        self.frames[moved, 1:] = self.frames[moved, :-1]
-        self.frames[moved, 0] = present[moved][:, self._kept]
-        self.frames[begun] = present[begun][:, None, self._kept]
+        frames = self.frames
+        values = present[:, self._kept]
+        frames[moved, 1:] = frames[moved, :-1]
+        frames[moved, 0] = values[moved]
+        # at reset it has always been so
+        frames[begun] = values[begun, None]
 
     def correct(
         self,

@@ -49,6 +49,9 @@ long."""
 GOAL_BOUND = 2.0
 """Largest distance of goals from the base along the world's axes, in lengths of the rod."""
 
+THRESHOLD = 0.01
+"""Distance, in lengths of the rod, within which a goal is reached by default."""
+
 MASK = "reset_mask"
 """Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
 
@@ -205,6 +208,12 @@ class Options(Configuration):
         count = self.sensors
         middles = np.arange(count) + 0.5
         return rod_length(scene) * middles / count
+
+    def threshold_of(self, length: float) -> float:
+        """Distance [m] within which goals are reached, of a rod's length [m]."""
+        if self.threshold is None:
+            return THRESHOLD * length
+        return self.threshold
 
     def farthest_base(self, scene: Scene) -> float:
         """Largest coordinate [m] of the base in the world, also where its position is drawn."""
@@ -464,7 +473,12 @@ def usual_target(task: Task) -> Target:
     return TARGETS[task.target](type=task.target)
 
 
-def checked_target(target: Target | None, options: Options, task: Task, scene: Scene) -> Target:
+def checked_target(
+    target: Target | None,
+    options: Options,
+    task: Task,
+    scene: Scene,
+) -> Target:
     """Target at the difficulty of the options, which fits the task and the scene.
 
     Args:
@@ -495,7 +509,12 @@ def checked_target(target: Target | None, options: Options, task: Task, scene: S
     return checked
 
 
-def _check_pose(target: Hold, pose: Array, task: Task, scene: Scene) -> None:
+def _check_pose(
+    target: Hold,
+    pose: Array,
+    task: Task,
+    scene: Scene,
+) -> None:
     """Raises ConfigurationError where a pose (4, 4) to hold does not fit the task, or as a goal is
     out of bounds."""
     if task.goal is None:

@@ -213,7 +213,12 @@ class Sensors:
     """
 
     def __init__(
-        self, noise: SensorNoise, rows: int, tendons: int, sensors: int, omit: float
+        self,
+        noise: SensorNoise,
+        rows: int,
+        tendons: int,
+        sensors: int,
+        omit: float,
     ) -> None:
         """Make sensors that begin with the first episodes.
 
@@ -250,7 +255,12 @@ class Sensors:
         self._generator[row] = generator
         self._is_noisy[row] = not self._omit or generator.random() >= self._omit
 
-    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
+    def measured(
+        self,
+        reading: Reading,
+        step_count: Indices,
+        members: Indices,
+    ) -> Measured:
         """Sensor readings of all rows: the true ones with noise.
 
         Args:

@@ -1,5 +1,4 @@
-"""How the arms of rows begin: at rest, with numbers of their own where those are drawn, clear of
-obstacles.
+"""How arms of rows begin: at rest, clear of obstacles, with numbers of their own if drawn.
 
 Making an arm takes longer than a reset. So an environment has BANK arms, which follow from its
 scene and its ranges alone. An episode takes the one whose number its generator draws.
@@ -52,15 +51,30 @@ class Drawn(NamedTuple):
 class Starts:
     """Beginnings of rows of arms.
 
-    The scene's arm rests at `q` (n,) under the `tension` (n_a,) [N] nearest to zero within `limits`
-    (n_a, 2), which `command` (n_a,) holds; `setting`: of its targets; `numbers`: drawn ones by row.
     Arms that need no search for where they rest are made at once, others when they are first drawn.
+
+    Attributes:
+        q: coordinates (n,) at which the scene's arm rests.
+        tension: (n_a,) [N] nearest to zero within `limits`, under which it rests.
+        limits: of tensions (n_a, 2) [N].
+        command: (n_a,) that holds the tension.
+        setting: of the arm's targets.
+        numbers: drawn ones of the scene, by row.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
-        """Raises ConfigurationError where the arm, or one at an end of the ranges, cannot be, does
-        not rest, or begins in an obstacle."""
-        self._arms, self._model = arms, arms.model
+        """Find where arms rest.
+
+        Args:
+            options: of the environment.
+            arms: rows of the scene's arm.
+
+        Raises:
+            ConfigurationError: where the arm, or one at an end of the ranges, cannot be, does not
+                rest, or begins in an obstacle.
+        """
+        self._arms = arms
+        self._model = arms.model
         self.limits = arms.model.discretisation.tension_limits.copy()
         self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
         self.q, reason = self._settle(arms.model)
@@ -117,15 +131,26 @@ class Starts:
         return BANK if varies else 1
 
     def begin(self, row: int, generator: np.random.Generator) -> Drawn:
-        """Give a row its arm, drawn from a generator. Raises ConfigurationError."""
-        drawn = self._arm(int(generator.random(DRAWS)[0] * self._size))
+        """Give a row its arm.
+
+        Args:
+            row: that begins.
+            generator: of the episode, from which the arm is drawn.
+
+        Returns:
+            The arm.
+
+        Raises:
+            ConfigurationError: where it cannot be.
+        """
+        first, *_ = generator.random(DRAWS)
+        drawn = self._arm(int(first * self._size))
         self._arms.set_model(row, drawn.model)
         self.numbers[row] = drawn.numbers
         return drawn
 
     def shares(self) -> Array:
-        """How far from the least to the greatest of every range (rows, ranges) the arms of rows
-        are, 0 to 1."""
+        """Drawn numbers of the arms (rows, ranges) as shares of their ranges, 0 to 1."""
         varying = [drawn for drawn in self._ranges if drawn.least < drawn.greatest]
         shares = []
         for row in range(self._arms.size):
@@ -147,7 +172,9 @@ class Starts:
         left = self._redraws
         while True:
             shares = random.random(len(self._ranges))
-            omitted = random.random(shares.size) < self._omit if self._omit else None
+            omitted = None
+            if self._omit:
+                omitted = random.random(shares.size) < self._omit
             try:
                 return self._make_arm(shares, omitted)
             except ConfigurationError:
@@ -159,9 +186,10 @@ class Starts:
         """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
         Raises ConfigurationError."""
         changes: dict[str, float] = {}
-        for i, (drawn, share) in enumerate(zip(self._ranges, shares.tolist(), strict=True)):
+        for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
-                changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
+                width = drawn.greatest - drawn.least
+                changes |= drawn.changes(drawn.least + width * float(shares[i]))
         model = self._model_with(changes)
         rests_straight = not (model.arm.effects.load or self.tension.any() or self._redraws)
         if rests_straight:
@@ -176,8 +204,10 @@ class Starts:
         """The model with these numbers of the scene, which the range of that key draws. Raises
         ConfigurationError."""
         try:
-            model = self._model.with_scene(scene_with_numbers(self._model.scene, changes))
-            model.metric  # noqa: B018 # there is one where the arm holds the loads inside of its strain
+            scene = scene_with_numbers(self._model.scene, changes)
+            model = self._model.with_scene(scene)
+            # there is one where the arm holds the loads inside of its strain
+            model.metric  # noqa: B018
             misfit = self._model.misfit(model)
         except (ConfigurationError, StrainLimitError) as error:
             refusal = "; ".join(str(error).splitlines())
@@ -189,13 +219,16 @@ class Starts:
         return model
 
     def _settle(self, model: Model) -> tuple[Array, str]:
-        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and
-        why it does not; "": it does."""
+        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest.
+
+        Also why it does not; "": it does.
+        """
         rest = static_equilibrium(model, self.tension, settle=True)
         return rest.q, why_inside(model, rest.q) or rest.reason
 
 
 def _listed(numbers: Mapping[str, float]) -> str:
+    """Numbers by their keys, as messages list them."""
     return ", ".join(f"{key} {value:.4g}" for key, value in numbers.items())
 
 

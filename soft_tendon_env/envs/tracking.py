@@ -196,7 +196,14 @@ class Reward:
         reward = np.empty(rows)
         command = tracking.command
         change = tracking.action_change
-        reward_terms(self._table, error_table, command, change, values, reward)
+        reward_terms(
+            self._table,
+            error_table,
+            command,
+            change,
+            values,
+            reward,
+        )
         terms = dict(zip(self._compiled, values, strict=True))
         for name, function in self._functions.items():
             value = np.array(function(tracking), dtype=np.float64)
@@ -264,7 +271,12 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def goal_reward(achieved: ArrayLike, desired: ArrayLike, threshold: float, dense: bool) -> Array:
+def goal_reward(
+    achieved: ArrayLike,
+    desired: ArrayLike,
+    threshold: float,
+    dense: bool,
+) -> Array:
     """Rewards (...) of goals (..., 3) [m].
 
     Args:

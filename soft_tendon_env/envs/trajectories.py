@@ -34,7 +34,13 @@ that have a purpose."""
 class TargetTrajectories:
     """Rows of target motions, and a table of each that reaches as far ahead as the preview."""
 
-    def __init__(self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool) -> None:
+    def __init__(
+        self,
+        arms: Arms,
+        period: float,
+        ahead: Sequence[int],
+        shapes: bool,
+    ) -> None:
         """Make tables for the rows of arms, whose targets do not move until they begin.
 
         Args:
@@ -74,7 +80,13 @@ class TargetTrajectories:
             ahead=np.array(ahead, dtype=np.int64),
         )
 
-    def begin(self, row: int, course: Course, first: int = 0, now: int = 0) -> None:
+    def begin(
+        self,
+        row: int,
+        course: Course,
+        first: int = 0,
+        now: int = 0,
+    ) -> None:
         """Give a row a new target.
 
         Args:
@@ -117,14 +129,29 @@ class TargetTrajectories:
         count = CHUNK if start else FIRST_CHUNK + self._longest
         return np.asarray(self._first[row] + np.arange(start, start + count))
 
-    def _keep(self, row: int, periods: Indices, samples: TargetSamples) -> None:
+    def _keep(
+        self,
+        row: int,
+        periods: Indices,
+        samples: TargetSamples,
+    ) -> None:
         """Write samples at control periods (m,) of a row's course into the tables."""
         positions = samples.backbone[..., :3, 3].reshape(len(periods), -1)
-        parts = samples.tip_twist, samples.q, samples.tendon_length, positions
-        others = [part[:, :size] for part, size in zip(parts, self._sizes, strict=True)]
+        parts = [
+            samples.tip_twist,
+            samples.q,
+            samples.tendon_length,
+            positions,
+        ]
+        # of targets that are poses alone the tables have the twist beside the pose
+        others = []
+        for part, size in zip(parts, self._sizes, strict=True):
+            others.append(part[:, :size])
+        # tables hold the last samples: newer ones take the places of older ones
         place = (periods - self._first[row]) % self._room
-        self._table.pose[row, place] = samples.tip_pose
-        self._table.other[row, place] = np.concatenate(others, axis=1)
+        table = self._table
+        table.pose[row, place] = samples.tip_pose
+        table.other[row, place] = np.concatenate(others, axis=1)
         self._until[row] += len(periods)
 
     def at(self, row: int, times: Array) -> TargetSamples:
@@ -201,7 +228,15 @@ class TargetTrajectories:
         other = np.empty((rows, count, self._borders[-1]))
         error = np.empty((rows, count, 6))
         offset = np.empty((2, rows))
-        targets_ahead(self._table, step_count, tip_pose, pose, other, error, offset)
+        targets_ahead(
+            self._table,
+            step_count,
+            tip_pose,
+            pose,
+            other,
+            error,
+            offset,
+        )
         if self._no_shapes:
             return TargetSamples(pose, other, *self._no_shapes), error, offset
         return self._targets(pose, other), error, offset
@@ -251,7 +286,11 @@ class TargetDraws:
     """
 
     def __init__(
-        self, setting: Setting, trajectories: TargetTrajectories, period: float, away: float = 0.0
+        self,
+        setting: Setting,
+        trajectories: TargetTrajectories,
+        period: float,
+        away: float = 0.0,
     ) -> None:
         """Make an empty bank.
 
@@ -340,7 +379,12 @@ class TargetDraws:
             self._bank[key] = target.draw(generator, self._setting)
         return self._bank[key]
 
-    def _distance(self, course: Course, first: int, tip: Array) -> float:
+    def _distance(
+        self,
+        course: Course,
+        first: int,
+        tip: Array,
+    ) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
         time = np.array([self._period * first])
         samples = self._trajectories.sample([course], [time])[0]

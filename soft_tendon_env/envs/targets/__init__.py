@@ -50,7 +50,12 @@ class Setting(NamedTuple):
     free: ObstacleFreeSpace | None = None
 
 
-def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Setting:
+def make_setting(
+    arms: Arms,
+    limits: Array,
+    tension: Array,
+    rest: Array,
+) -> Setting:
     """Setting of arms that have no obstacles, or rest against one.
 
     Args:
@@ -63,7 +68,14 @@ def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Sett
         The setting.
     """
     response = _response(arms.model)
-    return Setting(arms, limits, tension, rest, response, arms.model)
+    return Setting(
+        arms,
+        limits,
+        tension,
+        rest,
+        response,
+        arms.model,
+    )
 
 
 def _response(model: Model) -> Array:

@@ -150,10 +150,12 @@ class OutOfReach(DrawnShapes):
         return False  # no shape has its pose
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        pose = setting.model.tip_pose(_drawn_shape(self, generator, setting))
-        base = np.array(setting.model.scene.base.position)
+        model = setting.model
+        shape = _drawn_shape(self, generator, setting)
+        pose = model.tip_pose(shape)
+        base = np.array(model.scene.base.position)
         away = pose[:3, 3] - base
-        distance = self.beyond * setting.model.length
+        distance = self.beyond * model.length
         pose[:3, 3] = base + away * (distance / np.linalg.norm(away))
         return FixedPose(pose)
 
@@ -215,7 +217,12 @@ class CircleCourse(PoseCourse):
     These follow from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x.
     """
 
-    def __init__(self, circle: Circle, length: float = 1.0, base: Array | None = None) -> None:
+    def __init__(
+        self,
+        circle: Circle,
+        length: float = 1.0,
+        base: Array | None = None,
+    ) -> None:
         """Place a circle.
 
         Args:
@@ -236,7 +243,6 @@ class CircleCourse(PoseCourse):
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
         angle = rate * np.mod(times, self.circle.period)
-        lean = np.radians(self.circle.tilt)
         c = np.cos(angle)
         s = np.sin(angle)
         none = np.zeros_like(times)
@@ -244,19 +250,39 @@ class CircleCourse(PoseCourse):
         ahead = np.array([1.0, 0.0, 0.0])
         outward = np.stack([none, c, s], axis=-1)
         across = np.stack([none, -s, c], axis=-1)
-        radial = np.cos(lean) * outward - np.sin(lean) * ahead
-        # no roll: the axes of the base, carried by the shortest turn
-        R = np.empty((times.size, 3, 3))
-        R[:, :, 0] = np.cos(lean) * ahead + np.sin(lean) * outward
-        R[:, :, 1] = c[:, None] * radial - s[:, None] * across
-        R[:, :, 2] = s[:, None] * radial + c[:, None] * across
-        angular = rate * (R[:, 0] - ahead)
+        R = self._rotation(
+            c[:, None],
+            s[:, None],
+            ahead,
+            outward,
+            across,
+        )
+        # the body twist in the tip's own frame
         velocity = rate * self.radius * across
-        linear = (R * velocity[:, :, None]).sum(axis=1)  # R^T velocity
+        angular = rate * (R[:, 0] - ahead)
+        linear = (R * velocity[:, :, None]).sum(axis=1)
+        twist = np.concatenate([angular, linear], axis=1)
         pose = np.tile(np.eye(4), (times.size, 1, 1))
         pose[:, :3, :3] = self._axes @ R
         pose[:, :3, 3] = self.centre + self.radius * outward @ self._axes.T
-        return pose_samples(pose, np.concatenate([angular, linear], axis=1))
+        return pose_samples(pose, twist)
+
+    def _rotation(
+        self,
+        c: Array,
+        s: Array,
+        ahead: Array,
+        outward: Array,
+        across: Array,
+    ) -> Array:
+        """Orientations (m, 3, 3) of the tip in the base's frame, by cosines and sines (m, 1)."""
+        lean = np.radians(self.circle.tilt)
+        first = np.cos(lean) * ahead + np.sin(lean) * outward
+        radial = np.cos(lean) * outward - np.sin(lean) * ahead
+        # no roll: the axes of the base, carried by the shortest turn
+        second = c * radial - s * across
+        third = s * radial + c * across
+        return np.stack([first, second, third], axis=-1)
 
 
 @register_target
@@ -356,7 +382,12 @@ class Rise(Tensions):
     It is that of least degree that is twice differentiable.
     """
 
-    def __init__(self, start: Array, end: Array, duration: float) -> None:
+    def __init__(
+        self,
+        start: Array,
+        end: Array,
+        duration: float,
+    ) -> None:
         self.start = start
         self.change = end - start
         self.duration = duration
@@ -410,7 +441,13 @@ class Random(DrawnShapes):
             return ClosedSpline(points, self.period)
 
         count = round(self.period / drawn(self.knot_period, generator))
-        return shape_course(self, generator, setting, spline, count)
+        return shape_course(
+            self,
+            generator,
+            setting,
+            spline,
+            count,
+        )
 
 
 class ClosedSpline(Tensions):

@@ -173,7 +173,12 @@ class StaticCourse(ShapeCourse):
     themselves (34). Otherwise a cubic spline goes through what loads add to that, at fixed places.
     """
 
-    def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
+    def __init__(
+        self,
+        setting: Setting,
+        tension: Tensions,
+        margin: float = 1.0,
+    ) -> None:
         """Follow the equilibria of a motion.
 
         Args:
