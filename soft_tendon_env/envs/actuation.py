@@ -161,15 +161,17 @@ class Actuation:
             command: (n_a,) that has been held since long before.
         """
         ranges = self._randomize
-        gain = generator.uniform(*ranges.tension_gain, command.size)
-        offset = self._share * generator.uniform(*ranges.tension_offset, command.size)
+        tendons = command.size
+        gain = generator.uniform(*ranges.tension_gain, tendons)
+        offset_of_tension = generator.uniform(*ranges.tension_offset, tendons)
+        offset = self._share * offset_of_tension
         latency = generator.uniform(*ranges.latency)
         if ranges.omit:
             has_gain, has_offset, has_latency = generator.random(3) >= ranges.omit
             if not has_gain:
-                gain = np.ones(command.size)
+                gain = np.ones(tendons)
             if not has_offset:
-                offset = np.zeros(command.size)
+                offset = np.zeros(tendons)
             if not has_latency:
                 latency = 0.0
         self.command[row] = command
@@ -194,7 +196,8 @@ class Actuation:
     def shares(self) -> Array:
         """Gains, offsets and latencies (rows, numbers) as shares of their ranges, 0 to 1."""
         rows = len(self.gain)
-        latency = np.array([[self.delay(row)] for row in range(rows)])
+        delays = [self.delay(row) for row in range(rows)]
+        latency = np.array(delays)[:, None]
         ranges = self._randomize
         offset = self.offset / self._share
         shares = [
@@ -206,7 +209,8 @@ class Actuation:
 
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
-        return float(self._periods_late[row] * self._period + self._durations[row, 0])
+        whole_periods_late = self._periods_late[row] * self._period
+        return float(whole_periods_late + self._durations[row, 0])
 
     def acting(self, command: Array, row: int) -> Array:
         """Commands (..., n_a) with the errors of a row's actuators."""

@@ -167,6 +167,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         if seed is not None:
             seed = checked_count("seed", seed, 0)
         options_of_row = reset_options(options)
+        # nothing has changed so far: what is refused leaves the environment as it was
         beginnings = self.episodes.beginnings(options_of_row, ONE)
         super().reset(seed=seed)
         self._begun = False
@@ -177,7 +178,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             self._most_steps = options_of_row[0].episode_steps or np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
-        return of_row(self.episodes.observation(), 0), self._info() | self.episodes.drawn(0)
+        observation = of_row(self.episodes.observation(), 0)
+        return observation, self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one control period.
@@ -196,7 +198,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         """
         if self.closed or not self._begun:
             self._refuse("step", self._begun)
-        checked = checked_array("action", action, (self.episodes.model.tendon_count,))
+        shape = (self.model.tendon_count,)
+        checked = checked_array("action", action, shape)
         self.episodes.step(checked[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
@@ -245,7 +248,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     def _info(self) -> dict[str, Any]:
         """The episode's info, with plain values."""
-        return {name: value.item(0) for name, value in self.episodes.info().items()}
+        info = self.episodes.info()
+        return {name: value.item(0) for name, value in info.items()}
 
     def render(self) -> NDArray[np.uint8] | None:
         """Frame (height, width, 3) of the arm, its tendons, the target and the tip's trail.
@@ -259,7 +263,9 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         """
         self._refuse("render", self._begun)
         frames = self._frames()
-        return None if frames is None else frames[0]
+        if frames is None:
+            return None
+        return frames[0]
 
     def close(self) -> None:
         """Close the environment, after which other calls raise ClosedEnvironmentError.
@@ -313,7 +319,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._all = np.arange(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=bool)
-        self._usual_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._usual_steps = max_episode_steps or np.inf
         self._most_steps = np.full(num_envs, self._usual_steps)
 
     def reset(
@@ -399,7 +405,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             gymnasium.error.ClosedEnvironmentError: after close.
         """
         self._refuse("step", self._begun)
-        shape = (self.num_envs, self.episodes.model.tendon_count)
+        shape = (self.num_envs, self.model.tendon_count)
         action = checked_array("actions", actions, shape)
         # rows that ended in the step before begin anew in this one, which ignores their actions
         stepped = ~self._ended
@@ -549,8 +555,13 @@ def class_of(
         The class.
     """
     name = f"{task.name}{suffix}"
-    if name not in _CLASSES or _CLASSES[name].task is not task:
-        attributes: dict[str, Any] = {"task": task, "__doc__": doc, "__module__": base.__module__}
+    is_known = name in _CLASSES and _CLASSES[name].task is task
+    if not is_known:
+        attributes: dict[str, Any] = {
+            "task": task,
+            "__doc__": doc,
+            "__module__": base.__module__,
+        }
         if task.goal:
             attributes["compute_reward"] = compute_reward
         _CLASSES[name] = type(name, (base,), attributes)

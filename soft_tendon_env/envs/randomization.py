@@ -180,16 +180,18 @@ def drawn_in_rows(
     drawn_of: dict[int, Mapping[str, Any]] = {}
     for row, info in zip(members.tolist(), infos, strict=True):
         drawn_of[row] = info[DRAWN]
-    keys = dict.fromkeys(key for drawn in drawn_of.values() for key in drawn)
+    keys: dict[str, None] = {}  # in the order in which rows have them
+    for drawn in drawn_of.values():
+        keys |= dict.fromkeys(drawn)
     table: dict[str, Any] = {}
     for key in keys:
         # some rows may leave it out
-        rows_with_key = [row for row in range(rows) if key in drawn_of.get(row, ())]
+        rows_with_key = [row for row in sorted(drawn_of) if key in drawn_of[row]]
         mask = np.zeros(rows, dtype=bool)
         mask[rows_with_key] = True
         values = np.array([drawn_of[row][key] for row in rows_with_key])
         column = np.zeros((rows, *values.shape[1:]))
-        column[mask] = values
+        column[rows_with_key] = values
         table[key] = column
         table[f"_{key}"] = mask
     has_begun = np.isin(np.arange(rows), members)
@@ -272,22 +274,36 @@ class Sensors:
             The measured values.
         """
         for row in members[step_count[members] % CHUNK == 0]:
-            samples = self._generator[row].standard_normal(self._noise.shape[1:])
-            self._noise[row] = samples * self._deviation
-        rows = np.arange(len(step_count))
-        now = self._noise[rows, step_count % CHUNK] * self._is_noisy
-        noise = {part: now[:, columns] for part, columns in self._columns.items()}
+            self._draw_chunk(row)
+        noise = self._noise_now(step_count)
+        strain_noise = noise["strain"].reshape(reading.strain.shape)
+        rate_noise = noise["strain_rate"].reshape(reading.strain_rate.shape)
         return Measured(
-            _moved(reading.tip_pose, noise["position"], noise["rotation"]),
-            reading.tendon_length + noise["length"],
-            reading.strain + noise["strain"].reshape(reading.strain.shape),
-            reading.strain_rate + noise["strain_rate"].reshape(reading.strain_rate.shape),
+            tip_pose=_moved(reading.tip_pose, noise["position"], noise["rotation"]),
+            tendon_length=reading.tendon_length + noise["length"],
+            strain=reading.strain + strain_noise,
+            strain_rate=reading.strain_rate + rate_noise,
         )
+
+    def _draw_chunk(self, row: int) -> None:
+        """Draw the noise of a row's next CHUNK control periods."""
+        shape = CHUNK, self._deviation.size
+        samples = self._generator[row].standard_normal(shape)
+        self._noise[row] = samples * self._deviation
+
+    def _noise_now(self, step_count: Indices) -> dict[str, Array]:
+        """Noise (rows, size) by part, 0 in episodes without noise."""
+        rows = np.arange(len(step_count))
+        sample = step_count % CHUNK
+        noise = self._noise[rows, sample] * self._is_noisy
+        return {part: noise[:, columns] for part, columns in self._columns.items()}
 
 
 def _moved(pose: Array, position: Array, rotation: Array) -> Array:
-    """Poses (rows, 4, 4) that are turned by vectors (rows, 3) [rad] in their frames, then moved by
-    others (rows, 3) [m] in the world."""
+    """Poses (rows, 4, 4) that are turned by vectors (rows, 3) [rad], in their frames, and moved.
+
+    They are moved by others (rows, 3) [m], in the world.
+    """
     twist = np.zeros((len(pose), 1, 6))
     twist[:, 0, :3] = rotation
     moved = np.empty_like(pose)

@@ -36,6 +36,9 @@ DRAWS = 4
 """Numbers that an episode takes from its generator before anything else; the first chooses the
 arm."""
 
+OBSTACLES = "effects.contact.obstacles."
+"""How keys of obstacles begin."""
+
 SOFTNESS = re.compile(r"\.(young_modulus|bending)\b")
 """Names of drawn numbers by which an arm is soft where they are small."""
 
@@ -75,24 +78,24 @@ class Starts:
         """
         self._arms = arms
         self._model = arms.model
-        self.limits = arms.model.discretisation.tension_limits.copy()
+        model = arms.model
+        effects = model.scene.effects
+        self.limits = model.discretisation.tension_limits.copy()
         self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
-        self.q, reason = self._settle(arms.model)
+        self.q, reason = self._settle(model)
         if reason:
-            raise _problem(
-                ("scene",),
-                f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N:"
-                f" {reason}",
-            )
-        self.command = arms.model.command(self.tension, self.q)
+            tension = shown_numbers(self.tension)
+            text = f"has an arm that cannot begin at rest, under {tension} N: {reason}"
+            raise _problem(("scene",), text)
+        self.command = model.command(self.tension, self.q)
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
-        if arms.model.scene.effects.contact is not None:
+        if effects.contact is not None:
             free = ObstacleFreeSpace(arms)
             rests_clear = free.holds(self.q[None]).all()
             if rests_clear:  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
-        self._usual = Drawn(arms.model, self.q)
-        self._ranges = options.randomize.ranges(arms.model.scene)
+        self._usual = Drawn(model, self.q)
+        self._ranges = options.randomize.ranges(model.scene)
         self._omit = options.randomize.omit
         self._bank = dict[int, Drawn]()
         self.numbers = dict[int, Mapping[str, float]]()
@@ -108,20 +111,33 @@ class Starts:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
         self._size = self._bank_size()
-        keys = [key for drawn in self._ranges for key in drawn.keys]
-        draws_obstacles = any(key.startswith("effects.contact.obstacles.") for key in keys)
+        draws_obstacles = self._draws_obstacles()
         self._redraws = REDRAWS if draws_obstacles else 0
+        # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
         if self._ranges and not draws_obstacles:
-            # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
-            is_soft = [SOFTNESS.search(drawn.name) is not None for drawn in self._ranges]
-            softest_and_heaviest = 1.0 - np.array(is_soft, dtype=np.float64)
             count = len(self._ranges)
-            for shares in (np.zeros(count), np.ones(count), softest_and_heaviest):
-                self._make_arm(shares)
+            self._make_arm(np.zeros(count))
+            self._make_arm(np.ones(count))
+            self._make_arm(self._softest_and_heaviest())
         needs_search = self._model.arm.effects.load or self.q.any()
         if not needs_search:
             for number in range(self._size):
                 self._arm(number)
+
+    def _draws_obstacles(self) -> bool:
+        """Whether numbers of obstacles are drawn."""
+        for drawn in self._ranges:
+            if any(key.startswith(OBSTACLES) for key in drawn.keys):
+                return True
+        return False
+
+    def _softest_and_heaviest(self) -> Array:
+        """Shares (ranges,) of every range, 0 to 1, with which an arm yields most to its weight."""
+        shares = np.ones(len(self._ranges))
+        for i, drawn in enumerate(self._ranges):
+            if SOFTNESS.search(drawn.name) is not None:
+                shares[i] = 0.0
+        return shares
 
     def _bank_size(self) -> int:
         """Number of different arms that episodes may have."""
@@ -152,18 +168,20 @@ class Starts:
     def shares(self) -> Array:
         """Drawn numbers of the arms (rows, ranges) as shares of their ranges, 0 to 1."""
         varying = [drawn for drawn in self._ranges if drawn.least < drawn.greatest]
-        shares = []
+        shares_of_rows = []
         for row in range(self._arms.size):
             numbers = self.numbers.get(row, {})
-            shares.append([drawn.share(numbers) for drawn in varying])
-        return np.array(shares)
+            shares = [drawn.share(numbers) for drawn in varying]
+            shares_of_rows.append(shares)
+        return np.array(shares_of_rows)
 
     def _arm(self, number: int) -> Drawn:
         """The arm of that number. Raises ConfigurationError."""
         if not self._ranges:
             return self._usual
         if number not in self._bank:
-            self._bank[number] = self._draw_arm(np.random.default_rng([BANK, number]))
+            generator = np.random.default_rng([BANK, number])
+            self._bank[number] = self._draw_arm(generator)
         return self._bank[number]
 
     def _draw_arm(self, random: np.random.Generator) -> Drawn:
@@ -189,10 +207,13 @@ class Starts:
         for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
                 width = drawn.greatest - drawn.least
-                changes |= drawn.changes(drawn.least + width * float(shares[i]))
+                number = drawn.least + width * float(shares[i])
+                changes |= drawn.changes(number)
         model = self._model_with(changes)
-        rests_straight = not (model.arm.effects.load or self.tension.any() or self._redraws)
-        if rests_straight:
+        is_loaded = model.arm.effects.load or self.tension.any()
+        # drawn obstacles may be where the arm rests
+        rests_as_usual = not is_loaded and not self._redraws
+        if rests_as_usual:
             return Drawn(model, self.q, changes)
         q, reason = self._settle(model)
         if reason:

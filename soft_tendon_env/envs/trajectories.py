@@ -113,15 +113,15 @@ class TargetTrajectories:
         self._periods_left -= 1
         if self._periods_left > 0:
             return
-        runs_out = step_count[members] + self._longest >= self._until[members]
+        farthest = step_count + self._longest
+        runs_out = farthest[members] >= self._until[members]
         due = members[runs_out].tolist()
         periods = [self._next_periods(row) for row in due]
         courses = [self._course[row] for row in due]
         times = [np.asarray(self._period * counts, dtype=np.float64) for counts in periods]
         for row, counts, samples in zip(due, periods, self.sample(courses, times), strict=True):
             self._keep(row, counts, samples)
-        least_sampled = int(np.min(self._until - step_count))
-        self._periods_left = least_sampled - self._longest
+        self._periods_left = int(np.min(self._until - farthest))
 
     def _next_periods(self, row: int) -> Indices:
         """Control periods (m,) of a row's course that are to be sampled next."""
@@ -155,8 +155,21 @@ class TargetTrajectories:
         self._until[row] += len(periods)
 
     def at(self, row: int, times: Array) -> TargetSamples:
-        """A row's target at times (m,) [s] from the beginning of its episode."""
-        return self.sample([self._course[row]], [times + self._period * self._first[row]])[0]
+        """Target of a row.
+
+        Args:
+            row: whose target it is.
+            times: (m,) [s] from the beginning of its episode.
+
+        Returns:
+            Samples of the target.
+
+        Raises:
+            StrainLimitError: where it has no strain.
+        """
+        beginning = self._period * self._first[row]
+        (samples,) = self.sample([self._course[row]], [times + beginning])
+        return samples
 
     def sample(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
         """Samples of courses, whose coordinates go through the kinematics all together.
@@ -179,9 +192,8 @@ class TargetTrajectories:
             else:
                 motions[i] = course.coordinates(times[i])
         if motions:
-            q = np.concatenate([shapes for shapes, _ in motions.values()])
-            q_dot = np.concatenate([rates for _, rates in motions.values()])
-            together = self._read(q, q_dot)
+            every_q, every_q_dot = zip(*motions.values(), strict=True)
+            together = self._read(np.concatenate(every_q), np.concatenate(every_q_dot))
             start = 0
             for i, (shapes, _) in motions.items():
                 end = start + len(shapes)
@@ -193,8 +205,9 @@ class TargetTrajectories:
         """Targets of coordinates and rates (m, n) that follow one another. Raises StrainLimitError
         where they have no strain."""
         # targets that stay are read once
-        has_moved = (q[1:] != q[:-1]).any(axis=1) | (q_dot[1:] != q_dot[:-1]).any(axis=1)
-        is_new = np.concatenate([[True], has_moved])
+        is_elsewhere = (q[1:] != q[:-1]).any(axis=1)
+        has_other_rates = (q_dot[1:] != q_dot[:-1]).any(axis=1)
+        is_new = np.concatenate([[True], is_elsewhere | has_other_rates])
         new_q = q[is_new]
         reading, has_strain = self._arms.read_samples(new_q, q_dot[is_new])
         if not has_strain.all():
@@ -259,9 +272,12 @@ class TargetTrajectories:
                 f"targets are known for the longest preview, {self._longest} control periods, not"
                 f" for {periods}"
             )
-        place = (step_count[:, None] + np.arange(1 + periods)) % self._room
+        ahead = np.arange(1 + periods)
+        place = (step_count[:, None] + ahead) % self._room
         row = np.arange(len(place))[:, None]
-        return self._targets(self._table.pose[row, place], self._table.other[row, place])
+        pose = self._table.pose[row, place]
+        other = self._table.other[row, place]
+        return self._targets(pose, other)
 
     def _targets(self, pose: Array, other: Array) -> TargetSamples:
         """Targets of the tables' entries (rows, m, ..), whose backbones are positions (rows, m,
@@ -366,8 +382,9 @@ class TargetDraws:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, self._setting), 0
+        motions = BANK * target.kinds
         beginnings = max(round(target.repeats / self._period), 1)
-        number = int(generator.integers(BANK * target.kinds))
+        number = int(generator.integers(motions))
         first = int(generator.integers(beginnings))
         return self._motion(target, number), first
 
@@ -387,6 +404,6 @@ class TargetDraws:
     ) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
         time = np.array([self._period * first])
-        samples = self._trajectories.sample([course], [time])[0]
+        (samples,) = self._trajectories.sample([course], [time])
         start = samples.tip_pose[0, :3, 3].astype(np.float32)
         return float(np.linalg.norm(start - tip))

@@ -85,9 +85,10 @@ class FileCourse(PoseCourse):
         velocity = self.place(held, 1)
         angular = self._turn(held, 1)
         linear = (R * velocity[:, :, None]).sum(axis=1)  # R^T velocity
-        moves = held == times
         twist = np.concatenate([angular, linear], axis=1)
-        return pose_samples(pose, moves[:, None] * twist)
+        # before the first pose and after the last the tip rests
+        twist *= (held == times)[:, None]
+        return pose_samples(pose, twist)
 
 
 def _read_poses(path: str) -> Array:

@@ -277,8 +277,10 @@ class CircleCourse(PoseCourse):
     ) -> Array:
         """Orientations (m, 3, 3) of the tip in the base's frame, by cosines and sines (m, 1)."""
         lean = np.radians(self.circle.tilt)
-        first = np.cos(lean) * ahead + np.sin(lean) * outward
-        radial = np.cos(lean) * outward - np.sin(lean) * ahead
+        c_lean = np.cos(lean)
+        s_lean = np.sin(lean)
+        first = c_lean * ahead + s_lean * outward
+        radial = c_lean * outward - s_lean * ahead
         # no roll: the axes of the base, carried by the shortest turn
         second = c * radial - s * across
         third = s * radial + c * across
