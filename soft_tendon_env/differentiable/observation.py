@@ -134,8 +134,10 @@ def observed_tensors(
 
 
 def _readings(observed: Observed, arms: ArmTensors) -> Any:
-    """Sensor readings as tensors: those of the arms, turned, moved and shifted as the environment's
-    noise has it."""
+    """Sensor readings as tensors, with the noise of the environment's readings.
+
+    They are those of the arms, turned, moved and shifted.
+    """
     true = observed.arms.reading
     noisy = observed.measured
     if noisy is true:

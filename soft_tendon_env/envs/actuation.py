@@ -166,6 +166,7 @@ class Actuation:
         offset_of_tension = generator.uniform(*ranges.tension_offset, tendons)
         offset = self._share * offset_of_tension
         latency = generator.uniform(*ranges.latency)
+        # drawn after the others, so that these are the same with and without omissions
         if ranges.omit:
             has_gain, has_offset, has_latency = generator.random(3) >= ranges.omit
             if not has_gain:

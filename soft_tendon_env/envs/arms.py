@@ -243,8 +243,10 @@ class Arms:
             raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
 
     def _adjoint_memories(self) -> dict[int, AdjointMemory]:
-        """The memory of every thread's adjoint, by the `id` of its scratch; made when first
-        asked for."""
+        """The memory of every thread's adjoint, by the `id` of its scratch.
+
+        It is made when first asked for.
+        """
         if self._adjoint_memory is None:
             rate = linear_rate(self.model)
             self._adjoint_memory = [

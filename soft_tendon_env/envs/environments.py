@@ -365,8 +365,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self.episodes.observation(), self._info(stepped) | self._drawn(members)
 
     def _members_of(self, options: Mapping[str, Any] | None) -> Indices:
-        """The rows that options of a reset name by their mask, all without one. Raises
-        ValueError."""
+        """The rows that options of a reset name by their mask, all without one.
+
+        Raises ValueError.
+        """
         if options is None or MASK not in options:
             return self._all
         mask = np.asarray(options[MASK])

@@ -576,7 +576,10 @@ class Episodes:
         """Compare the arms with their targets, after the rows `members` moved on."""
         self.trajectories.prepare(self.step_count, members)
         reading = self.arms.reading
-        self.target, error, off = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, offset = self.trajectories.now_and_ahead(
+            self.step_count, reading.tip_pose
+        )
+        # what sensors say of the arms, and the errors as policies see them
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
@@ -587,21 +590,28 @@ class Episodes:
         self.present = self.layout.present(self.observed)
         if self.history is not None:
             self.history.keep(self.present, self.step_count, members)
+        distance, angle = offset
         tracking = Tracking(
-            self.arms,
-            reading,
-            error[:, 0],
-            off[0],
-            off[1],
-            self.target,
-            self._last.command,
-            self._last.action_change,
-            self.step_count,
+            arms=self.arms,
+            reading=reading,
+            error=error[:, 0],
+            distance=distance,
+            angle=angle,
+            target=self.target,
+            command=self._last.command,
+            action_change=self._last.action_change,
+            step_count=self.step_count,
         )
+        self._judge(tracking, measured)
+
+    def _judge(self, tracking: Tracking, measured: Reading | Measured) -> None:
+        """Find errors, divergence and rewards of all rows, those of goals as measured."""
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
-        if self.options.tip_speed_limit is not None:
-            self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
+        most_speed = self.options.tip_speed_limit
+        if most_speed is not None:
+            speed = norm(tracking.reading.tip_twist[:, 3:])
+            self.diverged |= speed > most_speed
         if self.task.goal is None:
             self.terms, self.reward = self._reward_terms.evaluate(self.errors, tracking)
         else:
@@ -609,6 +619,7 @@ class Episodes:
             desired = self._goal(self.target_pose[:, :3, 3])
             self._goals = (achieved, desired)
             self.reward = self.goal_reward(achieved, desired)
+        # so that no episode gains by ending
         self.reward[self.diverged] = 0.0
 
     def _goal(self, position: Array) -> NDArray[np.float32]:

@@ -1,5 +1,7 @@
-"""Compiled kernels of the environments, of all rows at once: targets ahead and pose errors, scaled
-observations, reward terms."""
+"""Compiled kernels of the environments, of all rows at once.
+
+They are targets ahead and pose errors, scaled observations and reward terms.
+"""
 
 import math
 

@@ -277,6 +277,7 @@ class Layout:
             ValueError: where a group's values are not (rows, size).
         """
         self.groups = groups
+        # columns of each group, side by side
         sizes = _sizes(groups, observed)
         self.slices: dict[str, slice] = {}
         end = 0
@@ -297,6 +298,7 @@ class Layout:
         self.bound = np.concatenate(bounds)
         self.kept = np.flatnonzero(np.concatenate(is_kept))
 
+        # after them the changes of each past period, the latest first
         if history:
             self.slices[HISTORY] = slice(end, end + history * self.kept.size)
         unit_of_changes = np.tile(CHANGE * unit[self.kept], history)

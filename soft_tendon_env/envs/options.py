@@ -364,8 +364,10 @@ def resolved_scene(options: Options) -> Scene:
 
 
 def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
-    """Columns of extrapolation that suit the stiffest and least damped arm that can be drawn; None
-    where they are those of the scene."""
+    """Columns of extrapolation that suit the stiffest and least damped arm that can be drawn.
+
+    None where they are those of the scene.
+    """
     extremes: dict[str, float] = {}
     for drawn in options.randomize.ranges(scene):
         match = EXTRAPOLATED.search(drawn.name)
@@ -383,8 +385,10 @@ def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
 
 
 def given_scene(scene: Any) -> Scene:
-    """The scene that the option `scene` names, as it is written. Raises ConfigurationError,
-    FileNotFoundError."""
+    """The scene that the option `scene` names, as it is written.
+
+    Raises ConfigurationError, FileNotFoundError.
+    """
     if isinstance(scene, Scene):
         return scene
     if not isinstance(scene, dict):
@@ -515,8 +519,10 @@ def _check_pose(
     task: Task,
     scene: Scene,
 ) -> None:
-    """Raises ConfigurationError where a pose (4, 4) to hold does not fit the task, or as a goal is
-    out of bounds."""
+    """Raise an error where a pose (4, 4) to hold does not fit the task, or a goal the bounds.
+
+    Raises ConfigurationError.
+    """
     if task.goal is None:
         if target.position is not None:
             _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")

@@ -1,5 +1,7 @@
-"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by
-default."""
+"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency.
+
+All off by default.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
@@ -139,8 +141,10 @@ class Randomization(Configuration):
 
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Ranges by the keys that short names stand for, without those that change nothing. Raises
-    ConfigurationError."""
+    """Ranges by the keys that short names stand for, without those that change nothing.
+
+    Raises ConfigurationError.
+    """
     ranges: dict[str, Any] = {}
     for name, value in numbers.items():
         key, kind = SHORT.get(name, (name, ""))

@@ -105,8 +105,10 @@ class Starts:
         return {**self.__dict__, "_bank": {}}  # whose arms can be made again
 
     def _make_bank(self) -> None:
-        """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms
-        that need no search."""
+        """Look at extreme arms, and make the arms that need no search.
+
+        Extreme are those at an end of every range, and the softest and heaviest one.
+        """
         for drawn in self._ranges:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
@@ -186,7 +188,9 @@ class Starts:
 
     def _draw_arm(self, random: np.random.Generator) -> Drawn:
         """An arm with random numbers, drawn again while it begins inside of a drawn obstacle.
-        Raises ConfigurationError where the last draw fails too."""
+
+        Raises ConfigurationError where the last draw fails too.
+        """
         left = self._redraws
         while True:
             shares = random.random(len(self._ranges))
@@ -202,7 +206,9 @@ class Starts:
 
     def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
-        Raises ConfigurationError."""
+
+        Raises ConfigurationError.
+        """
         changes: dict[str, float] = {}
         for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
@@ -222,8 +228,10 @@ class Starts:
         return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
-        """The model with these numbers of the scene, which the range of that key draws. Raises
-        ConfigurationError."""
+        """The model with these numbers of the scene, which the range of that key draws.
+
+        Raises ConfigurationError.
+        """
         try:
             scene = scene_with_numbers(self._model.scene, changes)
             model = self._model.with_scene(scene)

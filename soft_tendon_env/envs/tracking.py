@@ -146,6 +146,7 @@ class Reward:
         self._errors: list[str] = []
         sources: list[int] = []
         scales: list[Array] = [np.empty(0)]
+        # a user's own terms are functions, the others are compiled
         for name, weight in weights.items():
             term = available[name]
             if callable(term.source):
@@ -188,6 +189,7 @@ class Reward:
         Raises:
             ValueError: where a user's own term has values of another shape, or beyond 0 and 1.
         """
+        # terms that are compiled
         rows = len(tracking.command)
         error_table = np.empty((rows, len(self._errors)))
         for i, name in enumerate(self._errors):
@@ -205,6 +207,7 @@ class Reward:
             reward,
         )
         terms = dict(zip(self._compiled, values, strict=True))
+        # terms of users, whose values are looked at
         for name, function in self._functions.items():
             value = np.array(function(tracking), dtype=np.float64)
             if value.shape != (rows,) or not ((value >= 0.0) & (value <= 1.0)).all():
@@ -220,8 +223,11 @@ class Reward:
 def _check_terms(
     weights: Mapping[str, Weight], available: Mapping[str, Term], total: float
 ) -> None:
-    """Raises ConfigurationError for weights of other terms, for scales of terms that have none, and
-    unless the total of all weights is above 0."""
+    """Raise an error for weights that do not fit the terms.
+
+    Raises ConfigurationError for weights of other terms, for scales of terms that have none, and
+    unless the total of all weights is above 0.
+    """
     problems = list[Problem]()
     for name in weights:
         if name not in available:

@@ -202,8 +202,10 @@ class TargetTrajectories:
         return [samples[i] for i in range(len(courses))]
 
     def _read(self, q: Array, q_dot: Array) -> TargetSamples:
-        """Targets of coordinates and rates (m, n) that follow one another. Raises StrainLimitError
-        where they have no strain."""
+        """Targets of coordinates and rates (m, n) that follow one another.
+
+        Raises StrainLimitError where they have no strain.
+        """
         # targets that stay are read once
         is_elsewhere = (q[1:] != q[:-1]).any(axis=1)
         has_other_rates = (q_dot[1:] != q_dot[:-1]).any(axis=1)
@@ -280,8 +282,10 @@ class TargetTrajectories:
         return self._targets(pose, other)
 
     def _targets(self, pose: Array, other: Array) -> TargetSamples:
-        """Targets of the tables' entries (rows, m, ..), whose backbones are positions (rows, m,
-        stations, 3)."""
+        """Targets of the tables' entries (rows, m, ..).
+
+        Their backbones are positions (rows, m, stations, 3).
+        """
         twist_end, q_end, length_end, _ = self._borders
         positions = other[..., length_end:]
         return TargetSamples(

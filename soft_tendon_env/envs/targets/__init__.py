@@ -116,7 +116,7 @@ class ShapeCourse(ABC):
 
     @abstractmethod
     def coordinates(self, times: Array) -> tuple[Array, Array]:
-        """q and q_dot, (m, n) each, at times (m,) [s]."""
+        """Coordinates q and rates q_dot, (m, n) each, at times (m,) [s]."""
 
 
 Course = PoseCourse | ShapeCourse

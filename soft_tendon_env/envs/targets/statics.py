@@ -213,8 +213,10 @@ class StaticCourse(ShapeCourse):
         return np.interp(np.arange(count) / PER_KNOT, knot_numbers, knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
-        """Function of time and of the order of its derivative: what loads add to the response to
-        the tensions. Raises NoEquilibrium."""
+        """What loads add to the response to the tensions, as a function of time.
+
+        Its second argument is the order of the derivative. Raises NoEquilibrium.
+        """
         places = self.places
         tension, _ = self.tension(places)
         with setting.model.workspace() as work:
@@ -303,7 +305,9 @@ class EquilibriumPath:
 
     def _move(self, tension: Array, shorter: int = SHORTER) -> Array:
         """Go on to the equilibrium (n,) under other tensions (n_a,), halfway first if need be.
-        Raises NoEquilibrium."""
+
+        Raises NoEquilibrium.
+        """
         balance = self._balance
         balance.tension = tension
         balance.obstacle = ""
