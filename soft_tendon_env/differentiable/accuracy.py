@@ -128,7 +128,8 @@ def gradient_accuracy(
     random = np.random.default_rng(seed)
     reach = greatest - least
     walks = _walks(random, least, reach, change)
-    ways = random.normal(size=(DIRECTIONS, PERIODS, reach.size)) * WAY * reach
+    shape = DIRECTIONS, PERIODS, reach.size
+    ways = random.normal(size=shape) * WAY * reach
     every_walk = np.concatenate([walks, walks[0] + ways, walks[0] - ways])
     commands = torch.tensor(every_walk, requires_grad=True)
     costs = _costs(model, period, commands)
@@ -157,7 +158,9 @@ def _walks(
     begin = least + FIRST_SHARE * reach
     high = least + GREATEST_SHARE * reach
     width = high - low
-    steps = random.uniform(-1.0, 1.0, (2, PERIODS, reach.size)) * np.minimum(change, 0.5 * width)
+    largest_step = np.minimum(change, 0.5 * width)
+    shape = 2, PERIODS, reach.size
+    steps = random.uniform(-1.0, 1.0, shape) * largest_step
     unlimited = begin + np.cumsum(steps, axis=1)
     # a triangle wave, which goes to and fro between 0 and the width
     beyond = (unlimited - low + width) % (2.0 * width)

@@ -20,12 +20,14 @@ def body_cotangent(pose: torch.Tensor, cotangent: torch.Tensor) -> torch.Tensor:
         Cotangents (..., 6) of body twists, angular before linear.
     """
     R = pose[..., :3, :3]
-    turned = R.mT @ cotangent[..., :3, :3]
-    force = (R.mT @ cotangent[..., :3, 3:])[..., 0]
+    of_rotation = cotangent[..., :3, :3]
+    of_position = cotangent[..., :3, 3:]
+    turned = R.mT @ of_rotation
     # the vector of the antisymmetric part
     antisymmetric = turned - turned.mT
     moment = antisymmetric[..., [2, 0, 1], [1, 2, 0]]
-    return torch.cat([moment, force], dim=-1)
+    force = R.mT @ of_position
+    return torch.cat([moment, force[..., 0]], dim=-1)
 
 
 def pose_cotangent(pose: torch.Tensor, cotangent: torch.Tensor) -> torch.Tensor:
@@ -39,10 +41,11 @@ def pose_cotangent(pose: torch.Tensor, cotangent: torch.Tensor) -> torch.Tensor:
         Cotangents (..., 4, 4) of the entries.
     """
     R = pose[..., :3, :3]
-    half_moment = 0.5 * cotangent[..., None, :3]
+    moment = cotangent[..., None, :3]
     force = cotangent[..., 3:, None]
+    half_moment = (0.5 * moment).expand_as(R)
     out = torch.zeros_like(pose)
-    out[..., :3, :3] = torch.linalg.cross(R, half_moment.expand_as(R))  # R w~ / 2, row by row
+    out[..., :3, :3] = torch.linalg.cross(R, half_moment)  # R w~ / 2, row by row
     out[..., :3, 3:] = R @ force
     return out
 

@@ -271,9 +271,12 @@ class Arms:
         tendons = self.model.tendon_count
         commands = np.zeros((self.size, tendons))
         if self.model.arm.effects.transmission.acts:
-            held = np.broadcast_to(0.0 if tension is None else tension, (members.size, tendons))
+            if tension is None:
+                tension = np.zeros(tendons)
+            held = np.broadcast_to(tension, (members.size, tendons))
             for i, row in enumerate(members.tolist()):
-                commands[row] = self._models[row].command(held[i], q[i])
+                model = self._models[row]
+                commands[row] = model.command(held[i], q[i])
         self.rows.q[members] = q
         self.rows.q_dot[members] = 0.0
         self.rows.step[members] = self._scheme.control.step

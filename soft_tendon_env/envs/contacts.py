@@ -89,8 +89,10 @@ class ObstacleFreeSpace:
         no_motion = np.zeros_like(q)
         reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
         positions = np.ascontiguousarray(reading.backbone[..., :3, 3])
-        is_clear = np.zeros(len(q), dtype=bool)
-        for i, balls in enumerate(positions):
-            depth, _, _ = deepest(self._arms.model, balls, self._radius, standing=True)
-            is_clear[i] = depth < 0.0
+        model = self._arms.model
+        depths = []
+        for balls in positions:
+            depth, _, _ = deepest(model, balls, self._radius, standing=True)
+            depths.append(depth)
+        is_clear = np.array(depths) < 0.0
         return has_strain & is_clear

@@ -98,8 +98,13 @@ class Randomization(Configuration):
     def __init__(self, /, **values: Any):
         """Take numbers of the scene beside the other attributes. Raises ConfigurationError."""
         names = type(self).model_fields
-        fields = {name: value for name, value in values.items() if name in names}
-        numbers = {name: value for name, value in values.items() if name not in names}
+        fields: dict[str, Any] = {}
+        numbers: dict[str, Any] = {}
+        for name, value in values.items():
+            if name in names:
+                fields[name] = value
+            else:
+                numbers[name] = value
         valid = [*names, *SHORT, *TABLES]
         problems = list[Problem]()
         for name, value in numbers.items():
@@ -109,8 +114,10 @@ class Randomization(Configuration):
                 problems.append(Problem((name,), text))
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        every_number = plain({**fields.get("numbers", {}), **numbers})
-        fields["numbers"] = _in_full(dotted_ranges(every_number))
+        # numbers of the scene stand beside the other attributes, or in `numbers`
+        every_number = {**fields.get("numbers", {}), **numbers}
+        in_dots = dotted_ranges(plain(every_number))
+        fields["numbers"] = _in_full(in_dots)
         super().__init__(**fields)
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
