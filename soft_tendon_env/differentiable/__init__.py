@@ -1,5 +1,7 @@
-"""Gradients of rollouts in PyTorch: policies and commands learn by the derivative of the simulation
-itself. Needs the extra `gradients`."""
+"""Gradients of rollouts in PyTorch, for policies and commands.
+
+They learn by the derivative of the simulation itself. Needs the extra `gradients`.
+"""
 
 try:
     import torch  # noqa: F401

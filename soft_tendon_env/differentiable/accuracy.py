@@ -1,5 +1,4 @@
-"""Accuracy of gradients through an arm: the adjoint's beside central differences of the same
-rollout."""
+"""Accuracy of gradients through an arm: the adjoint beside central differences of a rollout."""
 
 import warnings
 from typing import NamedTuple
@@ -14,17 +13,33 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.types import Array
 
-LEAST_COSINE = 0.99  # cosine with differences below which gradients lead a training astray
-WITHIN = (
-    0.05,
-    0.2,
-    0.6,
-)  # shares of the range of commands: the least of a trial, where it begins, and its greatest
-# share of the range by which commands are moved for the differences: as an optimiser's steps, above
-# an adaptive order's jumps
+LEAST_COSINE = 0.99
+"""Cosine with differences below which gradients lead a training astray."""
+
+LEAST_SHARE = 0.05
+"""Least commands of a trial, as a share of their range."""
+
+FIRST_SHARE = 0.2
+"""Commands that a trial begins with, likewise."""
+
+GREATEST_SHARE = 0.6
+"""Greatest commands of a trial, likewise."""
+
 WAY = 0.01
-CHANGE = 0.05  # share of the range that commands of absolute actions change by in a period
-DIRECTIONS, PERIODS, ROWS = 16, 16, 4
+"""Share of the range by which commands are moved for the differences: as an optimiser's steps,
+above an adaptive order's jumps."""
+
+CHANGE = 0.05
+"""Share of the range that commands of absolute actions change by in a period."""
+
+DIRECTIONS = 16
+"""Directions of the commands along which gradients are compared."""
+
+PERIODS = 16
+"""Control periods of a trial."""
+
+ROWS = 4
+"""Rows of an environment whose arms are tried."""
 
 
 class GradientWarning(UserWarning):
@@ -39,24 +54,37 @@ class GradientAccuracy(NamedTuple):
 
 
 def check_gradients(episodes: Episodes) -> None:
-    """Warns (GradientWarning) where gradients through the first arms of an environment, as drawn,
-    are below LEAST_COSINE.
+    """Warn (GradientWarning) where gradients through arms of an environment are not accurate.
 
     Commands are within the upper half of the environment's, or from 0 on: below that elastic
     tendons hang slack.
+
+    Args:
+        episodes: whose first arms, as drawn, are tried; accurate are gradients with a cosine of at
+            least LEAST_COSINE.
     """
-    scale, arms = episodes.actuation.actions, episodes.arms
-    least = np.minimum(np.maximum(scale.least, 0.0), 0.5 * (scale.least + scale.greatest))
-    change = CHANGE * (scale.greatest - least) if scale.increment is None else scale.increment
-    models = map(arms.model_of, range(min(ROWS, arms.size)))
-    tried = [
-        gradient_accuracy(model, episodes.period, least, scale.greatest, change) for model in models
-    ]
-    found = min(tried, key=lambda one: (one.cosine >= LEAST_COSINE, one.cosine))
-    if not found.cosine >= LEAST_COSINE:
+    scale = episodes.actuation.actions
+    middle = 0.5 * (scale.least + scale.greatest)
+    least = np.minimum(np.maximum(scale.least, 0.0), middle)
+    change = scale.increment
+    if change is None:
+        change = CHANGE * (scale.greatest - least)
+    reports = []
+    for row in range(min(ROWS, episodes.arms.size)):
+        model = episodes.arms.model_of(row)
+        report = gradient_accuracy(
+            model,
+            episodes.period,
+            least,
+            scale.greatest,
+            change,
+        )
+        reports.append(report)
+    worst = min(reports, key=_quality)
+    if not worst.cosine >= LEAST_COSINE:
         warnings.warn(
-            f"gradients through this arm have a cosine of {found.cosine:.3f} with differences of"
-            f" its motion, and {found.ratio:.2f} times their length: learning by them may end at"
+            f"gradients through this arm have a cosine of {worst.cosine:.3f} with differences of"
+            f" its motion, and {worst.ratio:.2f} times their length: learning by them may end at"
             " larger errors. A shorter control_period, softer tendons or slower commands bring"
             " them nearer; PPO and SAC need none",
             GradientWarning,
@@ -64,43 +92,100 @@ def check_gradients(episodes: Episodes) -> None:
         )
 
 
-def gradient_accuracy(
-    model: Model, period: float, least: Array, greatest: Array, change: Array, seed: int = 0
-) -> GradientAccuracy:
-    """Accuracy of the gradient of a tracking error over 16 control periods [s] by all commands,
-    from rest; seconds at most.
+def _quality(report: GradientAccuracy) -> tuple[bool, float]:
+    """Whether a gradient is accurate, and its cosine: nan is the worst."""
+    return report.cosine >= LEAST_COSINE, report.cosine
 
-    The commands are random walks within limits least, greatest (n_a,), by up to `change` (n_a,)
-    every period. The arm tracks where another walk leads it. Rows side by side have commands that
-    are moved to either side along 16 directions. Raises as `Arms.adjoint`.
+
+def gradient_accuracy(
+    model: Model,
+    period: float,
+    least: Array,
+    greatest: Array,
+    change: Array,
+    seed: int = 0,
+) -> GradientAccuracy:
+    """Accuracy of the gradient of a tracking error by all commands, from rest; seconds at most.
+
+    The commands are random walks of PERIODS control periods. The arm tracks where another walk
+    leads it. Rows side by side have commands that are moved to either side along DIRECTIONS.
+
+    Args:
+        model: of the arm.
+        period: of control [s].
+        least: limits (n_a,) of the commands.
+        greatest: likewise.
+        change: (n_a,) by which commands change in a period at most.
+        seed: of the walks and directions.
+
+    Returns:
+        Cosine and ratio to central differences.
+
+    Raises:
+        ValueError: as `Arms.adjoint`, where it has none.
+        LinAlgError: likewise.
     """
-    random, reach = np.random.default_rng(seed), greatest - least
-    low, begin, high = (least + share * reach for share in WITHIN)
-    walks = begin + np.cumsum(
-        random.uniform(-1.0, 1.0, (2, PERIODS, reach.size))
-        * np.minimum(change, 0.5 * (high - low)),
-        axis=1,
-    )
-    walks = low + np.abs(
-        (walks - low + (high - low)) % (2.0 * (high - low)) - (high - low)
-    )  # reflected at both ends
-    ways = random.normal(size=(DIRECTIONS, PERIODS, reach.size)) * WAY * reach
-    commands = torch.tensor(
-        np.concatenate([walks, walks[0] + ways, walks[0] - ways]), requires_grad=True
-    )
-    arms, costs = (
-        Arms(model, len(commands), period, np.zeros(0), np.zeros(0)),
-        torch.zeros(len(commands)),
-    )
-    arms.place(np.arange(arms.size), np.tile(Simulation(model).reset_at_rest().q, (arms.size, 1)))
-    now = arm_tensors(arms)
-    for k in range(PERIODS):
-        now = control_period(arms, now, commands[:, k : k + 1].expand(-1, arms.substeps, -1))
-        costs = costs + 0.5 * (
-            now.tip_pose[:, :3, 3] - now.tip_pose[1, :3, 3].detach()
-        ).square().sum(dim=1)
+    random = np.random.default_rng(seed)
+    reach = greatest - least
+    walks = _walks(random, least, reach, change)
+    shape = DIRECTIONS, PERIODS, reach.size
+    ways = random.normal(size=shape) * WAY * reach
+    every_walk = np.concatenate([walks, walks[0] + ways, walks[0] - ways])
+    commands = torch.tensor(every_walk, requires_grad=True)
+    costs = _costs(model, period, commands)
     (gradient,) = torch.autograd.grad(costs[0], commands)
-    moved = (costs[2 : 2 + DIRECTIONS] - costs[2 + DIRECTIONS :]).detach().numpy()
-    found = 2.0 * np.einsum("dka,ka->d", ways, gradient[0].numpy())
-    sizes = np.linalg.norm(found), np.linalg.norm(moved)
-    return GradientAccuracy(float(found @ moved / np.prod(sizes)), float(sizes[0] / sizes[1]))
+
+    # rows are: the walk, the one that is tracked, those moved forth, those moved back
+    forth = costs[2 : 2 + DIRECTIONS]
+    back = costs[2 + DIRECTIONS :]
+    differences = (forth - back).detach().numpy()
+    # moves are to both sides
+    slopes = 2.0 * np.einsum("dka,ka->d", ways, gradient[0].numpy())
+    length = np.linalg.norm(slopes)
+    length_of_differences = np.linalg.norm(differences)
+    cosine = slopes @ differences / np.prod([length, length_of_differences])
+    return GradientAccuracy(float(cosine), float(length / length_of_differences))
+
+
+def _walks(
+    random: np.random.Generator,
+    least: Array,
+    reach: Array,
+    change: Array,
+) -> Array:
+    """Two random walks (2, PERIODS, n_a) of commands, reflected at the ends of a trial's range."""
+    low = least + LEAST_SHARE * reach
+    begin = least + FIRST_SHARE * reach
+    high = least + GREATEST_SHARE * reach
+    width = high - low
+    largest_step = np.minimum(change, 0.5 * width)
+    shape = 2, PERIODS, reach.size
+    steps = random.uniform(-1.0, 1.0, shape) * largest_step
+    unlimited = begin + np.cumsum(steps, axis=1)
+    # a triangle wave, which goes to and fro between 0 and the width
+    beyond = (unlimited - low + width) % (2.0 * width)
+    return np.asarray(low + np.abs(beyond - width))
+
+
+def _costs(model: Model, period: float, commands: torch.Tensor) -> torch.Tensor:
+    """Tracking errors (rows,) of arms under commands (rows, PERIODS, n_a); row 1 is tracked."""
+    rows = len(commands)
+    no_places = np.zeros(0)
+    arms = Arms(
+        model,
+        rows,
+        period,
+        no_places,
+        no_places,
+    )
+    rest = Simulation(model).reset_at_rest().q
+    arms.place(np.arange(rows), np.tile(rest, (rows, 1)))
+    now = arm_tensors(arms)
+    costs = torch.zeros(rows)
+    for k in range(PERIODS):
+        held = commands[:, k : k + 1].expand(-1, arms.substeps, -1)
+        now = control_period(arms, now, held)
+        tip = now.tip_pose[:, :3, 3]
+        way = tip - now.tip_pose[1, :3, 3].detach()
+        costs = costs + 0.5 * way.square().sum(dim=1)
+    return costs

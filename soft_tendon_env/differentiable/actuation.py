@@ -1,8 +1,6 @@
-"""Actuators in PyTorch: the commands of a control period as tensors, from actions; clipping whose
-gradient leads back inside."""
+"""Actuators in PyTorch: commands from actions, and clipping whose gradient leads back inside."""
 
 import math
-from dataclasses import fields
 from typing import Any, cast
 
 import torch
@@ -12,9 +10,14 @@ from soft_tendon_env.envs.actuation import ActionScale, Actuation
 
 
 class _InwardClip(torch.autograd.Function):
+    """Clipping, whose gradient is zero where descent would lead further out alone."""
+
     @staticmethod
     def forward(
-        ctx: Any, values: torch.Tensor, least: torch.Tensor, greatest: torch.Tensor
+        ctx: Any,
+        values: torch.Tensor,
+        least: torch.Tensor,
+        greatest: torch.Tensor,
     ) -> torch.Tensor:
         clipped = torch.minimum(torch.maximum(values, least), greatest)
         ctx.save_for_backward(values - clipped)
@@ -24,56 +27,79 @@ class _InwardClip(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, cotangent: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         (beyond,) = ctx.saved_tensors
-        return cotangent * (beyond * cotangent >= 0.0), None, None
+        leads_inside = beyond * cotangent >= 0.0
+        return cotangent * leads_inside, None, None
 
 
 def inward_clip(
     values: torch.Tensor, least: torch.Tensor | float, greatest: torch.Tensor | float
 ) -> torch.Tensor:
-    """Values (...) clipped to [least, greatest], with a gradient that is zero beyond a limit only
-    where descent would lead further out.
+    """Clipped values, with a gradient beyond a limit unless descent would lead further out.
 
     The exact derivative is zero there: a tendon that an action had let go slack would stay so for
     ever.
+
+    Args:
+        values: (...).
+        least: limit, which broadcasts with the values.
+        greatest: limit, likewise.
+
+    Returns:
+        Values (...) in [least, greatest].
     """
-    bounds = (torch.as_tensor(bound, dtype=values.dtype) for bound in (least, greatest))
-    return cast(torch.Tensor, _InwardClip.apply(values, *bounds))
+    low = torch.as_tensor(least, dtype=values.dtype)
+    high = torch.as_tensor(greatest, dtype=values.dtype)
+    return cast(torch.Tensor, _InwardClip.apply(values, low, high))
 
 
 class TensorActuation:
-    """Rows of actuators from where they are now, for actions that carry gradients; gradients at
-    limits and of slack tendons lead inside.
+    """Rows of actuators from where they are now, for actions that carry gradients.
 
-    command: (rows, n_a) asked for last. scale: an ActionScale of tensors.
+    Gradients at limits and of slack tendons lead inside.
+
+    Attributes:
+        command: (rows, n_a) asked for last.
+        scale: an ActionScale of tensors.
     """
 
     def __init__(self, actuation: Actuation) -> None:
-        self._of = of = actuation
-        scale: dict[str, Any] = {
-            one.name: _tensor(getattr(of.actions, one.name)) for one in fields(ActionScale)
-        }
-        self.scale: Any = ActionScale(**scale)
-        self.command: torch.Tensor = _tensor(of.command)
-        self._in_transit = _tensor(of.in_transit)
+        """Begin where the actuators of an environment are."""
+        self._actuation = actuation
+        actions = actuation.actions
+        self.scale: Any = ActionScale(
+            _tensor(actions.least),
+            _tensor(actions.greatest),
+            _tensor(actions.increment),
+        )
+        self.command: torch.Tensor = _tensor(actuation.command)
+        self._in_transit = _tensor(actuation.in_transit)
 
     def apply(self, action: torch.Tensor) -> torch.Tensor:
-        """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1,
-        1]: as Actuation.apply."""
-        of, scale = self._of, self.scale
-        self.command = inward_clip(scale.wanted(action, self.command), scale.least, scale.greatest)
+        """Commands of the period that begins, as `Actuation.apply`.
+
+        Args:
+            action: (rows, n_a) in [-1, 1].
+
+        Returns:
+            Commands (rows, parts, n_a), with the errors of the actuators.
+        """
+        actuation = self._actuation
+        unlimited = self.scale.wanted(action, self.command)
+        self.command = inward_clip(unlimited, self.scale.least, self.scale.greatest)
         if self._in_transit is None:
-            acting = self.command[:, None].expand(-1, of.substeps, -1)
+            acting = self.command[:, None].expand(-1, actuation.substeps, -1)
         else:
-            self._in_transit = torch.cat([self._in_transit[:, 1:], self.command[:, None]], dim=1)
-            acting = self._in_transit[of.arriving]
-        if of.imperfect:
-            acting = inward_clip(
-                _tensor(of.gain)[:, None] * acting + _tensor(of.offset)[:, None],
-                _tensor(of.slack),
-                math.inf,
-            )
+            newest = self.command[:, None]
+            self._in_transit = torch.cat([self._in_transit[:, 1:], newest], dim=1)
+            acting = self._in_transit[actuation.arriving]
+        if actuation.imperfect:
+            gain = _tensor(actuation.gain)[:, None]
+            offset = _tensor(actuation.offset)[:, None]
+            slack = _tensor(actuation.slack)
+            acting = inward_clip(gain * acting + offset, slack, math.inf)
         return acting
 
 
 def _tensor(values: Any) -> Any:
+    """A tensor with a copy of an array; None of None."""
     return None if values is None else torch.tensor(values)

@@ -1,9 +1,7 @@
-"""Observations in PyTorch, by the definitions of the groups, which run on tensors in place of
-arrays."""
+"""Observations in PyTorch: the groups of the environments, on tensors in place of arrays."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -15,95 +13,145 @@ from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 
 
-class TensorObservation:
-    """Observations of an environment's rows as tensors, of the step at which this is made and of
-    every one after it, in order.
+class _Arms(NamedTuple):
+    """What observation groups read of arms, as tensors."""
 
-    They are computed in float64; noise of sensors is that of the environment's readings.
+    rows: ArmTensors
+    reading: ArmTensors
+
+
+class TensorObservation:
+    """Observations of an environment's rows as tensors, of this step and of every one after it.
+
+    They are asked for in order, and computed in float64; noise of sensors is that of the
+    environment's readings.
     """
 
     def __init__(self, episodes: Episodes, dtype: torch.dtype) -> None:
-        """dtype: of the observations."""
-        self._episodes, self._dtype, layout, history = (
-            episodes,
-            dtype,
-            episodes.layout,
-            episodes.history,
-        )
+        """Begin in the present step; dtype: of the observations."""
+        self._episodes = episodes
+        self._dtype = dtype
+        layout = episodes.layout
         self._scale, self._bound, self._kept = as_tensors(layout.scale, layout.bound, layout.kept)
-        self._past = (
-            None if history is None else torch.tensor(history.frames[:, 1:], dtype=torch.float64)
-        )
+        self._past: torch.Tensor | None = None
+        if episodes.history is not None:
+            past = episodes.history.frames[:, 1:]
+            self._past = torch.tensor(past, dtype=torch.float64)
 
-    def now(self, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
-        """Observation (rows, size) of the present step, for goal-conditioned tasks a dictionary.
+    def now(
+        self,
+        arms: ArmTensors,
+        action: torch.Tensor,
+        command: torch.Tensor,
+    ) -> Any:
+        """Observation of the present step.
 
-        arms: of this step; action: (rows, n_a) the last one; command: (rows, n_a) asked for last.
+        Args:
+            arms: of this step.
+            action: (rows, n_a) the last one.
+            command: (rows, n_a) asked for last.
+
+        Returns:
+            A tensor (rows, size), for goal-conditioned tasks a dictionary of them.
         """
         observed = observed_tensors(self._episodes, arms, action, command)
-        seen, self._past = self.complete(observed, self.groups(observed), self._past)
-        return seen
+        groups = self.groups(observed)
+        observation, self._past = self.complete(observed, groups, self._past)
+        return observation
 
     def groups(self, observed: Any) -> torch.Tensor:
-        """The groups' entries (rows, size of the groups), scaled and clipped, of observed
-        quantities as tensors."""
-        parts: list[Any] = [
-            group.values(observed) for group in self._episodes.layout.groups.values()
-        ]
-        return torch.clamp(torch.cat(parts, dim=1) * self._scale, -self._bound, self._bound)
+        """Entries of the groups (rows, size of the groups), scaled and clipped.
+
+        Args:
+            observed: quantities as tensors.
+
+        Returns:
+            The entries side by side.
+        """
+        groups = self._episodes.layout.groups.values()
+        parts: list[Any] = [group.values(observed) for group in groups]
+        scaled = torch.cat(parts, dim=1) * self._scale
+        return torch.clamp(scaled, -self._bound, self._bound)
 
     def complete(
-        self, observed: Any, flat: torch.Tensor, past: torch.Tensor | None
+        self,
+        observed: Any,
+        flat: torch.Tensor,
+        past: torch.Tensor | None,
     ) -> tuple[Any, torch.Tensor | None]:
-        """Observation of `groups` with their history and goals, and the past of the next step.
+        """Observation of groups with their history and goals, and the past of the next step.
 
-        past: (rows, periods, m) of the arm's groups before this step, the latest first; None:
-        without history.
+        Args:
+            observed: quantities as tensors.
+            flat: the entries of `groups`.
+            past: (rows, periods, m) of the arm's groups before this step, the latest first; None:
+                without history.
+
+        Returns:
+            The observation, and the past of the next step.
         """
         if past is not None:
-            frames = torch.cat([flat[:, None, self._kept], past], dim=1)
+            present = flat[:, None, self._kept]
+            frames = torch.cat([present, past], dim=1)
             past = frames[:, :-1]
-            flat = torch.cat([flat, ((frames[:, 1:] - frames[:, :1]) / CHANGE).flatten(1)], dim=1)
+            changes = (frames[:, 1:] - frames[:, :1]) / CHANGE
+            flat = torch.cat([flat, changes.flatten(1)], dim=1)
         if self._episodes.task.goal is None:
             return flat.to(self._dtype), past
-        reach, poses = (
-            self._episodes.goal_bound,
-            (observed.tip_pose, observed.target.tip_pose[:, 0]),
-        )
-        achieved, desired = (torch.clamp(pose[:, :3, 3], -reach, reach) for pose in poses)
-        named = {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
-        return {name: value.to(self._dtype) for name, value in named.items()}, past
+        observation = {
+            "observation": flat.to(self._dtype),
+            "achieved_goal": self._goal(observed.tip_pose),
+            "desired_goal": self._goal(observed.target.tip_pose[:, 0]),
+        }
+        return observation, past
+
+    def _goal(self, pose: torch.Tensor) -> torch.Tensor:
+        """Positions (rows, 3) of poses (rows, 4, 4) as goals, within their space."""
+        bound = self._episodes.goal_bound
+        return torch.clamp(pose[:, :3, 3], -bound, bound).to(self._dtype)
 
 
 def observed_tensors(
-    episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor
+    episodes: Episodes,
+    arms: ArmTensors,
+    action: torch.Tensor,
+    command: torch.Tensor,
 ) -> Any:
     """Observed quantities of the present step as tensors, see TensorObservation.now."""
-    seen = episodes.observed
-    target, measured = as_tensors(*seen.target), _readings(seen, arms)
-    given: dict[str, Any] = {"arms": SimpleNamespace(rows=arms, reading=arms)}
-    given |= {
+    observed = episodes.observed
+    target: Any = TargetSamples._make(as_tensors(*observed.target))
+    measured = _readings(observed, arms)
+    values: dict[str, Any] = {
+        "arms": _Arms(rows=arms, reading=arms),
         "measured": measured,
-        "error": pose_logarithm(measured.tip_pose, target[0]),
+        "error": pose_logarithm(measured.tip_pose, target.tip_pose),
+        "target": target,
         "action": action,
         "command": command,
+        "rest": RestValues._make(as_tensors(*observed.rest)),
     }
-    return replace(
-        seen, target=TargetSamples(*target), rest=RestValues(*as_tensors(*seen.rest)), **given
-    )
+    return replace(observed, **values)
 
 
-def _readings(seen: Observed, arms: ArmTensors) -> Any:
-    """Sensor readings as tensors: those of the arms, turned, moved and shifted as the environment's
-    noise has it."""
-    true, noisy = seen.arms.reading, seen.measured
+def _readings(observed: Observed, arms: ArmTensors) -> Any:
+    """Sensor readings as tensors, with the noise of the environment's readings.
+
+    They are those of the arms, turned, moved and shifted.
+    """
+    true = observed.arms.reading
+    noisy = observed.measured
     if noisy is true:
         return arms
-    shifted = {
-        name: getattr(arms, name) + torch.tensor(getattr(noisy, name) - getattr(true, name))
-        for name in Measured._fields
+    pose = arms.tip_pose + torch.tensor(noisy.tip_pose - true.tip_pose)
+    turn = true.tip_pose[:, :3, :3].swapaxes(1, 2) @ noisy.tip_pose[:, :3, :3]
+    pose[:, :3, :3] = arms.tip_pose[:, :3, :3] @ torch.tensor(turn)
+    length_noise = torch.tensor(noisy.tendon_length - true.tendon_length)
+    strain_noise = torch.tensor(noisy.strain - true.strain)
+    rate_noise = torch.tensor(noisy.strain_rate - true.strain_rate)
+    parts: dict[str, Any] = {
+        "tip_pose": pose,
+        "tendon_length": arms.tendon_length + length_noise,
+        "strain": arms.strain + strain_noise,
+        "strain_rate": arms.strain_rate + rate_noise,
     }
-    turn = torch.tensor(true.tip_pose[:, :3, :3].swapaxes(1, 2) @ noisy.tip_pose[:, :3, :3])
-    pose = shifted["tip_pose"]
-    pose[:, :3, :3] = arms.tip_pose[:, :3, :3] @ turn
-    return Measured(**shifted)
+    return Measured(**parts)

@@ -1,5 +1,4 @@
-"""Control periods of rows of arms in PyTorch: next state and readings, whose cotangents go back by
-the arms' adjoint."""
+"""Control periods of rows of arms in PyTorch, whose cotangents go back by the arms' adjoint."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,8 +12,7 @@ from torch.autograd.function import once_differentiable
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.tools.checks import checked_array
-
-STATE = ("q", "q_dot", "state")  # state of a row through which gradients pass
+from soft_tendon_env.tools.types import Array
 
 
 class ArmTensors(NamedTuple):
@@ -32,56 +30,91 @@ class ArmTensors(NamedTuple):
 
 
 def as_tensors(*values: NDArray[Any]) -> list[Any]:
-    """Tensors with copies of arrays, in whose place they stand: what is written for both has the
-    types of arrays."""
+    """Tensors with copies of arrays, in whose place they stand.
+
+    What is written for both has the types of arrays.
+    """
     return [torch.tensor(value) for value in values]
 
 
 def arm_tensors(arms: Arms) -> ArmTensors:
     """State and readings of the rows as they are now, copied."""
-    of = {
-        **arms.rows.fields(),
-        **arms.reading.fields(),
-        "backbone_position": arms.reading.backbone[..., :3, 3],
-    }
-    return ArmTensors(*as_tensors(*(of[name] for name in ArmTensors._fields)))
+    rows = arms.rows
+    reading = arms.reading
+    return ArmTensors(
+        q=torch.tensor(rows.q),
+        q_dot=torch.tensor(rows.q_dot),
+        state=torch.tensor(rows.state),
+        tip_pose=torch.tensor(reading.tip_pose),
+        tip_twist=torch.tensor(reading.tip_twist),
+        backbone_position=torch.tensor(reading.backbone[..., :3, 3]),
+        tendon_length=torch.tensor(reading.tendon_length),
+        strain=torch.tensor(reading.strain),
+        strain_rate=torch.tensor(reading.strain_rate),
+    )
 
 
 class _ControlPeriod(torch.autograd.Function):
+    """One period of all rows; gradients pass through commands, q, q_dot and internal states."""
+
     @staticmethod
     def forward(
         ctx: Any,
         arms: Arms,
         advance: Callable[..., None],
         commands: torch.Tensor,
-        *before: torch.Tensor,
+        q: torch.Tensor,
+        q_dot: torch.Tensor,
+        state: torch.Tensor,
     ) -> tuple[Any, ...]:
-        for name, value in zip(STATE, before, strict=True):
-            getattr(arms.rows, name)[...] = value.numpy()
-        ctx.arms, ctx.tape = arms, arms.make_tape(commands.shape[1])
-        advance(tape=ctx.tape)
-        ctx.set_materialize_grads(False)
+        arms.rows.q[...] = q.numpy()
+        arms.rows.q_dot[...] = q_dot.numpy()
+        arms.rows.state[...] = state.numpy()
+        parts = commands.shape[1]
+        tape = arms.make_tape(parts)
+        advance(tape=tape)
         after = arm_tensors(arms)
+        ctx.arms = arms
+        ctx.tape = tape
+        ctx.parts = parts
+        ctx.set_materialize_grads(False)
         ctx.save_for_backward(after.tip_pose)
         return after
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *cotangents: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
-        arms, (pose,) = ctx.arms, ctx.saved_tensors
-        back = arms.make_cotangents(ctx.tape.duration.shape[1])
-        for name, value in zip(ArmTensors._fields, cotangents, strict=True):
-            if value is not None:
-                getattr(back, name)[...] = (
-                    body_cotangent(pose, value) if name == "tip_pose" else value
-                ).numpy()
+        arms = ctx.arms
+        (pose,) = ctx.saved_tensors
+        after: Any = ArmTensors._make(cotangents)  # None where nothing depends on an output
+        back = arms.make_cotangents(ctx.parts)
+        _fill(back.q, after.q)
+        _fill(back.q_dot, after.q_dot)
+        _fill(back.state, after.state)
+        if after.tip_pose is not None:
+            _fill(back.tip_pose, body_cotangent(pose, after.tip_pose))
+        _fill(back.tip_twist, after.tip_twist)
+        _fill(back.backbone_position, after.backbone_position)
+        _fill(back.tendon_length, after.tendon_length)
+        _fill(back.strain, after.strain)
+        _fill(back.strain_rate, after.strain_rate)
         arms.adjoint(ctx.tape, np.arange(arms.size, dtype=np.int64), back)
+        of_arms = None
+        of_advance = None
         return (
-            None,
-            None,
+            of_arms,
+            of_advance,
             torch.from_numpy(back.command),
-            *(torch.from_numpy(getattr(back, name)) for name in STATE),
+            torch.from_numpy(back.q),
+            torch.from_numpy(back.q_dot),
+            torch.from_numpy(back.state),
         )
+
+
+def _fill(out: Array, cotangent: torch.Tensor | None) -> None:
+    """Write a cotangent, if there is one, into an array of zeros."""
+    if cotangent is not None:
+        out[...] = cotangent.numpy()
 
 
 def control_period(
@@ -90,24 +123,44 @@ def control_period(
     commands: torch.Tensor,
     advance: Callable[..., None] | None = None,
 ) -> ArmTensors:
-    """State and readings of all rows after a period under commands (rows, parts, n_a), each held
-    for an integrator step.
+    """State and readings of all rows after a period, differentiable in commands and state before.
 
-    Differentiable in the commands and in the state before. The arms themselves take the step, from
-    the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a row whose
-    step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as
-    rigid bodies.
+    The arms themselves take the step, from the state of `before`. Gradients are those of their
+    adjoint, once, see Arms.adjoint; a row whose step fails has none. Poses are 4x4 matrices, whose
+    cotangents count as far as they move them as rigid bodies. float64.
 
-    advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an
-    environment does. float64. Raises TypeError or ValueError for other shapes and numbers that are
-    not finite; `backward` raises what Arms.adjoint does.
+    Args:
+        arms: whose rows are stepped.
+        before: state of the rows.
+        commands: (rows, parts, n_a), each held for an integrator step.
+        advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as
+            an environment does.
+
+    Returns:
+        State and readings after the period.
+
+    Raises:
+        TypeError: for what are no numbers.
+        ValueError: for other shapes and numbers that are not finite. `backward` raises what
+            Arms.adjoint does.
     """
-    state = [getattr(before, name) for name in STATE]
-    for name, value in zip(STATE, state, strict=True):
-        checked_array(f"before.{name}", value.detach().numpy(), getattr(arms.rows, name).shape)
-    parts = checked_array(
-        "commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count)
-    )
+    _check("before.q", before.q, arms.rows.q.shape)
+    _check("before.q_dot", before.q_dot, arms.rows.q_dot.shape)
+    _check("before.state", before.state, arms.rows.state.shape)
+    parts = _check("commands", commands, (arms.size, None, arms.model.tendon_count))
     if advance is None:
         advance = partial(arms.step, parts, np.arange(arms.size, dtype=np.int64))
-    return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *state))
+    after = _ControlPeriod.apply(
+        arms,
+        advance,
+        commands,
+        before.q,
+        before.q_dot,
+        before.state,
+    )
+    return ArmTensors._make(after)
+
+
+def _check(name: str, values: torch.Tensor, shape: tuple[int | None, ...]) -> Array:
+    """Values of a tensor as an array of that shape. Raises TypeError, ValueError."""
+    return checked_array(name, values.detach().numpy(), shape)

@@ -1,6 +1,6 @@
-"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`,
-`TendonRod-Reach-v0`.
+"""Gymnasium environments of a tendon-driven soft arm.
 
+They are `TendonRod-TipPose-v0`, `TendonRod-Shape-v0` and `TendonRod-Reach-v0`.
 Every registered task has the classes `<name>Env` and `<name>VectorEnv` in environments.py.
 """
 
@@ -16,9 +16,12 @@ from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task, regi
 from soft_tendon_env.envs.tracking import register_reward_term
 from soft_tendon_env.registration import IDS
 
-TipPoseEnv, TipPoseVectorEnv = environment_class(TIP_POSE), vector_environment_class(TIP_POSE)
-ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SHAPE)
-ReachEnv, ReachVectorEnv = environment_class(REACH), vector_environment_class(REACH)
+TipPoseEnv = environment_class(TIP_POSE)
+TipPoseVectorEnv = vector_environment_class(TIP_POSE)
+ShapeEnv = environment_class(SHAPE)
+ShapeVectorEnv = vector_environment_class(SHAPE)
+ReachEnv = environment_class(REACH)
+ReachVectorEnv = vector_environment_class(REACH)
 
 __all__ = [
     "IDS",

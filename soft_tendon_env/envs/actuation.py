@@ -20,11 +20,10 @@ long."""
 
 @dataclass(frozen=True)
 class ActionScale:
-    """Action scaling of [-1, 1]: to commands between limits (n_a,), or to changes of at most
-    `increment` (n_a,) if there is one.
+    """Action scaling of [-1, 1], to commands between limits or to changes of commands.
 
-    Commands are tensions [N], or what the scene's effects make of them, as the displacements [m] of
-    elastic tendons' actuators.
+    Changes are of at most `increment` (n_a,), if there is one. Commands are tensions [N], or what
+    the scene's effects make of them, as the displacements [m] of elastic tendons' actuators.
     """
 
     least: Array
@@ -33,24 +32,46 @@ class ActionScale:
 
     @cached_property
     def _reach(self) -> Array:
+        """Half the range of the commands."""
         return 0.5 * (self.greatest - self.least)
 
     def wanted(self, action: Array, before: Array) -> Array:
-        """Commands (..., n_a) asked for by actions (..., n_a) after the command `before`, wherever
-        the limits are: of tensors too."""
+        """Commands that actions ask for, wherever the limits are; of tensors too.
+
+        Args:
+            action: (..., n_a) in [-1, 1].
+            before: the command (..., n_a) before.
+
+        Returns:
+            Commands (..., n_a).
+        """
         if self.increment is None:
             return self.least + self._reach * (action + 1.0)
         return before + self.increment * action
 
     def command(self, action: Array, before: Array) -> Array:
-        """Commands (..., n_a) asked for by actions (..., n_a) after the command `before` (...,
-        n_a), within the limits."""
+        """Commands that actions ask for, within the limits.
+
+        Args:
+            action: (..., n_a) in [-1, 1].
+            before: the command (..., n_a) before.
+
+        Returns:
+            Commands (..., n_a).
+        """
         unlimited = self.wanted(action, before)
         return np.asarray(np.minimum(np.maximum(unlimited, self.least), self.greatest))
 
     def action(self, command: Array, before: Array) -> Array:
-        """Actions (..., n_a) that ask for a command (..., n_a) after the one `before`, or come as
-        near to it as actions can."""
+        """Actions that ask for a command, or come as near to it as actions can.
+
+        Args:
+            command: (..., n_a).
+            before: the command (..., n_a) before.
+
+        Returns:
+            Actions (..., n_a) in [-1, 1].
+        """
         if self.increment is None:
             unlimited = 2.0 * (command - self.least) / (self.greatest - self.least) - 1.0
         else:
@@ -61,23 +82,42 @@ class ActionScale:
 class Actuation:
     """Rows of actuators.
 
-    `command` (rows, n_a) is what was last asked for, `in_transit` (rows, periods, n_a) what was
-    asked for by control period, the newest last, where commands can be late; `gain` and `offset`
-    (rows, n_a) err, where actuators are `imperfect`. A tendon that can only pull goes slack at
-    `slack` (n_a,), 0; others have their least command there.
+    Attributes:
+        command: (rows, n_a) what was last asked for.
+        in_transit: (rows, periods, n_a) what was asked for by control period, the newest last;
+            None where commands cannot be late.
+        imperfect: whether actuators have errors.
+        gain: (rows, n_a) factors of commands.
+        offset: (rows, n_a) that is added to commands.
+        slack: (n_a,) at which tendons go slack that can only pull, 0; of others their least
+            command.
     """
 
     def __init__(
-        self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int
+        self,
+        options: Options,
+        limits: Array,
+        start: Array,
+        share: Array,
+        rows: int,
+        substeps: int,
     ) -> None:
-        """limits: (n_a, 2) of commands; start: commands (n_a,) before the first reset; share:
-        (n_a,) of the range of commands that 1 N is of that of tensions; substeps: integrator steps
-        a period.
+        """Make actuators without errors, under a command.
 
-        Raises ConfigurationError.
+        Args:
+            options: of the environment.
+            limits: (n_a, 2) of commands.
+            start: commands (n_a,) before the first reset.
+            share: (n_a,) of the range of commands that 1 N is of that of tensions.
+            rows: of actuators.
+            substeps: integrator steps a period.
+
+        Raises:
+            ConfigurationError: where commands can be too late.
         """
         period = options.control_period
-        least, greatest = limits[:, 0].copy(), limits[:, 1].copy()
+        least = limits[:, 0].copy()
+        greatest = limits[:, 1].copy()
         increment = None
         if options.action == "increment":
             increment = share * (options.tension_rate * period)
@@ -94,7 +134,7 @@ class Actuation:
         self.gain = np.ones((rows, start.size))
         self.offset = np.zeros((rows, start.size))
 
-        latency = options.randomize.latency[1]
+        _, latency = options.randomize.latency
         most = MOST_LATENCY * period
         if latency > most:
             allowed = f"it should be at most {MOST_LATENCY} control periods, {most:g} s"
@@ -107,19 +147,32 @@ class Actuation:
         self._periods_late = np.zeros(rows, dtype=np.int64)
         self._durations = np.tile([0.0, period], (rows, 1))
 
-    def begin(self, row: int, generator: np.random.Generator, command: Array) -> None:
-        """A new episode of a row under a command (n_a,), held since long before; its actuators are
-        drawn, always in the same order."""
+    def begin(
+        self,
+        row: int,
+        generator: np.random.Generator,
+        command: Array,
+    ) -> None:
+        """Begin a new episode of a row, and draw its actuators, always in the same order.
+
+        Args:
+            row: that begins.
+            generator: of the episode.
+            command: (n_a,) that has been held since long before.
+        """
         ranges = self._randomize
-        gain = generator.uniform(*ranges.tension_gain, command.size)
-        offset = self._share * generator.uniform(*ranges.tension_offset, command.size)
+        tendons = command.size
+        gain = generator.uniform(*ranges.tension_gain, tendons)
+        offset_of_tension = generator.uniform(*ranges.tension_offset, tendons)
+        offset = self._share * offset_of_tension
         latency = generator.uniform(*ranges.latency)
+        # drawn after the others, so that these are the same with and without omissions
         if ranges.omit:
             has_gain, has_offset, has_latency = generator.random(3) >= ranges.omit
             if not has_gain:
-                gain = np.ones(command.size)
+                gain = np.ones(tendons)
             if not has_offset:
-                offset = np.zeros(command.size)
+                offset = np.zeros(tendons)
             if not has_latency:
                 latency = 0.0
         self.command[row] = command
@@ -132,8 +185,7 @@ class Actuation:
             self.in_transit[row] = command
 
     def drawn(self, row: int) -> dict[str, Any]:
-        """Gain and offset [N] (n_a,), and latency [s], of a row's actuators as they were drawn, by
-        their names in `randomize`."""
+        """Gain and offset [N] (n_a,) and latency [s] drawn for a row, by name in `randomize`."""
         values: dict[str, Any] = {}
         if self.imperfect:
             values["tension_gain"] = self.gain[row].copy()
@@ -143,54 +195,69 @@ class Actuation:
         return values
 
     def shares(self) -> Array:
-        """How far from the least to the greatest of every range (rows, ranges) gains, offsets and
-        latencies of rows are, 0 to 1."""
+        """Gains, offsets and latencies (rows, numbers) as shares of their ranges, 0 to 1."""
         rows = len(self.gain)
-        latency = np.array([[self.delay(row)] for row in range(rows)])
+        delays = [self.delay(row) for row in range(rows)]
+        latency = np.array(delays)[:, None]
         ranges = self._randomize
-        values = (
-            (self.gain, ranges.tension_gain),
-            (self.offset / self._share, ranges.tension_offset),
-            (latency, ranges.latency),
-        )
-        shares = [np.zeros((rows, 0))]
-        for value, (least, greatest) in values:
-            if least < greatest:
-                shares.append((value - least) / (greatest - least))
+        offset = self.offset / self._share
+        shares = [
+            _share_of(self.gain, ranges.tension_gain),
+            _share_of(offset, ranges.tension_offset),
+            _share_of(latency, ranges.latency),
+        ]
         return np.concatenate(shares, axis=1)
 
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
-        return float(self._periods_late[row] * self._period + self._durations[row, 0])
+        whole_periods_late = self._periods_late[row] * self._period
+        return float(whole_periods_late + self._durations[row, 0])
 
     def acting(self, command: Array, row: int) -> Array:
         """Commands (..., n_a) with the errors of a row's actuators."""
-        return np.asarray(np.maximum(self.gain[row] * command + self.offset[row], self.slack))
+        erroneous = self.gain[row] * command + self.offset[row]
+        return np.asarray(np.maximum(erroneous, self.slack))
 
     def commanded(self, acting: Array, row: int) -> Array:
-        """Commands (..., n_a) of which a row's actuators make `acting` (..., n_a): the inverse of
-        `acting`, where there is one."""
+        """Commands of which a row's actuators make others: the inverse of `acting`, if it has one.
+
+        Args:
+            acting: (..., n_a) what acts.
+            row: of the actuators.
+
+        Returns:
+            Commands (..., n_a).
+        """
         gain = np.where(self.gain[row] > 0.0, self.gain[row], 1.0)
         return np.asarray((acting - self.offset[row]) / gain)
 
     def sent(self, row: int) -> Array:
-        """Commands (m, n_a) that may not have arrived at a row yet, with its actuators' errors, the
-        last asked for at the end."""
+        """Commands (m, n_a) on their way to a row, with errors, the last asked for at the end."""
         if self.in_transit is None:
             return self.acting(self.command[row : row + 1], row)
         return self.acting(self.in_transit[row], row)
 
     @property
     def arriving(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Rows (rows, 1) and places (rows, 2) in `in_transit` of the commands that act in a period,
-        one after the other."""
+        """Indices in `in_transit` of the two commands that act in a period, one after the other.
+
+        They are rows (rows, 1) and places (rows, 2).
+        """
         newest = self._kept - 1 - self._periods_late
-        return np.arange(len(newest))[:, None], newest[:, None] - [1, 0]
+        rows = np.arange(len(newest))
+        return rows[:, None], newest[:, None] - [1, 0]
 
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
-        """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1]
-        of the rows `members`, and how long each is held (rows, parts) [s]; None: for an integrator
-        step."""
+        """Commands of the period that begins.
+
+        Args:
+            action: (rows, n_a) in [-1, 1].
+            members: rows whose actions count.
+
+        Returns:
+            Commands (rows, parts, n_a), and how long each is held (rows, parts) [s]; None: for an
+            integrator step.
+        """
         command = self.actions.command(action, self.command)
         if members.size < len(command):
             self.command[members] = command[members]
@@ -206,5 +273,14 @@ class Actuation:
             durations = self._durations
             acting = self.in_transit[self.arriving]
         if self.imperfect:
-            acting = np.maximum(self.gain[:, None] * acting + self.offset[:, None], self.slack)
+            erroneous = self.gain[:, None] * acting + self.offset[:, None]
+            acting = np.maximum(erroneous, self.slack)
         return acting, durations
+
+
+def _share_of(values: Array, ends: tuple[float, float]) -> Array:
+    """Values (rows, m) as shares of their range, (rows, 0) where nothing is drawn from it."""
+    least, greatest = ends
+    if least == greatest:
+        return np.zeros((len(values), 0))
+    return (values - least) / (greatest - least)

@@ -31,14 +31,14 @@ LEAST_ROWS = 8
 """Rows that a thread should have before another one pays for its wake-up."""
 
 HEAD_START = 2
-"""Rows that one thread steps in about the time that another one takes to wake up and to say that
-it is done."""
+"""Rows that a thread steps in about the time that another takes to wake up and say that it is
+done."""
 
 
 class Arms:
-    """Rows of arms. `outcome` and `reading` (see mechanics.motion.batch) are those of the last
-    `step` or `place`.
+    """Rows of arms, which are stepped on several threads.
 
+    `outcome` and `reading` (see mechanics.motion.batch) are those of the last `step` or `place`.
     All begin with the scene's arm; `set_model` gives one another. Coordinates of a statics-based
     strain are in proportion to the rod's stiffness: `ratio` (rows, n) is that of a row's
     coordinates to those of the scene's arm in the same shape, exact where the whole rod is stiffer
@@ -58,7 +58,16 @@ class Arms:
         sensors: Array,
         threads: int | None = None,
     ) -> None:
-        """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
+        """Make rows of a model's arm.
+
+        Args:
+            model: of the arm.
+            rows: of arms.
+            period: of control [s].
+            stations: arc lengths [m] at which poses are read.
+            sensors: arc lengths [m] at which strains are read.
+            threads: at most this many; None: as many as there are processors.
+        """
         self.model = model
         self.size = rows
         self.period = period
@@ -80,7 +89,13 @@ class Arms:
             model.arm.effects.state,
             np.zeros(1),
         )
-        self._batch = batch.make_batch(model.arm, self.places, start, control.step, rows)
+        self._batch = batch.make_batch(
+            model.arm,
+            self.places,
+            start,
+            control.step,
+            rows,
+        )
         self.rows = self._batch.rows
         self.outcome = self._batch.outcome
         self.reading = self._batch.reading
@@ -100,8 +115,15 @@ class Arms:
         return np.asarray(self.rows.q / self.ratio)
 
     def coordinates_of(self, row: int, shape: Array) -> Array:
-        """Coordinates (.., n) that give a row's arm the shape that the scene's has at `shape` (..,
-        n), as those of targets are."""
+        """Coordinates (.., n) that give a row's arm the shape of the scene's arm.
+
+        Args:
+            row: whose arm it is.
+            shape: coordinates (.., n) of the scene's arm, as those of targets are.
+
+        Returns:
+            The coordinates of the row's arm.
+        """
         return np.asarray(self.ratio[row] * shape)
 
     def step(
@@ -112,10 +134,15 @@ class Arms:
         tape: Tape | None = None,
         begins: bool = True,
     ) -> None:
-        """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration
-        (rows, parts) [s], by default for an integrator step. A tape of `make_tape` keeps what
-        `adjoint` needs; the motion is the same. begins: False where the first command is the last
-        one of the step before."""
+        """Advance rows under commands.
+
+        Args:
+            command: (rows, parts, n_a), held one after another.
+            members: rows that are advanced.
+            durations: (rows, parts) [s] of the commands, by default an integrator step.
+            tape: of `make_tape`, that keeps what `adjoint` needs; the motion is the same.
+            begins: False where the first command is the last one of the step before.
+        """
         if durations is None and command.shape[1] == self.substeps:
             durations = self._durations
         elif durations is None:
@@ -129,13 +156,20 @@ class Arms:
         scheme = self._scheme if begins else self._goes_on
 
         def step(part: Indices, scratch: Scratch) -> None:
-            batch.step_rows(rows, scheme, part, command, durations, scratch, tape)
+            batch.step_rows(
+                rows,
+                scheme,
+                part,
+                command,
+                durations,
+                scratch,
+                tape,
+            )
 
         self.map_rows(step, members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
-        """A tape for `step`, of one period with so many parts: commands that follow on one another
-        within it."""
+        """Tape for `step`, of a period with so many parts: commands that follow on one another."""
         return make_tape(self.model.arm, self.size, parts)
 
     def make_cotangents(self, parts: int = 1) -> Cotangents:
@@ -143,7 +177,11 @@ class Arms:
         return make_cotangents(self.model.arm, self.places, self.size, parts)
 
     def check_adjoint(self) -> None:
-        """Raises ValueError where stresses depend on the strain before, as those of memory."""
+        """Raise an error where there is no adjoint.
+
+        Raises:
+            ValueError: where stresses depend on the strain before, as those of memory.
+        """
         table = self.model.arm.effects
         if not table.remembers:
             return
@@ -155,15 +193,26 @@ class Arms:
                     " through which there is no adjoint; Simulation.linearize has them"
                 )
 
-    def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents) -> None:
-        """Derivatives of a scalar by what went into the period on the tape, of the rows `members`:
-        given those by the state after it and by what was read of it, those by the state before it,
-        in their place, and by its commands; see Cotangents.
+    def adjoint(
+        self,
+        tape: Tape,
+        members: Indices,
+        cotangents: Cotangents,
+    ) -> None:
+        """Adjoint of a period: derivatives of a scalar by the state before it and its commands.
 
         They are approximate, see mechanics.motion.adjoint; their errors:
-        docs/explanation/derivatives.md. Rows whose step had failed get zeros. Raises ValueError
-        where rows have got another arm since, and as `check_adjoint`; LinAlgError, which names a
-        row, where its motion has no derivative.
+        docs/explanation/derivatives.md. Rows whose step had failed get zeros.
+
+        Args:
+            tape: of the period.
+            members: rows that go back.
+            cotangents: derivatives by the state after it and by what was read of it, which those by
+                the state before it and by its commands replace; see Cotangents.
+
+        Raises:
+            ValueError: where rows have got another arm since, and as `check_adjoint`.
+            LinAlgError: which names a row, where its motion has no derivative.
         """
         self.check_adjoint()
         changed = members[tape.material[members] != self._changes[members]]
@@ -173,10 +222,19 @@ class Arms:
                 " that"
             )
         memory_of = self._adjoint_memories()
-        rows, scheme = self._batch, self._scheme
+        rows = self._batch
+        scheme = self._scheme
 
         def go_back(part: Indices, scratch: Scratch) -> None:
-            adjoint_rows(rows, scheme, tape, part, cotangents, scratch, memory_of[id(scratch)])
+            adjoint_rows(
+                rows,
+                scheme,
+                tape,
+                part,
+                cotangents,
+                scratch,
+                memory_of[id(scratch)],
+            )
 
         self.map_rows(go_back, members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
@@ -185,8 +243,10 @@ class Arms:
             raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
 
     def _adjoint_memories(self) -> dict[int, AdjointMemory]:
-        """The memory of every thread's adjoint, by the `id` of its scratch; made when first
-        asked for."""
+        """The memory of every thread's adjoint, by the `id` of its scratch.
+
+        It is made when first asked for.
+        """
         if self._adjoint_memory is None:
             rate = linear_rate(self.model)
             self._adjoint_memory = [
@@ -195,15 +255,26 @@ class Arms:
         pairs = zip(self._scratch, self._adjoint_memory, strict=True)
         return {id(scratch): memory for scratch, memory in pairs}
 
-    def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Put the rows `members` at rest at their coordinates q (members, n), where tensions
-        (members, n_a) [N], or none, hold them."""
+    def place(
+        self,
+        members: Indices,
+        q: Array,
+        tension: Array | None = None,
+    ) -> None:
+        """Put rows at rest.
+
+        Args:
+            members: the rows.
+            q: their coordinates (members, n).
+            tension: (members, n_a) [N] that holds them; None: none.
+        """
         commands = np.zeros((self.size, self.model.tendon_count))
         if tension is not None:
             commands[members] = tension
         if self.model.arm.effects.transmission.acts:
             for row, coordinates in zip(members.tolist(), q, strict=True):
-                commands[row] = self._models[row].command(commands[row], coordinates)
+                model = self._models[row]
+                commands[row] = model.command(commands[row], coordinates)
         self.rows.q[members] = q
         self.rows.q_dot[members] = 0.0
         self.rows.step[members] = self._scheme.control.step
@@ -215,10 +286,18 @@ class Arms:
         self.map_rows(place, members)
 
     def map_rows(
-        self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0
+        self,
+        work: Callable[[Indices, Scratch], None],
+        members: Indices,
+        head_start: int = 0,
     ) -> None:
-        """Split the rows among the threads; this one takes `head_start` more, which it does while
-        the others wake up."""
+        """Split rows among the threads.
+
+        Args:
+            work: on a part of the rows, with the scratch of a thread.
+            members: the rows.
+            head_start: rows that this thread takes more, while the others wake up.
+        """
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
@@ -238,13 +317,22 @@ class Arms:
             other.result()
 
     def read_samples(
-        self, q: Array, q_dot: Array, places: batch.Places | None = None
+        self,
+        q: Array,
+        q_dot: Array,
+        places: batch.Places | None = None,
     ) -> tuple[batch.Reading, NDArray[np.bool_]]:
-        """Kinematics along motions with samples q, q_dot (samples, n), of the scene's arm, at other
-        `places` if given.
+        """Kinematics of the scene's arm along motions.
 
-        The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of
-        a sample depends on its q and q_dot alone.
+        What is read of a sample depends on its q and q_dot alone.
+
+        Args:
+            q: coordinates (samples, n).
+            q_dot: their rates (samples, n).
+            places: at which poses and strains are read, by default those of the rows.
+
+        Returns:
+            The Reading (samples, ..), and which samples have a strain, (samples,) bool.
         """
         arm = self.model.arm
         if places is None:
@@ -256,34 +344,60 @@ class Arms:
         has_strain = np.zeros(samples, dtype=bool)
 
         def read(part: Indices, scratch: Scratch) -> None:
-            batch.read_samples(arm, places, q, q_dot, part, scratch.work, reading, has_strain)
+            batch.read_samples(
+                arm,
+                places,
+                q,
+                q_dot,
+                part,
+                scratch.work,
+                reading,
+                has_strain,
+            )
 
         self.map_rows(read, np.arange(samples))
         return reading, has_strain
 
     def have_margin(self, q: Array) -> NDArray[np.bool_]:
-        """Whether the scene's arm has firm strains, see mechanics.strain, at coordinates q
-        (samples, n): (samples,)."""
+        """Whether the scene's arm has firm strains, see mechanics.strain.
+
+        Args:
+            q: coordinates (samples, n).
+
+        Returns:
+            Whether it has, (samples,).
+        """
         arm = self.model.arm
         samples = len(q)
         q = np.ascontiguousarray(q)
         firm = np.zeros(samples, dtype=bool)
 
         def look(part: Indices, scratch: Scratch) -> None:
-            batch.are_firm(arm, q, part, scratch.work, firm)
+            batch.are_firm(
+                arm,
+                q,
+                part,
+                scratch.work,
+                firm,
+            )
 
         self.map_rows(look, np.arange(samples))
         return firm
 
     def set_model(self, row: int, model: Model) -> None:
-        """Give a row its arm: that of a model without `misfit` to the scene's, see
-        `Model.with_scene`."""
+        """Give a row its arm.
+
+        Args:
+            row: whose arm it is.
+            model: without `misfit` to the scene's, see `Model.with_scene`.
+        """
         if model is self._models[row]:
             return
         self._models[row] = model
         self.rows.arm[row] = model.arm.address
         if isinstance(model.arm.strain, Implicit):
-            stiffness, own_stiffness = np.diag(self.model.metric), np.diag(model.metric)
+            stiffness = np.diag(self.model.metric)
+            own_stiffness = np.diag(model.metric)
             self.ratio[row] = stiffness / own_stiffness
         self._changes[row] += 1
 
@@ -292,8 +406,10 @@ class Arms:
         return self._models[row]
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
-        """The threads of this process: a fork copies the pool but none of its threads, and perhaps
-        locks that they held."""
+        """The threads of this process.
+
+        A fork copies the pool but none of its threads, and perhaps locks that they held.
+        """
         if self._pool is None:
             return None
         process, pool = self._pool

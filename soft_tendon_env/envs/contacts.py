@@ -1,5 +1,7 @@
 """Obstacles: which starts and targets keep clear of them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,67 +10,89 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-# depth in an obstacle, in radii of the rod, from which an arm counts as inside: ten times what its
-# own weight makes
 INSIDE = 0.1
+"""Depth in an obstacle, in radii of the rod, from which an arm counts as inside: ten times what its
+own weight makes."""
+
+
+class Depth(NamedTuple):
+    """How deep a ball of the arm is in an obstacle."""
+
+    depth: float  # [m], negative outside
+    sample: int  # number of the ball
+    name: str  # of the obstacle, as messages have it
 
 
 def deepest(
-    model: Model, positions: Array, radius: Array, standing: bool = False
-) -> tuple[float, int, str]:
-    """Depth [m] of the ball, of radius (m,) [m] about positions (m, 3) [m], that is deepest in an
-    obstacle at time 0, its number, and the obstacle as messages name it. standing: of those that
-    stand still alone."""
-    contact, found = model.scene.effects.contact, [(-np.inf, 0, "")]
-    for (i, obstacle), gap in zip(
-        enumerate(contact.obstacles), contact.distances(positions) - radius, strict=True
-    ):
-        if not (standing and obstacle.moves):
-            found.append(
-                (
-                    float(-gap.min()),
-                    int(gap.argmin()),
-                    f"effects.contact.obstacles[{i}], a {obstacle.type}",
-                )
-            )
-    return max(found)
+    model: Model,
+    positions: Array,
+    radius: Array,
+    standing: bool = False,
+) -> Depth:
+    """Depth of the ball that is deepest in an obstacle at time 0.
+
+    Args:
+        model: of the arm.
+        positions: (m, 3) [m] of the balls.
+        radius: (m,) [m] of the balls.
+        standing: look at obstacles that stand still alone.
+
+    Returns:
+        The depth; minus infinity where there is no obstacle.
+    """
+    contact = model.scene.effects.contact
+    gaps = contact.distances(positions) - radius
+    depths = [Depth(-np.inf, 0, "")]
+    for i, obstacle in enumerate(contact.obstacles):
+        if standing and obstacle.moves:
+            continue
+        name = f"effects.contact.obstacles[{i}], a {obstacle.type}"
+        gap = gaps[i]
+        depths.append(Depth(float(-gap.min()), int(gap.argmin()), name))
+    return max(depths)
 
 
 def why_inside(model: Model, q: Array) -> str:
-    """Obstacle that an arm at rest at q (n,) is inside of, as the end of a sentence; "": none."""
-    if model.scene.effects.contact is None:
+    """Reason why an arm at rest at q (n,) begins inside of an obstacle, "" where it does not."""
+    contact = model.scene.effects.contact
+    if contact is None:
         return ""
-    places = model.scene.effects.contact.sample_places(model.discretisation)
+    places = contact.sample_places(model.discretisation)
     radius = sample_radius(model.discretisation, places)
-    depth, sample, name = deepest(
-        model, np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3]), radius
-    )
-    where = f"{1e3 * depth:.3g} mm deep in {name}, at {places[sample]:.3g} m along it"
-    return f"the arm begins {where}" if depth > INSIDE * radius[sample] else ""
+    positions = np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3])
+    depth, sample, name = deepest(model, positions, radius)
+    if not depth > INSIDE * radius[sample]:
+        return ""
+    place = f"{places[sample]:.3g} m along it"
+    return f"the arm begins {1e3 * depth:.3g} mm deep in {name}, at {place}"
 
 
 class ObstacleFreeSpace:
-    """The space that obstacles which stand still leave free; `model` is of the arm without
-    obstacles, with the same coordinates."""
+    """The space that obstacles which stand still leave free.
+
+    `model` is of the arm without obstacles, with the same coordinates.
+    """
 
     def __init__(self, arms: Arms) -> None:
-        model, scene, self._arms = arms.model, arms.model.scene, arms
-        self.model = model.with_scene(
-            scene.model_copy(update={"effects": scene.effects.everywhere()})
-        )
+        model = arms.model
+        scene = model.scene
+        self._arms = arms
+        without_obstacles = {"effects": scene.effects.everywhere()}
+        self.model = model.with_scene(scene.model_copy(update=without_obstacles))
         places = scene.effects.contact.sample_places(model.discretisation)
-        self._places, self._radius = (
-            model.grid.places(places, np.empty(0)),
-            sample_radius(model.discretisation, places),
-        )
+        no_sensors = np.empty(0)
+        self._places = model.grid.places(places, no_sensors)
+        self._radius = sample_radius(model.discretisation, places)
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
-        """Whether the arm is clear of them at coordinates q (m, n): (m,)."""
-        reading, good = self._arms.read_samples(q, np.zeros_like(q), self._places)
+        """Whether the arm is clear of standing obstacles at coordinates q (m, n): (m,)."""
+        no_motion = np.zeros_like(q)
+        reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
         positions = np.ascontiguousarray(reading.backbone[..., :3, 3])
-        return good & np.array(
-            [
-                deepest(self._arms.model, places, self._radius, standing=True)[0] < 0.0
-                for places in positions
-            ]
-        )
+        model = self._arms.model
+        depths = []
+        for balls in positions:
+            depth, _, _ = deepest(model, balls, self._radius, standing=True)
+            depths.append(depth)
+        is_clear = np.array(depths) < 0.0
+        return has_strain & is_clear

@@ -1,5 +1,7 @@
-"""Gymnasium environments, with one arm and with many that compiled code steps together on several
-threads: two classes per task, whose description is their documentation."""
+"""Gymnasium environments of tasks, with one arm and with many that compiled code steps together.
+
+There are two classes per task, whose description is their documentation.
+"""
 
 from __future__ import annotations
 
@@ -38,16 +40,26 @@ MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 
 
 class EpisodesEnv:
-    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces
-    and its renderer."""
+    """Base of environments with one row of `Episodes` and with many.
+
+    Attributes:
+        episodes: the rows.
+        task: that the class is of.
+        closed: whether `close` was called.
+    """
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
     task: ClassVar[Task]
     closed = False
 
     def _make(
-        self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None
+        self,
+        options: dict[str, Any],
+        rows: int,
+        threads: int | None,
+        render_mode: str | None,
     ) -> None:
+        """Make the rows and their renderer. Raises ConfigurationError, and as make_renderer."""
         self.render_mode = render_mode
         parsed = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, parsed, rows, threads)
@@ -77,11 +89,17 @@ class EpisodesEnv:
         return Dict(parts), action
 
     def set_target(self, target: Any, rows: ArrayLike | None = None) -> None:
-        """Another target from now on: in the episode that runs, where it begins at once and is
-        observed after the next step, and in later ones. target: as the argument of that name, None
-        for that itself. rows: an index of them, by default all.
+        """Set another target from now on, in the episode that runs and in later ones.
 
-        Raises ConfigurationError, IndexError.
+        In the one that runs it begins at once and is observed after the next step.
+
+        Args:
+            target: as the argument of that name, None for that itself.
+            rows: an index of them, by default all.
+
+        Raises:
+            ConfigurationError: where the target does not fit, or the arm cannot hold it.
+            IndexError: for rows that there are not.
         """
         self._refuse("set_target", begun=True)
         members = np.arange(self.episodes.size)
@@ -98,6 +116,7 @@ class EpisodesEnv:
             raise ResetNeeded(f"{called} was used before reset")
 
     def _frames(self) -> Frames | None:
+        """A frame of each row; None without a render mode, of which Gymnasium's logger warns."""
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
@@ -106,15 +125,22 @@ class EpisodesEnv:
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and
-    pickles go on from where it is."""
+    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
+
+    Copies and pickles go on from where it is.
+    """
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see
-        `Options`.
+        """Make an environment.
 
-        Raises ConfigurationError, ValueError for other modes, gymnasium.error.Error where what a
-        mode needs is not there.
+        Args:
+            render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
+            options: see `Options`.
+
+        Raises:
+            ConfigurationError: of all invalid options.
+            ValueError: for other modes.
+            gymnasium.error.Error: where what a mode needs is not there.
         """
         self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
@@ -123,12 +149,25 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds
-        and options, before anything changes."""
+        """Begin a new episode.
+
+        Args:
+            seed: of the episodes from this one on; None to go on with the generator.
+            options: see `ResetOptions`.
+
+        Returns:
+            The observation and the info.
+
+        Raises:
+            ValueError: for bad seeds and options, before anything changes.
+            TypeError: likewise.
+            gymnasium.error.ClosedEnvironmentError: after close.
+        """
         self._refuse("reset", begun=True)
         if seed is not None:
             seed = checked_count("seed", seed, 0)
         options_of_row = reset_options(options)
+        # nothing has changed so far: what is refused leaves the environment as it was
         beginnings = self.episodes.beginnings(options_of_row, ONE)
         super().reset(seed=seed)
         self._begun = False
@@ -139,14 +178,28 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             self._most_steps = options_of_row[0].episode_steps or np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
-        return of_row(self.episodes.observation(), 0), self._info() | self.episodes.drawn(0)
+        observation = of_row(self.episodes.observation(), 0)
+        return observation, self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period. Raises ValueError or TypeError for an action of wrong shape or type
-        or with NaN, before anything changes."""
+        """Take one control period.
+
+        Args:
+            action: (n_a,) in [-1, 1]; larger ones are clipped.
+
+        Returns:
+            Observation, reward, whether the episode is terminated, whether it is truncated, info.
+
+        Raises:
+            ValueError: for an action of wrong shape or with NaN, before anything changes.
+            TypeError: for one of wrong type.
+            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ClosedEnvironmentError: after close.
+        """
         if self.closed or not self._begun:
             self._refuse("step", self._begun)
-        checked = checked_array("action", action, (self.episodes.model.tendon_count,))
+        shape = (self.model.tendon_count,)
+        checked = checked_array("action", action, shape)
         self.episodes.step(checked[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
@@ -161,9 +214,15 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it. Setting it puts the arm there, in
-        mid-episode too: the target, commands on their way, noise and past observations of the
-        episode stay. Raises TypeError, ValueError where it is not one of this arm."""
+        """A copy of the arm's state, as `Simulation` has it.
+
+        Setting it puts the arm there, in mid-episode too: the target, commands on their way, noise
+        and past observations of the episode stay.
+
+        Raises:
+            TypeError: where it is set to what is no state.
+            ValueError: where it is set to one of another arm.
+        """
         return self.episodes.state(0)
 
     @state.setter
@@ -172,32 +231,56 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self.episodes.set_state(0, state)
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
-        """The episode's target at times (m,) [s] from its beginning, past or future."""
+        """Target of the episode.
+
+        Args:
+            times: (m,) [s] from its beginning, past or future.
+
+        Returns:
+            Samples of the target.
+
+        Raises:
+            ValueError: for other shapes and times that are not finite.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
         self._refuse("target_at", self._begun)
         return self.episodes.trajectories.at(0, checked_array("times", times, (None,)))
 
     def _info(self) -> dict[str, Any]:
-        return {name: value.item(0) for name, value in self.episodes.info().items()}
+        """The episode's info, with plain values."""
+        info = self.episodes.info()
+        return {name: value.item(0) for name, value in info.items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a
-        render mode, and with "human": there every reset and step shows itself in the viewer, no
-        faster than in real time."""
+        """Frame (height, width, 3) of the arm, its tendons, the target and the tip's trail.
+
+        Returns:
+            The frame; None without a render mode, and with "human": there every reset and step
+            shows itself in the viewer, no faster than in real time.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
         self._refuse("render", self._begun)
         frames = self._frames()
-        return None if frames is None else frames[0]
+        if frames is None:
+            return None
+        return frames[0]
 
     def close(self) -> None:
-        """Closes the environment and sends the viewer, which stays open, the rest; later calls
-        raise ClosedEnvironmentError."""
+        """Close the environment, after which other calls raise ClosedEnvironmentError.
+
+        The viewer gets the rest, and stays open.
+        """
         if self._renderer is not None:
             self._renderer.close()
         self.closed = True
 
 
 class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
-    """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for
-    bit.
+    """Rows of one environment that are stepped together.
+
+    Row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
         num_envs: rows.
@@ -221,7 +304,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Raises ConfigurationError, ValueError or TypeError."""
+        """Make an environment. Raises ConfigurationError, ValueError or TypeError."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
@@ -236,18 +319,28 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._all = np.arange(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=bool)
-        self._usual_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._usual_steps = max_episode_steps or np.inf
         self._most_steps = np.full(num_envs, self._usual_steps)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
+        """Begin new episodes, of all rows or of those that `options["reset_mask"]` names.
 
-        options: the entries of `ResetOptions`, each a sequence of one value per row, None for what
-        is usual. seed: an int s seeds row i with s + i; a list names one for each, None to go on
-        with its generator. Raises ValueError or TypeError for bad seeds and options, before
-        anything changes.
+        Args:
+            seed: an int s seeds row i with s + i; a list names one for each, None to go on with its
+                generator.
+            options: the entries of `ResetOptions`, each a sequence of one value per row, None for
+                what is usual, and "reset_mask", (rows,) bool.
+
+        Returns:
+            The observations and the info of all rows.
+
+        Raises:
+            ValueError: for bad seeds and options, before anything changes.
+            TypeError: likewise.
+            gymnasium.error.ResetNeeded: where the first reset is not of all rows.
+            gymnasium.error.ClosedEnvironmentError: after close.
         """
         self._refuse("reset", begun=True)
         seeds = row_seeds(seed, self.num_envs)
@@ -272,8 +365,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self.episodes.observation(), self._info(stepped) | self._drawn(members)
 
     def _members_of(self, options: Mapping[str, Any] | None) -> Indices:
-        """The rows that options of a reset name by their mask, all without one. Raises
-        ValueError."""
+        """The rows that options of a reset name by their mask, all without one.
+
+        Raises ValueError.
+        """
         if options is None or MASK not in options:
             return self._all
         mask = np.asarray(options[MASK])
@@ -285,6 +380,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return np.flatnonzero(mask)
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
+        """Begin new episodes of rows, drawn from their generators."""
         generators = [self.episodes.generators[row] for row in members]
         self.episodes.begin(members, generators, beginnings)
         self._ended[members] = False
@@ -295,10 +391,23 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One control period of every row. Raises ValueError or TypeError for bad actions, before
-        anything changes."""
+        """Take one control period of every row.
+
+        Args:
+            actions: (rows, n_a) in [-1, 1]; larger ones are clipped.
+
+        Returns:
+            Observations, rewards (rows,), which rows are terminated, which are truncated, info.
+
+        Raises:
+            ValueError: for actions of wrong shape or with NaN, before anything changes.
+            TypeError: for ones of wrong type.
+            gymnasium.error.ResetNeeded: before the first reset, and where rows have ended that
+                are not reset by themselves.
+            gymnasium.error.ClosedEnvironmentError: after close.
+        """
         self._refuse("step", self._begun)
-        shape = (self.num_envs, self.episodes.model.tendon_count)
+        shape = (self.num_envs, self.model.tendon_count)
         action = checked_array("actions", actions, shape)
         # rows that ended in the step before begin anew in this one, which ignores their actions
         stepped = ~self._ended
@@ -319,13 +428,18 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         observation = self.episodes.observation()
         info = self._info(stepped) | self._drawn(begun)
         if terminated.any():
-            causes = np.full(self.num_envs, None, dtype=object)
-            for row in np.flatnonzero(terminated).tolist():
-                causes[row] = self.episodes.cause(row)
-            info |= {"cause": causes, "_cause": terminated.copy()}
+            info["cause"] = self._causes(terminated)
+            info["_cause"] = terminated.copy()
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restart(observation, info)
         return observation, reward, terminated, truncated, info
+
+    def _causes(self, terminated: NDArray[np.bool_]) -> NDArray[Any]:
+        """Why rows are terminated, (rows,) of objects: None for the others."""
+        causes = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(terminated).tolist():
+            causes[row] = self.episodes.cause(row)
+        return causes
 
     def _restart(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
@@ -334,17 +448,17 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         final_obs = np.full(self.num_envs, None, dtype=object)
         for row in begun.tolist():
             final_obs[row] = of_row(observation, row)
-        final_info = {
-            key: value & ended if key.startswith("_") else value for key, value in info.items()
-        }
+        final_info: dict[str, Any] = {}
+        for key, value in info.items():
+            is_mask = key.startswith("_")
+            final_info[key] = value & ended if is_mask else value
         self._begin(begun)
-        final = {
-            "final_obs": final_obs,
-            "_final_obs": ended,
-            "final_info": final_info,
-            "_final_info": ended,
-        }
-        return self.episodes.observation(), {**self._info(~ended), **final, **self._drawn(begun)}
+        new_info = self._info(~ended)
+        new_info["final_obs"] = final_obs
+        new_info["_final_obs"] = ended
+        new_info["final_info"] = final_info
+        new_info["_final_info"] = ended
+        return self.episodes.observation(), new_info | self._drawn(begun)
 
     def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
         """The episodes' info with its masks; rewards belong to rows that have stepped."""
@@ -372,7 +486,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return np.asarray(self.episodes.step_count >= self._most_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
+        """Frames (height, width, 3) of the rows; None without a render mode and with "human".
+
+        Raises:
+            gymnasium.error.ClosedEnvironmentError: after close.
+        """
         self._refuse("render", begun=True)
         return self._frames()
 
@@ -394,23 +512,58 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
 
 
 def compute_reward(
-    self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any
+    self: EpisodesEnv,
+    achieved_goal: NDArray[Any],
+    desired_goal: NDArray[Any],
+    info: Any,
 ) -> Any:
-    """Rewards (...) of goals (..., 3) [m], as hindsight experience replay asks for; a float for
-    one. Raises ValueError for other shapes."""
+    """Rewards of goals, as hindsight experience replay asks for.
+
+    Args:
+        self: the environment, of which this is a method.
+        achieved_goal: positions (..., 3) [m].
+        desired_goal: likewise, of the same shape.
+        info: of steps, which rewards do not depend on.
+
+    Returns:
+        Rewards (...); a float for one goal.
+
+    Raises:
+        ValueError: for other shapes.
+    """
     reward = self.episodes.goal_reward(achieved_goal, desired_goal)
     return float(reward) if reward.ndim == 0 else reward
 
 
 _CLASSES: dict[str, Any] = {}
+"""Classes that were made, by their names."""
 
 
-def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class]:
-    """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has
-    `compute_reward`."""
+def class_of(
+    task: Task,
+    suffix: str,
+    base: type[Class],
+    doc: str,
+) -> type[Class]:
+    """Class `<task><suffix>` of environments, the same at every call.
+
+    Args:
+        task: that the class is of; with a goal it has `compute_reward`.
+        suffix: of its name.
+        base: of the class.
+        doc: its docstring.
+
+    Returns:
+        The class.
+    """
     name = f"{task.name}{suffix}"
-    if name not in _CLASSES or _CLASSES[name].task is not task:
-        attributes: dict[str, Any] = {"task": task, "__doc__": doc, "__module__": base.__module__}
+    is_known = name in _CLASSES and _CLASSES[name].task is task
+    if not is_known:
+        attributes: dict[str, Any] = {
+            "task": task,
+            "__doc__": doc,
+            "__module__": base.__module__,
+        }
         if task.goal:
             attributes["compute_reward"] = compute_reward
         _CLASSES[name] = type(name, (base,), attributes)
@@ -423,14 +576,15 @@ def environment_class(task: Task) -> type[TendonRodEnv]:
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every
-    call."""
+    """The class of a task's environments with many arms, `<name>VectorEnv`; the same every time."""
     return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 
 def __getattr__(name: str) -> type[TendonRodEnv] | type[TendonRodVectorEnv]:
-    """`<name>Env` and `<name>VectorEnv` of every registered task: for Gymnasium's entry points, and
-    for pickles."""
+    """`<name>Env` and `<name>VectorEnv` of every registered task.
+
+    Gymnasium's entry points and pickles ask for them.
+    """
     if name.endswith("VectorEnv"):
         return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
     return environment_class(task_of_class(name, "Env", __name__))

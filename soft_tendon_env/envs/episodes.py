@@ -1,5 +1,4 @@
-"""Episodes of a task on a batch of arms: what `reset` and `step` of the single and the vector
-environment do, for one row or many.
+"""Episodes of a task on rows of arms: `reset` and `step` of single and vector environments.
 
 What happens in a row depends on the generator that its episode began with and on its actions, and
 on nothing else: the same for one row and for many, bit for bit. Read `begin` and `step` first.
@@ -35,7 +34,7 @@ from soft_tendon_env.envs.options import (
 )
 from soft_tendon_env.envs.randomization import DRAWN, Measured, Randomization, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
-from soft_tendon_env.envs.targets import Course, Target, TargetSamples
+from soft_tendon_env.envs.targets import Course, Setting, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import (
     Reward,
@@ -59,9 +58,6 @@ from soft_tendon_env.tools.types import Array
 
 MANY = 16
 """Rows from which on all motions of a bank are computed when an environment is made."""
-
-THRESHOLD = 0.01
-"""Distance, in lengths of the rod, within which a goal is reached by default."""
 
 
 class Beginning(NamedTuple):
@@ -107,47 +103,220 @@ class LastPeriod:
         )
 
 
+class Targets:
+    """Targets of rows of episodes: how rows begin, what they draw, and their trajectories.
+
+    Attributes:
+        ahead: (1 + previews,) [s] of now, at which targets are observed.
+        trajectories: of all rows.
+        draws: of new targets.
+        generators: what each row's episode draws from, by row.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        options: Options,
+        arms: Arms,
+        setting: Setting,
+    ) -> None:
+        """Make the targets of rows that have not begun.
+
+        Args:
+            task: of the environment.
+            options: of the environment.
+            arms: whose kinematics targets go through.
+            setting: of the arms that targets are drawn for.
+
+        Raises:
+            ConfigurationError: where the target does not fit, or the arm cannot hold it.
+        """
+        self._task = task
+        self._options = options
+        self._scene = arms.model.scene
+        self._setting = setting
+        period = options.control_period
+        ahead = [0, *(round(time / period) for time in options.preview)]
+        self.ahead = period * np.array(ahead, dtype=np.float64)
+        self.trajectories = TargetTrajectories(arms, period, ahead, task.shapes)
+        # goals are drawn away from where the tip begins
+        away = options.threshold_of(arms.model.length) if task.goal else 0.0
+        self.draws = TargetDraws(setting, self.trajectories, period, away)
+        self.generators = dict[int, np.random.Generator]()
+        usual = Beginning(self.settled(None))
+        self._usual = [usual] * arms.size
+        has_obstacles = self._scene.effects.contact is not None
+        if arms.size >= MANY and not has_obstacles:  # among them a motion can take seconds
+            self.draws.fill_bank(usual.target)
+
+    def settled(self, target: Target | None) -> Target | Course:
+        """A target that is drawn for every episode, or the course of one that is not.
+
+        Args:
+            target: None for that of the environment.
+
+        Returns:
+            The target or its course.
+
+        Raises:
+            ConfigurationError: where it does not fit, or the arm cannot hold it.
+        """
+        checked = checked_target(target, self._options, self._task, self._scene)
+        if checked.is_random:
+            return checked
+        return checked.draw(np.random.default_rng(0), self._setting)
+
+    def usual(self, row: int) -> Beginning:
+        """How episodes of a row begin without options."""
+        return self._usual[row]
+
+    def begin(
+        self,
+        row: int,
+        target: Target | Course,
+        tip: Array,
+        now: int = 0,
+    ) -> None:
+        """Give a row its target, drawn by its generator.
+
+        Args:
+            row: whose target it is.
+            target: one that is drawn, or the course of one that is not.
+            tip: position (3,) [m] of the tip.
+            now: control period of the episode.
+
+        Raises:
+            ConfigurationError: where the arm can hold none.
+        """
+        self.draws.begin(
+            row,
+            target,
+            self.generators[row],
+            tip,
+            now,
+        )
+
+    def replace(
+        self,
+        target: Target | None,
+        members: Indices,
+        step_count: Indices,
+        tips: Array,
+    ) -> None:
+        """Give rows another target, in the episodes that run and in later ones.
+
+        Args:
+            target: None for that of the environment.
+            members: the rows.
+            step_count: (rows,) control periods since the episodes began.
+            tips: positions (rows, 3) [m] of the tips.
+
+        Raises:
+            ConfigurationError: where it does not fit, or the arm cannot hold it.
+        """
+        usual = Beginning(self.settled(target))
+        for row in members.tolist():
+            self._usual[row] = usual
+            has_begun = row in self.generators
+            if has_begun:
+                self.begin(row, usual.target, tips[row], int(step_count[row]))
+        self.trajectories.prepare(step_count, members)
+
+
 class Episodes:
     """Rows of episodes of one task.
 
-    After `begin` or `step`: `errors` and `terms` (name to (rows,)), `reward` and `diverged`
-    (rows,), `step_count` (rows,), `tension` (rows, n_a) [N] applied at last, `target` (rows, 1 +
-    previews, ..) at `ahead` (1 + previews,) [s] of now, and `observed`, of which the observation is
-    made. `arms.reading` and `arms.rows` are written in place. `generators`: what each row's episode
-    draws from.
-
-    From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and
-    `start_command` (n_a,) that holds it, `sensors` (s,) arc lengths [m] of strain sensors,
-    `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
+    Attributes:
+        arms: whose `reading` and `rows` are written in place.
+        errors: tracking errors (rows,) by name, after `begin` or `step`, as what follows.
+        terms: reward terms (rows,) by name.
+        reward: (rows,).
+        diverged: (rows,) bool.
+        step_count: (rows,) control periods since the episodes began.
+        target: (rows, 1 + previews, ..) at `ahead` (1 + previews,) [s] of now.
+        observed: of which the observation is made.
+        generators: what each row's episode draws from, by row.
+        limits: of tensions (n_a, 2) [N].
+        start_tension: (n_a,) [N] at reset.
+        start_command: (n_a,) that holds it.
+        sensors: (s,) arc lengths [m] of strain sensors.
+        goal_bound: largest coordinate [m] of goals.
+        threshold: [m] within which goals are reached.
     """
 
-    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
-        """Raises ConfigurationError where the options do not fit the task or the scene."""
+    def __init__(
+        self,
+        task: Task,
+        options: Options,
+        rows: int,
+        threads: int | None = None,
+    ) -> None:
+        """Make rows that rest and have not begun.
+
+        Args:
+            task: of the environment.
+            options: its keyword arguments.
+            rows: of episodes.
+            threads: at most this many; None: by the number of processors.
+
+        Raises:
+            ConfigurationError: where the options do not fit the task or the scene.
+        """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
+        model = build_model(scene)
         self.task = task
         self.options = options
         self.size = rows
         self.period = options.control_period
-        self.model = model = build_model(scene)
+        self.model = model
         self.goal_bound = GOAL_BOUND * model.length + options.farthest_base(scene)
+        self.threshold = options.threshold_of(model.length)
         self.sensors = options.sensor_places(scene)
         stations = np.empty(0)
         if task.shapes:
             stations = np.linspace(0.0, model.length, STATIONS + 1)[1:]
-        self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
+        self.arms = Arms(
+            model,
+            rows,
+            self.period,
+            stations,
+            self.sensors,
+            threads,
+        )
         self._all = np.arange(rows, dtype=np.int64)
         self._transmits = model.arm.effects.transmission.acts
         self._simulated = True
-        self._make_draws(options, task)
-        self._make_actuation(options, rows)
-        self._make_sensors(options.randomize)
+
+        # what episodes begin with
+        self.starts = Starts(options, self.arms)
+        self.limits = self.starts.limits
+        self.start_tension = self.starts.tension
+        self.start_command = self.starts.command
+        self._targets = Targets(task, options, self.arms, self.starts.setting)
+        self.ahead = self._targets.ahead
+        self.trajectories = self._targets.trajectories
+        self.generators = self._targets.generators
+
+        # what they are asked for and how it is rewarded
+        command_limits = model.scene.effects.command_limits(self.limits)
+        self._strongest = np.abs(command_limits).max(axis=1)
+        self.actuation = self._make_actuation(command_limits)
+        self.actions = self.actuation.actions
+        self._last = LastPeriod(
+            tension=np.tile(self.start_tension, (rows, 1)),
+            command=np.tile(self.start_command, (rows, 1)),
+            action=np.tile(self.actuation.start_action, (rows, 1)),
+            action_change=np.zeros((rows, self.start_tension.size)),
+        )
+        self._sensors = self._make_sensors(options.randomize)
         if task.goal is None:
             weights = options.reward
             if not isinstance(weights, dict):
                 weights = weights_of(task.reward)
             self._reward_terms = Reward(weights, task.terms, self._strongest, model.length)
 
+        # what is observed of them at rest
         self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
         reading = self.arms.reading
         rest_strain = stress_free_strain(scene, self.sensors)
@@ -162,67 +331,30 @@ class Episodes:
         if options.history:
             self.history = History(rows, options.history, self.layout.kept)
 
-    def _make_draws(self, options: Options, task: Task) -> None:
-        """Make what episodes begin with: starts and targets."""
-        ahead = [0, *(round(time / self.period) for time in options.preview)]
-        self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self.trajectories = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
-        self.starts = Starts(options, self.arms)
-        self.limits = self.starts.limits
-        self.start_tension = self.starts.tension
-        self.start_command = self.starts.command
-        self.threshold = THRESHOLD * self.model.length
-        if options.threshold is not None:
-            self.threshold = options.threshold
-        self._draws = TargetDraws(
-            self.starts.setting,
-            self.trajectories,
-            self.period,
-            self.threshold if task.goal else 0.0,
-        )
-        usual = Beginning(self._settled(None))
-        self._usual = [usual] * self.size
-        self.generators = dict[int, np.random.Generator]()
-        has_obstacles = self.model.scene.effects.contact is not None
-        if self.size >= MANY and not has_obstacles:  # among them a motion can take seconds
-            self._draws.fill_bank(usual.target)
-
-    def _settled(self, target: Target | None) -> Target | Course:
-        """A target that is drawn for every episode, or the course of one that is not."""
-        checked = checked_target(target, self.options, self.task, self.model.scene)
-        if checked.is_random:
-            return checked
-        return checked.draw(np.random.default_rng(0), self.starts.setting)
-
-    def _make_actuation(self, options: Options, rows: int) -> None:
-        """Make the actuators, and what they did last."""
-        limits = self.model.scene.effects.command_limits(self.limits)
-        self._strongest = np.abs(limits).max(axis=1)
-        command_range, tension_range = np.diff(limits)[:, 0], np.diff(self.limits)[:, 0]
-        self.actuation = Actuation(
-            options,
+    def _make_actuation(self, limits: Array) -> Actuation:
+        """Actuators whose commands are within limits (n_a, 2). Raises ConfigurationError."""
+        command_range = np.diff(limits)[:, 0]
+        tension_range = np.diff(self.limits)[:, 0]
+        return Actuation(
+            self.options,
             limits,
             self.start_command,
             command_range / tension_range,
-            rows,
+            self.size,
             self.arms.substeps,
         )
-        self.actions = self.actuation.actions
-        self._last = LastPeriod(
-            np.tile(self.start_tension, (rows, 1)),
-            np.tile(self.start_command, (rows, 1)),
-            np.tile(self.actuation.start_action, (rows, 1)),
-            np.zeros((rows, self.start_tension.size)),
-        )
 
-    def _make_sensors(self, randomize: Randomization) -> None:
-        """Make the sensors, if they have noise."""
-        self._sensors: Sensors | None = None
-        if randomize.noise != SensorNoise():
-            tendons, strain_sensors = self.model.tendon_count, self.sensors.size
-            self._sensors = Sensors(
-                randomize.noise, self.size, tendons, strain_sensors, randomize.omit
-            )
+    def _make_sensors(self, randomize: Randomization) -> Sensors | None:
+        """Sensors, if they have noise."""
+        if randomize.noise == SensorNoise():
+            return None
+        return Sensors(
+            randomize.noise,
+            self.size,
+            self.model.tendon_count,
+            self.sensors.size,
+            randomize.omit,
+        )
 
     @property
     def tension(self) -> Array:
@@ -230,8 +362,13 @@ class Episodes:
         return self._last.tension
 
     def attach(self, arms: Arms) -> None:
-        """Take other arms of the same model in place of the simulated ones, as measured ones: their
-        readings have noise of their own."""
+        """Take other arms of the same model in place of the simulated ones, as measured ones.
+
+        Their readings have noise of their own.
+
+        Args:
+            arms: of as many rows.
+        """
         self.arms = arms
         self._sensors = None
         self._simulated = False
@@ -259,8 +396,20 @@ class Episodes:
     def beginnings(
         self, options_of_rows: Mapping[int, ResetOptions], members: Indices
     ) -> dict[int, Beginning]:
-        """How those of the rows `members` begin that have options. Raises ConfigurationError,
-        TypeError, ValueError."""
+        """How rows begin that have options.
+
+        Args:
+            options_of_rows: by row; empty without options.
+            members: rows that begin.
+
+        Returns:
+            Beginnings by row.
+
+        Raises:
+            ConfigurationError: where options do not fit.
+            TypeError: for states that are none.
+            ValueError: for states of other arms.
+        """
         if not options_of_rows:
             return {}
         return {row: self._beginning(row, options_of_rows[row]) for row in members.tolist()}
@@ -272,8 +421,9 @@ class Episodes:
             if not self.options.randomize.numbers:
                 checked_motion(self.model, options.state)
         target = options.goal or options.target
-        course = self._settled(target) if target else self._usual[row].target
-        return Beginning(course, options.state)
+        if target is None:
+            return Beginning(self._targets.usual(row).target, options.state)
+        return Beginning(self._targets.settled(target), options.state)
 
     def begin(
         self,
@@ -281,13 +431,24 @@ class Episodes:
         generators: Sequence[np.random.Generator],
         beginnings: Mapping[int, Beginning] | None = None,
     ) -> None:
-        """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows
-        that do not begin as usual.
+        """Begin new episodes.
 
         A row draws its arm, its actuators, its target and the noise of its sensors, in this order.
+
+        Args:
+            members: rows that begin.
+            generators: of each, which its episode draws from.
+            beginnings: of rows that do not begin as usual.
+
+        Raises:
+            ConfigurationError: where an arm or a target that is drawn cannot be.
+            TypeError: for states that are none.
+            ValueError: for states of other arms.
         """
         rows = members.tolist()
-        beginning_of = {row: self._usual[row] for row in rows} | dict(beginnings or {})
+        beginning_of = {row: self._targets.usual(row) for row in rows}
+        if beginnings is not None:
+            beginning_of |= beginnings
         drawn = dict[int, Drawn]()
         motions = dict[int, tuple[Motion, float]]()
         for row, generator in zip(rows, generators, strict=True):
@@ -311,7 +472,7 @@ class Episodes:
 
         tips = self.arms.reading.tip_pose[:, :3, 3]
         for row, generator in zip(rows, generators, strict=True):
-            self._draws.begin(row, beginning_of[row].target, generator, tips[row])
+            self._targets.begin(row, beginning_of[row].target, tips[row])
             # after the target, which is the same with and without noise
             if self._sensors is not None:
                 self._sensors.begin(row, int(generator.integers(2**63)))
@@ -319,7 +480,16 @@ class Episodes:
 
     def set_state(self, row: int, state: State) -> None:
         """Put a row into a state, and observe it there, with the noise of this control period.
-        Raises TypeError or ValueError."""
+
+        Args:
+            row: that is put there.
+            state: of the row's arm.
+
+        Raises:
+            ConfigurationError: for robots.
+            TypeError: for what is no state.
+            ValueError: for states of other arms.
+        """
         self._refuse_states_of_robots()
         self._put({row: checked_motion(self.arms.model_of(row), state)})
         self._observe(self._all[:0])
@@ -327,17 +497,17 @@ class Episodes:
             self.history.correct(self.present, self.step_count, row)
 
     def set_target(self, target: Target | None, members: Indices) -> None:
-        """Another target for the rows `members`, in the episodes that run and in later ones. Raises
-        ConfigurationError."""
-        usual = Beginning(self._settled(target))
+        """Give rows another target, in the episodes that run and in later ones.
+
+        Args:
+            target: None for that of the environment.
+            members: the rows.
+
+        Raises:
+            ConfigurationError: where it does not fit, or the arm cannot hold it.
+        """
         tips = self.arms.reading.tip_pose[:, :3, 3]
-        for row in members.tolist():
-            self._usual[row] = usual
-            has_begun = row in self.generators
-            if has_begun:
-                periods = int(self.step_count[row])
-                self._draws.begin(row, usual.target, self.generators[row], tips[row], periods)
-        self.trajectories.prepare(self.step_count, members)
+        self._targets.replace(target, members, self.step_count, tips)
         self._observe(self._all[:0])
 
     def _refuse_states_of_robots(self) -> None:
@@ -348,27 +518,49 @@ class Episodes:
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""
         rows = self.arms.rows
-        members = np.array([*motions], dtype=np.int64)
+        arrays = rows.fields()
         for row, (motion, _) in motions.items():
             for name, values in motion._asdict().items():
-                getattr(rows, name)[row] = values
+                arrays[name][row] = values
         # a step of no time reads the motions, and leaves all but the length of the next step
+        members = np.array([*motions], dtype=np.int64)
         command = np.ascontiguousarray(self._last.command[:, None])
-        self.arms.step(command, members, np.zeros((self.size, 1)))
+        no_time = np.zeros((self.size, 1))
+        self.arms.step(command, members, no_time)
         for row, (_, step) in motions.items():
             rows.step[row] = step
         if self._transmits:
             tension = self.arms.reading.tension[members]
             self._last.tension = _replace(self._last.tension, members, tension)
 
-    def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
-        """One control period of the rows `members` (all by default) with actions (rows, n_a), taken
-        as within [-1, 1]; tape: see Arms."""
+    def step(
+        self,
+        action: Array,
+        members: Indices | None = None,
+        tape: Tape | None = None,
+    ) -> None:
+        """Take one control period.
+
+        Args:
+            action: (rows, n_a), taken as within [-1, 1].
+            members: rows that are stepped, by default all.
+            tape: that keeps what the adjoint needs, see `Arms.step`.
+
+        Raises:
+            StrainLimitError: where a target has no strain.
+            ValueError: where a user's reward term has other values than it may have.
+        """
         if members is None:
             members = self._all
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         commands, durations = self.actuation.apply(action, members)
-        self.arms.step(commands, members, durations, tape, begins=durations is None)
+        self.arms.step(
+            commands,
+            members,
+            durations,
+            tape,
+            begins=durations is None,
+        )
         applied = commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
         now = LastPeriod(tension, applied, action, action - self._last.action)
@@ -384,7 +576,10 @@ class Episodes:
         """Compare the arms with their targets, after the rows `members` moved on."""
         self.trajectories.prepare(self.step_count, members)
         reading = self.arms.reading
-        self.target, error, off = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, offset = self.trajectories.now_and_ahead(
+            self.step_count, reading.tip_pose
+        )
+        # what sensors say of the arms, and the errors as policies see them
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
@@ -395,28 +590,36 @@ class Episodes:
         self.present = self.layout.present(self.observed)
         if self.history is not None:
             self.history.keep(self.present, self.step_count, members)
+        distance, angle = offset
         tracking = Tracking(
-            self.arms,
-            reading,
-            error[:, 0],
-            off[0],
-            off[1],
-            self.target,
-            self._last.command,
-            self._last.action_change,
-            self.step_count,
+            arms=self.arms,
+            reading=reading,
+            error=error[:, 0],
+            distance=distance,
+            angle=angle,
+            target=self.target,
+            command=self._last.command,
+            action_change=self._last.action_change,
+            step_count=self.step_count,
         )
+        self._judge(tracking, measured)
+
+    def _judge(self, tracking: Tracking, measured: Reading | Measured) -> None:
+        """Find errors, divergence and rewards of all rows, those of goals as measured."""
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
-        if self.options.tip_speed_limit is not None:
-            self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
+        most_speed = self.options.tip_speed_limit
+        if most_speed is not None:
+            speed = norm(tracking.reading.tip_twist[:, 3:])
+            self.diverged |= speed > most_speed
         if self.task.goal is None:
-            self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
+            self.terms, self.reward = self._reward_terms.evaluate(self.errors, tracking)
         else:
             achieved = self._goal(measured.tip_pose[:, :3, 3])
             desired = self._goal(self.target_pose[:, :3, 3])
             self._goals = (achieved, desired)
             self.reward = self.goal_reward(achieved, desired)
+        # so that no episode gains by ending
         self.reward[self.diverged] = 0.0
 
     def _goal(self, position: Array) -> NDArray[np.float32]:
@@ -425,6 +628,7 @@ class Episodes:
         return np.minimum(np.maximum(position.astype(np.float32), -bound), bound)
 
     def _seen(self, measured: Reading | Measured, error: Array) -> Observed:
+        """What observation groups are computed from."""
         return Observed(
             self.arms,
             measured,
@@ -436,12 +640,32 @@ class Episodes:
         )
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """Rewards (...) of goals (..., 3) [m]. Raises ValueError."""
+        """Rewards of goals, as compute_reward of the environment.
+
+        Args:
+            achieved: positions (..., 3) [m].
+            desired: likewise, of the same shape.
+
+        Returns:
+            Rewards (...).
+
+        Raises:
+            ValueError: for other shapes.
+        """
         return goal_reward(achieved, desired, self.threshold, self.options.reward == "dense")
 
     def target_ahead(self, periods: int) -> TargetSamples:
-        """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises
-        ValueError beyond the longest preview."""
+        """Targets of all rows now and in the periods ahead.
+
+        Args:
+            periods: control periods ahead.
+
+        Returns:
+            Targets (rows, 1 + periods, ..).
+
+        Raises:
+            ValueError: beyond the longest preview.
+        """
         return self.trajectories.until(self.step_count, periods)
 
     @property
@@ -455,7 +679,7 @@ class Episodes:
         return self.target.backbone[:, 0]
 
     def observation(self) -> Any:
-        """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
+        """Observation of all rows, new: (rows, size) float32, for goals a dictionary of such."""
         if self.history is None:
             flat = self.present.copy()
         else:
@@ -470,8 +694,11 @@ class Episodes:
         }
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals
-        "is_success", new arrays (rows,)."""
+        """Info of all rows: new arrays (rows,) by name.
+
+        They are errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals
+        "is_success".
+        """
         info: dict[str, NDArray[Any]] = {**self.errors}
         for name, value in self.terms.items():
             info[f"reward_{name}"] = value
@@ -482,14 +709,18 @@ class Episodes:
         return info
 
     def drawn(self, row: int) -> dict[str, Any]:
-        """Info of what `randomize` has drawn for a row's episode, if anything: numbers of its scene
-        by dotted keys, of its actuators."""
+        """Info of what `randomize` has drawn for a row's episode, if anything.
+
+        It has numbers of the row's scene by dotted keys, and those of its actuators.
+        """
         values = {**self.starts.numbers[row], **self.actuation.drawn(row)}
         return {DRAWN: values} if values else {}
 
     def drawn_shares(self) -> Array:
-        """How far from least to greatest every number (rows, numbers) that `randomize` draws is, 0
-        to 1: what a policy can find out."""
+        """Drawn numbers (rows, numbers) as shares of their ranges, 0 for the least, 1 the greatest.
+
+        They are what a policy can find out.
+        """
         return np.concatenate([self.starts.shares(), self.actuation.shares()], axis=1)
 
     def cause(self, row: int) -> str:
@@ -505,8 +736,10 @@ class Episodes:
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
-        motion = Motion(*(getattr(self.arms.rows, name)[row] for name in Motion._fields))
-        return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
+        rows = self.arms.rows
+        arrays = rows.fields()
+        motion = Motion(*(arrays[name][row] for name in Motion._fields))
+        return state_of(self.arms.model_of(row), motion, float(rows.step[row]))
 
 
 def _replace(values: Array, members: Indices, new: Array) -> Array:
@@ -517,8 +750,17 @@ def _replace(values: Array, members: Indices, new: Array) -> Array:
 
 
 def episodes_of(env: Any) -> Episodes:
-    """The episodes that an environment of this package runs, single, vector or for
-    Stable-Baselines3, wrapped or not. Raises TypeError."""
+    """Episodes that an environment of this package runs.
+
+    Args:
+        env: single, vector or for Stable-Baselines3, wrapped or not.
+
+    Returns:
+        The episodes.
+
+    Raises:
+        TypeError: for environments of other packages.
+    """
     inner: Any
     if isinstance(env, gym.Env | gym.vector.VectorEnv):
         inner = env.unwrapped

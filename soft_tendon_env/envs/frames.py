@@ -16,27 +16,35 @@ RENDER_MODES = ("rgb_array", "human")
 LIVE = "soft_tendon_env.recording.live:LiveRows"
 """Entry point of the renderer of "human", which is imported when an environment is made with it:
 Rerun is an extra."""
-TRAIL = 250  # tip positions that are shown
+
+TRAIL = 250
+"""Tip positions that are shown."""
 
 Frames = tuple[NDArray[np.uint8], ...]
 
 
 def make_renderer(episodes: Episodes, render_mode: str | None) -> Any:
-    """The renderer of a mode, which has the methods of RowRenderer; None for None. Raises
-    ValueError for other modes, gymnasium.error.Error where a package is missing or the viewer
-    cannot be opened."""
+    """Renderer of a mode, which has the methods of RowRenderer; None for None.
+
+    Args:
+        episodes: rows to be drawn.
+        render_mode: one of RENDER_MODES, or None.
+
+    Returns:
+        The renderer.
+
+    Raises:
+        ValueError: for other modes.
+        gymnasium.error.Error: where a package is missing or the viewer cannot be opened.
+    """
     if render_mode is None:
         return None
     if render_mode not in RENDER_MODES:
-        raise ValueError(
-            f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not"
-            f" {render_mode!r}"
-        )
-    return (
-        RowRenderer(episodes)
-        if render_mode == "rgb_array"
-        else pkgutil.resolve_name(LIVE)(episodes)
-    )
+        modes = " or ".join(map(repr, RENDER_MODES))
+        raise ValueError(f"render_mode should be None, {modes}, not {render_mode!r}")
+    if render_mode == "rgb_array":
+        return RowRenderer(episodes)
+    return pkgutil.resolve_name(LIVE)(episodes)
 
 
 class RowRenderer:
@@ -58,31 +66,40 @@ class RowRenderer:
 
     def step(self, members: Iterable[int]) -> None:
         """Remember where the tips of the rows `members` are."""
+        tips = self._episodes.arms.reading.tip_pose[:, :3, 3]
         for row in members:
-            self._trails[row].append(self._episodes.arms.reading.tip_pose[row, :3, 3].copy())
-            del self._trails[row][:-TRAIL]
+            trail = self._trails[row]
+            trail.append(tips[row].copy())
+            del trail[:-TRAIL]
 
     def frames(self) -> Frames | None:
         """A frame of each row now, (height, width, 3); None where they are seen elsewhere."""
-        renderer = self._renderer = self._renderer or ArmRenderer(self._episodes.model)
-        return tuple(renderer.frame(self._picture(row)) for row in range(self._episodes.size))
+        if self._renderer is None:  # in a copy
+            self._renderer = ArmRenderer(self._episodes.model)
+        pictures = [self._picture(row) for row in range(self._episodes.size)]
+        return tuple(self._renderer.frame(picture) for picture in pictures)
 
     def close(self) -> None:
         """Nothing is to be shown any more."""
 
     def _picture(self, row: int) -> Picture:
+        """What is to be drawn of a row."""
         episodes = self._episodes
-        units = {name: error_unit(name) for name in episodes.errors}
-        errors = "   ".join(
-            f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items()
-        )
+        time = episodes.step_count[row] * episodes.period
+        title = [f"t = {time:.2f} s"]
+        for name, values in episodes.errors.items():
+            unit = error_unit(name)
+            title.append(f"{unit.label} {unit.text(values[row])}")
+        target_backbone = None
+        if episodes.task.shapes:
+            target_backbone = episodes.target_backbone[row]
         return Picture(
             strain=episodes.model.grid.unpacked(episodes.arms.rows.xi[row]),
             tension=episodes.tension[row],
             trail=np.array(self._trails[row]),
             target_pose=episodes.target_pose[row],
-            target_backbone=episodes.target_backbone[row] if episodes.task.shapes else None,
-            title=f"t = {episodes.step_count[row] * episodes.period:.2f} s   {errors}",
+            target_backbone=target_backbone,
+            title="   ".join(title),
             time=float(episodes.arms.rows.clock[row, 0]),
             scene=episodes.arms.model_of(row).scene,
         )

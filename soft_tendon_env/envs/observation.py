@@ -1,5 +1,4 @@
-"""The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped
-to finite bounds, and their history.
+"""Observations: one flat float32 vector of groups, scaled to about one, clipped, with history.
 
 `docs/reference/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a
 task brings others in `Task.groups`.
@@ -21,8 +20,11 @@ from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.tools.types import Array
 
-CLIP = 10.0  # largest absolute value of a scaled entry, unless its group says otherwise
-FAR = 100.0  # largest absolute value of a scaled way to the target: ten lengths of the rod
+CLIP = 10.0
+"""Largest absolute value of a scaled entry, unless its group says otherwise."""
+
+FAR = 100.0
+"""Largest absolute value of a scaled way to the target: ten lengths of the rod."""
 
 
 class RestValues(NamedTuple):
@@ -34,12 +36,9 @@ class RestValues(NamedTuple):
 
 @dataclass(slots=True)
 class Observed:
-    """Quantities that observation groups are computed from, rows first; measured ones carry the
-    sensors' noise.
+    """Quantities that observation groups are computed from, rows first.
 
-    Made of these: `q` and `q_dot` (rows, n), `tip_pose` (rows, 4, 4) as measured, `tip_twist`
-    (rows, 6) in its frame, and `tendon_length` (rows, n_a) [m] as measured, and `target_length` of
-    the target, less those at rest without tension.
+    Measured ones carry the sensors' noise.
     """
 
     arms: Arms
@@ -52,12 +51,35 @@ class Observed:
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
     rest: RestValues
 
-    q = property(lambda self: self.arms.rows.q)
-    q_dot = property(lambda self: self.arms.rows.q_dot)
-    tip_pose = property(lambda self: self.measured.tip_pose)
-    tip_twist = property(lambda self: self.arms.reading.tip_twist)
-    tendon_length = property(lambda self: self.measured.tendon_length - self.rest.tendon_length)
-    target_length = property(lambda self: self.target.tendon_length[:, 0] - self.rest.tendon_length)
+    @property
+    def q(self) -> Array:
+        """Coordinates (rows, n)."""
+        return self.arms.rows.q
+
+    @property
+    def q_dot(self) -> Array:
+        """Rates (rows, n) of the coordinates."""
+        return self.arms.rows.q_dot
+
+    @property
+    def tip_pose(self) -> Array:
+        """Poses of the tips (rows, 4, 4), as measured."""
+        return self.measured.tip_pose
+
+    @property
+    def tip_twist(self) -> Array:
+        """Twists of the tips (rows, 6), angular before linear, in their frames."""
+        return self.arms.reading.tip_twist
+
+    @property
+    def tendon_length(self) -> Array:
+        """Tendon lengths (rows, n_a) [m], as measured, less those at rest without tension."""
+        return self.measured.tendon_length - self.rest.tendon_length
+
+    @property
+    def target_length(self) -> Array:
+        """Tendon lengths (rows, n_a) [m] of the target, less those at rest without tension."""
+        return self.target.tendon_length[:, 0] - self.rest.tendon_length
 
 
 class Units(NamedTuple):
@@ -69,41 +91,60 @@ class Units(NamedTuple):
     away: float = 0.0  # [m], largest coordinate of the base in the world
 
 
+def _no_unit(units: Units) -> float:
+    return 1.0
+
+
 @dataclass(frozen=True)
 class Group:
-    """An observation group: what it is, its values (rows, size), and the units that they are
-    divided by, as many or a part that repeats.
+    """An observation group: what it is, its values, and their units.
 
-    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks
-    give as a goal instead; of_arm: measured of the arm, or asked of it, which is what a history
-    keeps; of_world: places in the world in lengths of the rod, whose bound is so much larger as the
-    base is away from the origin.
+    Attributes:
+        description: what it is, in a few words.
+        values: (rows, size) of observed quantities.
+        unit: that values are divided by, one for each or a part that repeats.
+        bound: largest absolute value of a scaled entry.
+        of_shape: whether it is of targets that are shapes.
+        of_target: whether it is of a target that goal-conditioned tasks give as a goal instead.
+        of_arm: whether it is measured of the arm, or asked of it, which is what a history keeps.
+        of_world: whether it has places in the world in lengths of the rod, whose bound is so much
+            larger as the base is away from the origin.
     """
 
     description: str
     values: Callable[[Observed], Array]
-    unit: Callable[[Units], Any] = lambda units: 1.0
+    unit: Callable[[Units], Any] = _no_unit
     bound: float = CLIP
     of_shape: bool = False
     of_target: bool = False
     of_arm: bool = False
     of_world: bool = False
 
+    def bound_in(self, units: Units) -> float:
+        """Largest absolute value of a scaled entry, of a base away from the origin."""
+        if not self.of_world:
+            return self.bound
+        return self.bound + units.away / units.length
+
 
 def _flat(values: Array) -> Array:
+    """Values (rows, ..) as (rows, size)."""
     return values.reshape(len(values), -1)
 
 
-def _pairs(angular: float, linear: float) -> Callable[[Units], Array]:
-    """Units of twists and logarithms: angular, and linear in lengths of the rod."""
-    return lambda units: np.repeat([angular, linear * units.length], 3)
+def _twist_unit(units: Units) -> Array:
+    """Units of twists: angular [rad/s], and linear in lengths of the rod."""
+    return np.repeat([5.0, 5.0 * units.length], 3)
+
+
+def _error_unit(units: Units) -> Array:
+    """Units of SE(3) logarithms: angular [rad], and linear in lengths of the rod."""
+    return np.repeat([0.5, 0.1 * units.length], 3)
 
 
 def _strain_unit(units: Units) -> Array:
+    """Units of strains: a radian along the rod, and a tenth of stretch and shear."""
     return np.repeat([1.0 / units.length, 0.1], 3)
-
-
-_twist_unit, _error_unit = _pairs(5.0, 5.0), _pairs(0.5, 0.1)
 
 
 GROUPS: dict[str, Group] = {
@@ -198,85 +239,133 @@ GROUPS: dict[str, Group] = {
 """The groups that every task has, by the name that options use; one of your own can be added before
 environments are made."""
 
-HISTORY = "history"  # the slice of an observation after all groups, if it has a history
-CHANGE = 0.1  # unit of a group's changes in a history, as a share of the group's own
+HISTORY = "history"
+"""Name of the slice of an observation after all groups, if it has a history."""
+
+CHANGE = 0.1
+"""Unit of a group's changes in a history, as a share of the group's own."""
 
 
 class Layout:
-    """The chosen groups side by side, and after them those of the arm as they were in the last
-    control periods, less what they are now.
+    """The chosen groups side by side, and after them the arm's past less what it is now.
 
-    `slices` of all groups by name; of what is observed now `scale` and `bound` (m,), factors and
-    bounds of entries, and `kept`, the columns that a history keeps.
+    Attributes:
+        groups: by name, in their order.
+        slices: columns of all groups by name, and of the history.
+        scale: (m,) factors of the entries that are observed now.
+        bound: (m,) largest absolute values of those.
+        kept: columns that a history keeps.
+        space: Gymnasium's space of an observation.
     """
 
     def __init__(
-        self, groups: Mapping[str, Group], units: Units, observed: Observed, history: int = 0
+        self,
+        groups: Mapping[str, Group],
+        units: Units,
+        observed: Observed,
+        history: int = 0,
     ) -> None:
-        """groups: by name, in their order; observed: of which groups take their sizes; history:
-        control periods that are looked back.
+        """Lay out groups.
 
-        Raises ValueError where a group's values are not (rows, size).
+        Args:
+            groups: by name, in their order.
+            units: of lengths, coordinates and tensions.
+            observed: of which groups take their sizes.
+            history: control periods that are looked back.
+
+        Raises:
+            ValueError: where a group's values are not (rows, size).
         """
-        shapes = {name: np.shape(group.values(observed)) for name, group in groups.items()}
-        for name, shape in shapes.items():
-            if len(shape) != 2 or shape[0] != len(observed.q):
-                raise ValueError(
-                    f"the observation group {name!r} should have values of shape"
-                    f" ({len(observed.q)}, size), not {shape}"
-                )
-        self.groups, size = groups, [shape[1] for shape in shapes.values()]
-        ends = np.cumsum(size).tolist()
-        self.slices = {
-            name: slice(end - width, end)
-            for name, end, width in zip(groups, ends, size, strict=True)
-        }
-        unit = np.concatenate(
-            [
-                np.resize(group.unit(units), width)
-                for group, width in zip(groups.values(), size, strict=True)
-            ]
-        )
-        bounds = [
-            group.bound + group.of_world * units.away / units.length for group in groups.values()
-        ]
-        self.scale, self.bound = 1.0 / unit, np.repeat(bounds, size)
-        self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], size))
+        self.groups = groups
+        # columns of each group, side by side
+        sizes = _sizes(groups, observed)
+        self.slices: dict[str, slice] = {}
+        end = 0
+        for name, size in sizes.items():
+            self.slices[name] = slice(end, end + size)
+            end += size
+
+        every_unit = []
+        bounds = []
+        is_kept = []
+        for name, group in groups.items():
+            size = sizes[name]
+            every_unit.append(np.resize(group.unit(units), size))
+            bounds.append(np.full(size, group.bound_in(units)))
+            is_kept.append(np.full(size, group.of_arm))
+        unit = np.concatenate(every_unit)
+        self.scale = 1.0 / unit
+        self.bound = np.concatenate(bounds)
+        self.kept = np.flatnonzero(np.concatenate(is_kept))
+
+        # after them the changes of each past period, the latest first
         if history:
-            self.slices[HISTORY] = slice(ends[-1], ends[-1] + history * self.kept.size)
-        self._units = np.concatenate([unit, np.tile(CHANGE * unit[self.kept], history)])
-        high = np.concatenate(
-            [self.bound, np.tile(2.0 / CHANGE * self.bound[self.kept], history)]
-        ).astype(np.float32)
+            self.slices[HISTORY] = slice(end, end + history * self.kept.size)
+        unit_of_changes = np.tile(CHANGE * unit[self.kept], history)
+        bound_of_changes = np.tile(2.0 / CHANGE * self.bound[self.kept], history)
+        self._units = np.concatenate([unit, unit_of_changes])
+        high = np.concatenate([self.bound, bound_of_changes]).astype(np.float32)
         self.space = Box(-high, high, dtype=np.float32)
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """The groups' observation now, a new array (rows, size of the groups)."""
-        values = np.concatenate([group.values(observed) for group in self.groups.values()], axis=1)
+        parts = [group.values(observed) for group in self.groups.values()]
+        values = np.concatenate(parts, axis=1)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self.scale, self.bound, present)
         return present
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
-        """Observations (rows, size) unscaled: by group (rows, size of the group), in the units of
-        `Observed`."""
-        observation = observation * self._units
-        return {name: observation[:, where] for name, where in self.slices.items()}
+        """Unscaled values of observations, by group.
+
+        Args:
+            observation: (rows, size).
+
+        Returns:
+            By group (rows, size of the group), in the units of `Observed`.
+        """
+        unscaled = observation * self._units
+        return {name: unscaled[:, columns] for name, columns in self.slices.items()}
+
+
+def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
+    """Entries of each group. Raises ValueError where its values are not (rows, size)."""
+    rows = len(observed.q)
+    sizes: dict[str, int] = {}
+    for name, group in groups.items():
+        shape = np.shape(group.values(observed))
+        if len(shape) != 2 or shape[0] != rows:
+            raise ValueError(
+                f"the observation group {name!r} should have values of shape ({rows}, size), not"
+                f" {shape}"
+            )
+        sizes[name] = shape[1]
+    return sizes
 
 
 class History:
-    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At
-    reset it has always been so.
+    """Rows of past observations: what was measured of the arm and asked of it, noise and all.
 
-    `frames` (rows, 1 + periods, m) are what was observed, the latest first; observed are their
-    differences from now, in a tenth of their units: what an arm does in a period would hardly show
-    beside where it is.
+    At reset it has always been so. `frames` (rows, 1 + periods, m) are what was observed, the
+    latest first; observed are their differences from now, in a tenth of their units: what an arm
+    does in a period would hardly show beside where it is.
     """
 
-    def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
-        """periods: control periods that are kept besides the present one; kept: (m,) columns of
-        what is observed."""
-        self._kept, self.frames = kept, np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
+    def __init__(
+        self,
+        rows: int,
+        periods: int,
+        kept: NDArray[np.int64],
+    ) -> None:
+        """Make a history of rows.
+
+        Args:
+            rows: of episodes.
+            periods: control periods that are kept besides the present one.
+            kept: (m,) columns of what is observed.
+        """
+        self._kept = kept
+        self.frames = np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
 
     def keep(
         self,
@@ -284,39 +373,61 @@ class History:
         step_count: NDArray[np.int64],
         members: NDArray[np.int64],
     ) -> None:
-        """Take what is observed now (rows, ..) of the rows `members`, which have moved on, or begun
-        where their `step_count` is 0."""
-        begun, moved = (members[of] for of in (step_count[members] == 0, step_count[members] > 0))
-        self.frames[moved, 1:] = self.frames[moved, :-1]
-        self.frames[moved, 0] = present[moved][:, self._kept]
-        self.frames[begun] = present[begun][:, None, self._kept]
+        """Take what is observed now of rows that have moved on or begun.
+
+        Args:
+            present: (rows, ..) the groups' observation now.
+            step_count: (rows,) control periods since the episodes began, 0 for those that begin.
+            members: the rows.
+        """
+        counts = step_count[members]
+        begun = members[counts == 0]
+        moved = members[counts > 0]
+        frames = self.frames
+        values = present[:, self._kept]
+        frames[moved, 1:] = frames[moved, :-1]
+        frames[moved, 0] = values[moved]
+        # at reset it has always been so
+        frames[begun] = values[begun, None]
 
     def correct(
-        self, present: NDArray[np.float32], step_count: NDArray[np.int64], row: int
+        self,
+        present: NDArray[np.float32],
+        step_count: NDArray[np.int64],
+        row: int,
     ) -> None:
-        """Take what is observed now of a row in place of what was observed before in this control
-        period."""
-        self.frames[row, : 1 if step_count[row] else None] = present[row, self._kept]
+        """Take what is observed now of a row in place of what was in this control period.
+
+        Args:
+            present: (rows, ..) the groups' observation now.
+            step_count: (rows,) control periods since the episodes began.
+            row: that is observed anew.
+        """
+        values = present[row, self._kept]
+        if step_count[row] == 0:  # it has always been so
+            self.frames[row] = values
+        else:
+            self.frames[row, 0] = values
 
     @property
     def changes(self) -> NDArray[np.float32]:
         """Past less present, a new array (rows, periods * m), the latest period first."""
-        changes = (self.frames[:, 1:] - self.frames[:, :1]) / np.float32(CHANGE)
+        past = self.frames[:, 1:]
+        present = self.frames[:, :1]
+        changes = (past - present) / np.float32(CHANGE)
         return changes.reshape(len(changes), -1)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:
     """Strains (m, 6) of the stress-free rod at arc lengths (m,) [m]."""
-    curvature = np.array([segment.curvature for segment in scene.segments])[
-        segment_index(scene, arc_length)
-    ]
-    return np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (arc_length.size, 1))], axis=1)
+    curvatures = np.array([segment.curvature for segment in scene.segments])
+    curvature = curvatures[segment_index(scene, arc_length)]
+    straight = np.tile([1.0, 0.0, 0.0], (arc_length.size, 1))
+    return np.concatenate([curvature, straight], axis=1)
 
 
 def of_row(observation: Any, row: int) -> Any:
-    """A row of observations."""
-    return (
-        {key: value[row] for key, value in observation.items()}
-        if isinstance(observation, dict)
-        else observation[row]
-    )
+    """A row of observations, also of those that are dictionaries."""
+    if isinstance(observation, dict):
+        return {key: value[row] for key, value in observation.items()}
+    return observation[row]

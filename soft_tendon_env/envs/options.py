@@ -1,7 +1,8 @@
-"""Keyword arguments of the environments, and options of their `reset`: plain values, so that specs
-serialise and workers get them."""
+"""Keyword arguments of the environments, and options of their `reset`.
 
-import contextlib
+They are plain values, so that specs serialise and workers get them.
+"""
+
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NoReturn, Self
@@ -41,15 +42,18 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
-# control periods by which a preview looks ahead: every row keeps its target for that long
 MOST_AHEAD = 10_000
-GOAL_BOUND = (
-    2.0  # largest distance of goals from the base along the world's axes, in lengths of the rod
-)
-MASK = (  # key of the rows that a vector environment resets, (rows,) bool; the others go on
-    "reset_mask"
-)
+"""Control periods by which a preview looks ahead at most: every row keeps its target for that
+long."""
 
+GOAL_BOUND = 2.0
+"""Largest distance of goals from the base along the world's axes, in lengths of the rod."""
+
+THRESHOLD = 0.01
+"""Distance, in lengths of the rod, within which a goal is reached by default."""
+
+MASK = "reset_mask"
+"""Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
 
 DIFFICULTIES: Mapping[str, Mapping[str, float]] = {
     "easy": {"fraction": 0.25, "knot_period": 1.0},
@@ -57,25 +61,47 @@ DIFFICULTIES: Mapping[str, Mapping[str, float]] = {
     "hard": {"fraction": 0.6, "knot_period": 0.3},
 }
 """Settings of drawn targets by difficulty; "easy" are their defaults."""
+
+EXTRAPOLATED = re.compile(r"^segments\..*?\.(young_modulus|damping|retardation_time)\b")
+"""Names of drawn numbers on which the number of columns of extrapolation depends."""
+
 Difficulty = Literal["easy", "medium", "hard"]
+SensorCount = Annotated[int, Field(ge=1, le=10_000)]
+SensorPlaces = Annotated[tuple[NotNegative, ...], Field(max_length=10_000)]
 
 
 def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
-    """The target, or those that it draws from, with the settings of a difficulty that it leaves
-    open; the same where there are none."""
+    """Target, or those that it draws from, with the settings of a difficulty that it leaves open.
+
+    Args:
+        target: as it was named.
+        difficulty: None for the target's own settings.
+
+    Returns:
+        The same target where there is nothing to set.
+    """
     if difficulty is None or not target.is_random:
         return target
-    given: dict[str, Any] = {name: getattr(target, name) for name in target.model_fields_set}
-    more: dict[str, Any] = (
-        {"of": [at_difficulty(one, difficulty) for one in given["of"]]} if "of" in given else {}
-    )
+    settings: dict[str, Any] = {}
+    for name in target.model_fields_set:
+        settings[name] = getattr(target, name)
+    more: dict[str, Any] = {}
+    if "of" in settings:
+        more["of"] = [at_difficulty(part, difficulty) for part in settings["of"]]
     if isinstance(target, DrawnShapes):
-        more = {
-            name: value
-            for name, value in DIFFICULTIES[difficulty].items()
-            if name in type(target).model_fields and name not in given
-        }
-    return type(target)(**given | more) if more else target
+        more = {}
+        for name, value in DIFFICULTIES[difficulty].items():
+            if name in type(target).model_fields and name not in settings:
+                more[name] = value
+    if not more:
+        return target
+    return type(target)(**settings | more)
+
+
+def _usual_preview(values: dict[str, Any]) -> tuple[float, ...]:
+    """Default preview times [s] of options that are valid so far."""
+    period = values.get("control_period", 0.0)
+    return max(0.1, period), max(0.2, 2 * period)
 
 
 class Options(Configuration):
@@ -133,18 +159,9 @@ class Options(Configuration):
     target: NamedTarget | None = None
     difficulty: Difficulty | None = None
     observation: str | tuple[str, ...] = "full"
-    preview: tuple[Positive, ...] = Field(
-        default_factory=lambda given: tuple(
-            max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2)
-        )
-    )
-    history: int = Field(
-        default=0, ge=0, le=1_000
-    )  # every row keeps its observations for that long
-    sensors: (
-        Annotated[int, Field(ge=1, le=10_000)]
-        | Annotated[tuple[NotNegative, ...], Field(max_length=10_000)]
-    ) = ()
+    preview: tuple[Positive, ...] = Field(default_factory=_usual_preview)
+    history: int = Field(default=0, ge=0, le=1_000)  # every row keeps its observations so long
+    sensors: SensorCount | SensorPlaces = ()
     reward: dict[str, Weight] | GoalReward | None = None
     threshold: Annotated[Positive, Field(ge=1e-9)] | None = None
     randomize: Randomization = Field(default=Randomization())
@@ -152,8 +169,19 @@ class Options(Configuration):
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """As of every configuration. Raises TypeError for `frameskip`, which TorchRL tries, and
-        leaves out where that is raised."""
+        """Options of keyword arguments, as of every configuration.
+
+        Args:
+            values: the arguments by name.
+            source: the environment's class, for messages.
+
+        Returns:
+            The options.
+
+        Raises:
+            ConfigurationError: of all invalid arguments.
+            TypeError: for `frameskip`, which TorchRL tries, and leaves out where that is raised.
+        """
         if "frameskip" in values:
             raise TypeError(f"{source} got an unexpected keyword argument 'frameskip'")
         return super().parse(values, source)
@@ -175,31 +203,32 @@ class Options(Configuration):
 
     def sensor_places(self, scene: Scene) -> Array:
         """Arc lengths (s,) [m] of the strain sensors."""
-        many = self.sensors
-        return (
-            rod_length(scene) * (np.arange(many) + 0.5) / many
-            if isinstance(many, int)
-            else np.array(many, dtype=np.float64)
-        )
+        if not isinstance(self.sensors, int):
+            return np.array(self.sensors, dtype=np.float64)
+        count = self.sensors
+        middles = np.arange(count) + 0.5
+        return rod_length(scene) * middles / count
+
+    def threshold_of(self, length: float) -> float:
+        """Distance [m] within which goals are reached, of a rod's length [m]."""
+        if self.threshold is None:
+            return THRESHOLD * length
+        return self.threshold
 
     def farthest_base(self, scene: Scene) -> float:
-        """Largest coordinate [m] that the base has in the world, also where its position is
-        drawn."""
-        drawn = [
-            one for one in self.randomize.ranges(scene) if one.name.startswith("base.position")
-        ]
-        ends = [
-            number
-            for one in drawn
-            for end in (one.least, one.greatest)
-            for number in one.changes(end).values()
-        ]
-        return max(map(abs, (*scene.base.position, *ends)))
+        """Largest coordinate [m] of the base in the world, also where its position is drawn."""
+        coordinates = [*scene.base.position]
+        for drawn in self.randomize.ranges(scene):
+            if drawn.name.startswith("base.position"):
+                coordinates += drawn.changes(drawn.least).values()
+                coordinates += drawn.changes(drawn.greatest).values()
+        return max(map(abs, coordinates))
 
 
 class ResetOptions(Configuration):
-    """Entries of `reset(options={...})` for one episode; None, as without the entry: what the
-    environment's own arguments say.
+    """Entries of `reset(options={...})` for one episode.
+
+    None, as without the entry, is what the environment's own arguments say.
 
     Attributes:
         state: `State` in which the arm begins, with its rates, the internal states of effects and
@@ -219,100 +248,147 @@ class ResetOptions(Configuration):
     @field_validator("goal", mode="before")
     @classmethod
     def _as_hold(cls, goal: Any) -> Any:
-        shape = np.shape(goal) if isinstance(goal, list | tuple | np.ndarray) else ()
-        if shape not in ((3,), (4, 4)):
-            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
-        return Hold(position=goal) if shape == (3,) else Hold(pose=goal)
+        shape: tuple[int, ...] = ()
+        if isinstance(goal, list | tuple | np.ndarray):
+            shape = np.shape(goal)
+        if shape == (3,):
+            return Hold(position=goal)
+        if shape == (4, 4):
+            return Hold(pose=goal)
+        raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
 
 
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
-    """The options of a reset by row: one value for every key of each of `rows`, None for what is
-    usual; `rows` None: those of row 0. Raises ConfigurationError, TypeError where they are no
-    table."""
+    """Options of a reset by row.
+
+    Args:
+        options: for every key a value of each row, None for what is usual; None: no options.
+        rows: of a vector environment; None: the values are those of row 0 themselves.
+
+    Returns:
+        The options by row; empty without any.
+
+    Raises:
+        ConfigurationError: for other keys and values.
+        TypeError: where the options are no table.
+    """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
-    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
-    if unknown := [str(key) for key in options or () if key not in allowed]:
-        raise ConfigurationError(
-            [
-                Problem((key,), f"is no option of reset: {not_among(key, allowed)}")
-                for key in unknown
-            ],
-            "options",
-        )
-    given = {
-        key: value for key, value in (options or {}).items() if value is not None and key != MASK
-    }
+    table = options or {}
+    _check_keys(table, rows)
+    values = {key: value for key, value in table.items() if value is not None and key != MASK}
+    if not values:
+        return {}
     if rows is None:
-        return {0: ResetOptions.parse(given, "options")} if given else {}
-    for key, value in given.items():
-        if not isinstance(value, list | tuple | np.ndarray) or len(value) != rows:
-            raise ConfigurationError(
-                [
-                    Problem(
-                        (key,),
-                        f"should have one value per row, {rows}, each None for what is usual",
-                    )
-                ],
-                "options",
-            )
-    tables = [
-        {key: values[row] for key, values in given.items() if values[row] is not None}
-        for row in range(rows)
-    ]
-    return (
-        {
-            row: ResetOptions.parse(table, f"options of row {row}")
-            for row, table in enumerate(tables)
-        }
-        if given
-        else {}
-    )
+        return {0: ResetOptions.parse(values, "options")}
+    for key, column in values.items():
+        if not isinstance(column, list | tuple | np.ndarray) or len(column) != rows:
+            text = f"should have one value per row, {rows}, each None for what is usual"
+            raise ConfigurationError([Problem((key,), text)], "options")
+    options_of: dict[int, ResetOptions] = {}
+    for row in range(rows):
+        own = {key: column[row] for key, column in values.items() if column[row] is not None}
+        options_of[row] = ResetOptions.parse(own, f"options of row {row}")
+    return options_of
+
+
+def _check_keys(table: Mapping[Any, Any], rows: int | None) -> None:
+    """Raises ConfigurationError for keys that are no options of a reset."""
+    allowed = {*ResetOptions.model_fields}
+    if rows is not None:
+        allowed.add(MASK)
+    problems = list[Problem]()
+    for key in table:
+        if key not in allowed:
+            name = str(key)
+            text = f"is no option of reset: {not_among(name, allowed)}"
+            problems.append(Problem((name,), text))
+    if problems:
+        raise ConfigurationError(problems, "options")
 
 
 def row_seeds(seed: Any, rows: int) -> list[int | None]:
-    """A seed of a reset for each row, None to go on. Raises TypeError or ValueError."""
+    """Seeds of a reset for each row, None to go on.
+
+    Args:
+        seed: a number, for row i that number + i; a list of one for each row; or None.
+        rows: of the environment.
+
+    Returns:
+        The seeds.
+
+    Raises:
+        TypeError: for what is no integer.
+        ValueError: for negative ones and for lists of another length.
+    """
     if seed is None:
         return [None] * rows
-    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
-        if len(seed) != rows:
-            raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-        return [
-            None if one is None else checked_count(f"seed[{i}]", one, 0)
-            for i, one in enumerate(seed)
-        ]
-    first = checked_count("seed", seed, 0)
-    return [first + i for i in range(rows)]
+    if not isinstance(seed, list | tuple | np.ndarray) or np.ndim(seed) == 0:
+        first = checked_count("seed", seed, 0)
+        return [first + row for row in range(rows)]
+    if len(seed) != rows:
+        raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
+    seeds: list[int | None] = []
+    for row, own in enumerate(seed):
+        if own is None:
+            seeds.append(None)
+        else:
+            seeds.append(checked_count(f"seed[{row}]", own, 0))
+    return seeds
 
 
 def resolved_scene(options: Options) -> Scene:
-    """The scene of the options: at their fidelity, with their tension limits, and, where it leaves
-    them open, as many columns of extrapolation as suit the least damping and the greatest stiffness
-    that can be drawn. Raises ConfigurationError."""
+    """Scene of the options, at their fidelity and with their tension limits.
+
+    Where it leaves them open, it has as many columns of extrapolation as suit the least damping and
+    the greatest stiffness that can be drawn.
+
+    Args:
+        options: of an environment.
+
+    Returns:
+        The scene.
+
+    Raises:
+        ConfigurationError: where options do not fit the scene.
+    """
     scene = at_fidelity(given_scene(options.scene), options.fidelity)
-    tendons = range(0 if options.tension_limits is None else len(scene.tendons))
-    changes: dict[str, Any] = {
-        f"tendons.{i}.tension_limits": options.tension_limits for i in tendons
-    }
-    ends: dict[str, float] = {}
-    for drawn in options.randomize.ranges(scene):
-        if kind := re.search(
-            r"^segments\..*?\.(young_modulus|damping|retardation_time)\b", drawn.name
-        ):
-            ends |= drawn.changes(drawn.greatest if kind[1] == "young_modulus" else drawn.least)
-    with contextlib.suppress(
-        ConfigurationError
-    ):  # an end that cannot be is told with its key, when the arms are drawn
-        if ends and (
-            columns := extrapolation_columns(scene.replace(ends))
-        ) != extrapolation_columns(scene):
-            changes["integrator.columns"] = columns
+    changes: dict[str, Any] = {}
+    if options.tension_limits is not None:
+        for i in range(len(scene.tendons)):
+            changes[f"tendons.{i}.tension_limits"] = options.tension_limits
+    columns = _columns_of_extremes(options, scene)
+    if columns is not None:
+        changes["integrator.columns"] = columns
     return scene.replace(changes) if changes else scene
 
 
+def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
+    """Columns of extrapolation that suit the stiffest and least damped arm that can be drawn.
+
+    None where they are those of the scene.
+    """
+    extremes: dict[str, float] = {}
+    for drawn in options.randomize.ranges(scene):
+        match = EXTRAPOLATED.search(drawn.name)
+        if match:
+            is_stiffness = match[1] == "young_modulus"
+            extremes |= drawn.changes(drawn.greatest if is_stiffness else drawn.least)
+    if not extremes:
+        return None
+    try:
+        columns = extrapolation_columns(scene.replace(extremes))
+    except ConfigurationError:
+        # an end that cannot be is told with its key, when the arms are drawn
+        return None
+    return columns if columns != extrapolation_columns(scene) else None
+
+
 def given_scene(scene: Any) -> Scene:
-    """The scene that the option `scene` names, as it is written. Raises ConfigurationError,
-    FileNotFoundError."""
+    """The scene that the option `scene` names, as it is written.
+
+    Raises ConfigurationError, FileNotFoundError.
+    """
     if isinstance(scene, Scene):
         return scene
     if not isinstance(scene, dict):
@@ -324,14 +400,24 @@ def given_scene(scene: Any) -> Scene:
 
 
 def groups_of(options: Options, task: Task) -> dict[str, Group]:
-    """The chosen observation groups by name. Raises ConfigurationError."""
-    chosen, allowed = options.observation, task.observable
+    """Chosen observation groups of a task, by name.
+
+    Args:
+        options: of an environment.
+        task: that the environment is of.
+
+    Returns:
+        The groups in their order.
+
+    Raises:
+        ConfigurationError: for names that the task does not have, no group, and one twice.
+    """
+    chosen = options.observation
+    allowed = task.observable
     if isinstance(chosen, str):
         if chosen not in task.observations:
-            _fail(
-                "observation",
-                f"is {chosen!r}: {not_among(chosen, task.observations)}, or a list of groups",
-            )
+            choices = not_among(chosen, task.observations)
+            _fail("observation", f"is {chosen!r}: {choices}, or a list of groups")
         chosen = task.observations[chosen]
     for name in chosen:
         if name not in allowed:
@@ -342,9 +428,41 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
 
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
-    """Raises ConfigurationError where options do not fit the task or the scene, or times would be
-    rounded to something else."""
-    period, length = options.control_period, rod_length(scene)
+    """Raise an error where options do not fit the task or the scene.
+
+    Args:
+        options: of an environment.
+        task: that the environment is of.
+        scene: of the options.
+
+    Raises:
+        ConfigurationError: also where times would be rounded to something else.
+    """
+    _check_preview(options)
+    length = rod_length(scene)
+    farthest = options.sensor_places(scene).max(initial=0.0)
+    if farthest > length:
+        _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
+    target = options.target or usual_target(task)
+    leaves_nothing_open = checked_target(None, options, task, scene) is target
+    if leaves_nothing_open and options.difficulty is not None:
+        _fail(
+            "difficulty",
+            f"is {options.difficulty!r}, and the target {target.type!r} leaves neither fraction nor"
+            " knot_period open",
+        )
+    if options.reward is None:
+        return
+    has_weights = isinstance(options.reward, dict)
+    if task.goal is not None and has_weights:
+        _fail("reward", "should be 'sparse' or 'dense'")
+    if task.goal is None and not has_weights:
+        _fail("reward", "should be a table of weights by term")
+
+
+def _check_preview(options: Options) -> None:
+    """Raises ConfigurationError for preview times that would be rounded to now, or are too far."""
+    period = options.control_period
     for i, time in enumerate(options.preview):
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = (
@@ -352,24 +470,6 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
                 f" them, {MOST_AHEAD * period:g} s"
             )
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
-    if (farthest := options.sensor_places(scene).max(initial=0.0)) > length:
-        _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
-    target = options.target or usual_target(task)
-    if checked_target(None, options, task, scene) is target and options.difficulty is not None:
-        _fail(
-            "difficulty",
-            f"is {options.difficulty!r}, and the target {target.type!r} leaves neither fraction nor"
-            " knot_period open",
-        )
-    if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
-        _fail(
-            "reward",
-            (
-                "should be 'sparse' or 'dense'"
-                if task.goal
-                else "should be a table of weights by term"
-            ),
-        )
 
 
 def usual_target(task: Task) -> Target:
@@ -377,34 +477,66 @@ def usual_target(task: Task) -> Target:
     return TARGETS[task.target](type=task.target)
 
 
-def checked_target(given: Target | None, options: Options, task: Task, scene: Scene) -> Target:
-    """A target, by default that of the options or the task, at their difficulty. Raises
-    ConfigurationError where it does not fit the task or the scene."""
-    target = at_difficulty(given or options.target or usual_target(task), options.difficulty)
-    for one in getattr(target, "of", ()):
-        checked_target(one, options, task, scene)
-    if task.shapes and not target.gives_shapes:
-        kind = target.type
+def checked_target(
+    target: Target | None,
+    options: Options,
+    task: Task,
+    scene: Scene,
+) -> Target:
+    """Target at the difficulty of the options, which fits the task and the scene.
+
+    Args:
+        target: None for that of the options, or else of the task.
+        options: of an environment.
+        task: that the environment is of.
+        scene: of the options.
+
+    Returns:
+        The target.
+
+    Raises:
+        ConfigurationError: where it does not fit the task or the scene.
+    """
+    named = target or options.target or usual_target(task)
+    checked = at_difficulty(named, options.difficulty)
+    for part in getattr(checked, "of", ()):
+        checked_target(part, options, task, scene)
+    if task.shapes and not checked.gives_shapes:
         _fail(
             "target",
-            f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions,"
-            " such as random or ramp",
+            f"is {checked.type!r}, which is a pose alone: {task.name} needs one that is made of"
+            " tensions, such as random or ramp",
         )
-    if isinstance(target, Hold) and target.given is not None:
-        place, bound = target.given[:3, 3], GOAL_BOUND * rod_length(scene)
-        home = (
-            f", around the base at {shown(scene.base.position)} m"
-            if any(scene.base.position)
-            else ""
-        )
-        if task.goal is None and target.position is not None:
+    if isinstance(checked, Hold) and checked.given_pose is not None:
+        _check_pose(checked, checked.given_pose, task, scene)
+    checked.check(scene)
+    return checked
+
+
+def _check_pose(
+    target: Hold,
+    pose: Array,
+    task: Task,
+    scene: Scene,
+) -> None:
+    """Raise an error where a pose (4, 4) to hold does not fit the task, or a goal the bounds.
+
+    Raises ConfigurationError.
+    """
+    if task.goal is None:
+        if target.position is not None:
             _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
-        if task.goal is not None and np.abs(place - scene.base.position).max() > bound:
-            key = "target.pose" if target.position is None else "target.position"
-            allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod{home}"
-            _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
-    target.check(scene)
-    return target
+        return
+    place = pose[:3, 3]
+    base = scene.base.position
+    bound = GOAL_BOUND * rod_length(scene)
+    if np.abs(place - base).max() <= bound:
+        return
+    allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod"
+    if any(base):
+        allowed += f", around the base at {shown(base)} m"
+    key = "target.pose" if target.position is None else "target.position"
+    _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -1,8 +1,9 @@
-"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by
-default."""
+"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency.
+
+All off by default.
+"""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -25,9 +26,15 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.types import Array
 
-GREATEST = 1e9  # largest absolute value of gains, offsets and latencies that can be drawn
-DRAWN = "drawn"  # key in `info`, after resets, of what was drawn
-CHUNK = 128  # samples of noise drawn at a time
+GREATEST = 1e9
+"""Largest absolute value of gains, offsets and latencies that can be drawn."""
+
+DRAWN = "drawn"
+"""Key in `info`, after resets, of what was drawn."""
+
+CHUNK = 128
+"""Samples of noise that are drawn at a time."""
+
 SHORT = {
     "stiffness": ("segments.*.young_modulus", "factor"),
     "damping": ("segments.*.damping", "factor"),
@@ -35,6 +42,7 @@ SHORT = {
     "payload": ("effects.tip_load.mass", "offset"),
 }
 """Short names of numbers of the scene: their keys, and how they are drawn."""
+
 OF_STIFFNESS = {
     "segments.*.young_modulus": ("bending.*", "torsion", "stretch", "shear.*"),
     "segments.*.damping": ("retardation_time",),
@@ -44,12 +52,10 @@ OF_STIFFNESS = {
 
 
 def _as_range(value: Any) -> Any:
+    """The ends of a range, twice the number where there is one alone. Raises ValueError."""
     ends = value if isinstance(value, tuple) else (value, value)
-    if (
-        len(ends) != 2
-        or not all(type(end) in (int, float) for end in ends)
-        or not -GREATEST <= ends[0] <= ends[1] <= GREATEST
-    ):
+    are_numbers = len(ends) == 2 and all(type(end) in (int, float) for end in ends)
+    if not are_numbers or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
         raise ValueError(f"should be a number, or (least, greatest), within ±{GREATEST:g}")
     return ends
 
@@ -76,7 +82,7 @@ class Randomization(Configuration):
             that is added to that of the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
-        noise: of sensors.
+        noise: deviations of the sensors' noise.
         omit: probability with which an episode leaves out each of the above: a number is as the
             scene says, gains are 1, offsets, latency and noise 0. Without it nearly all arms differ
             in every way.
@@ -90,85 +96,117 @@ class Randomization(Configuration):
     omit: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     def __init__(self, /, **values: Any):
-        valid = [*type(self).model_fields, *SHORT, *TABLES]
-        fields = {name: value for name, value in values.items() if name in type(self).model_fields}
-        table = {name: value for name, value in values.items() if name not in fields}
-        problems = [
-            Problem((name,), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}")
-            for name, value in table.items()
-            if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES
-        ]
+        """Take numbers of the scene beside the other attributes. Raises ConfigurationError."""
+        names = type(self).model_fields
+        fields: dict[str, Any] = {}
+        numbers: dict[str, Any] = {}
+        for name, value in values.items():
+            if name in names:
+                fields[name] = value
+            else:
+                numbers[name] = value
+        valid = [*names, *SHORT, *TABLES]
+        problems = list[Problem]()
+        for name, value in numbers.items():
+            table = name.replace("[", ".").split(".")[0]
+            if name not in SHORT and table not in TABLES:
+                text = f"is an unknown key (given {shown(value)}): {not_among(name, valid)}"
+                problems.append(Problem((name,), text))
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        super().__init__(
-            **fields
-            | {"numbers": _in_full(dotted_ranges(plain({**fields.get("numbers", {}), **table})))}
-        )
+        # numbers of the scene stand beside the other attributes, or in `numbers`
+        every_number = {**fields.get("numbers", {}), **numbers}
+        in_dots = dotted_ranges(plain(every_number))
+        fields["numbers"] = _in_full(in_dots)
+        super().__init__(**fields)
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
-        """The ranges of numbers of a scene, in the order of their keys. Raises
-        ConfigurationError."""
+        """Ranges of the drawn numbers of a scene, in the order of their keys.
+
+        Args:
+            scene: whose numbers they are.
+
+        Returns:
+            The ranges.
+
+        Raises:
+            ConfigurationError: for keys that the scene does not have, and for other values.
+        """
+        values: dict[str, Any] = {}
+        for name, value in sorted(self.numbers.items()):
+            values[_whole_rod(scene, name, value)] = value
         try:
-            return ranges_of(
-                scene,
-                {_whole_rod(scene, *drawn): drawn[1] for drawn in sorted(self.numbers.items())},
-            )
+            return ranges_of(scene, values)
         except ConfigurationError as error:
-            raise ConfigurationError(
-                [Problem(("randomize", *key), text) for key, text in error.problems], "environment"
-            ) from None
+            problems = [Problem(("randomize", *key), text) for key, text in error.problems]
+            raise ConfigurationError(problems, "environment") from None
 
     @property
     def of_actuators(self) -> bool:
         """Whether applied tensions can differ from commanded ones, apart from latency."""
-        return (self.tension_gain, self.tension_offset) != ((1.0, 1.0), (0.0, 0.0))
+        return self.tension_gain != (1.0, 1.0) or self.tension_offset != (0.0, 0.0)
 
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Ranges by the keys that short names stand for, without those that change nothing. Raises
-    ConfigurationError."""
-    found: dict[str, Any] = {}
+    """Ranges by the keys that short names stand for, without those that change nothing.
+
+    Raises ConfigurationError.
+    """
+    ranges: dict[str, Any] = {}
     for name, value in numbers.items():
         key, kind = SHORT.get(name, (name, ""))
-        if key in found:
-            raise ConfigurationError(
-                [Problem((name,), f"is {key}, which is drawn already: leave one of them out")]
-            )
-        found[key] = {kind: value} if kind else value
-    return found
+        if key in ranges:
+            text = f"is {key}, which is drawn already: leave one of them out"
+            raise ConfigurationError([Problem((name,), text)])
+        ranges[key] = {kind: value} if kind else value
+    return ranges
 
 
 def _whole_rod(scene: Scene, name: str, value: Any) -> str:
     """The key of a number, with the others that a factor of it means in some segments."""
-    mixed = (
-        isinstance(value, dict)
-        and "factor" in value
-        and any(isinstance(part.section, Stiffness) for part in scene.segments)
-    )
-    return "|".join(
-        [name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)]
-    )
+    is_factor = isinstance(value, dict) and "factor" in value
+    has_stiffnesses = any(isinstance(part.section, Stiffness) for part in scene.segments)
+    keys = [name]
+    if is_factor and has_stiffnesses:
+        for key in OF_STIFFNESS.get(name, ()):
+            keys.append(f"segments.*.section.{key}")
+    return "|".join(keys)
 
 
 def drawn_in_rows(
     infos: Sequence[Mapping[str, Any]], members: Indices, rows: int
 ) -> dict[str, Any]:
-    """Infos of what was drawn for `members` as one of all rows, as Gymnasium has tables in it:
-    arrays (rows, ..), each beside its mask."""
+    """Infos of what was drawn for rows as one info, as Gymnasium has tables in it.
+
+    Args:
+        infos: of what was drawn, of each of `members`.
+        members: rows that have begun.
+        rows: of the environment.
+
+    Returns:
+        Under DRAWN arrays (rows, ..) by key, each beside its mask; nothing where nothing was drawn.
+    """
     if not any(infos):
         return {}
-    found, of_row = (
-        dict[str, Any](),
-        {int(row): info[DRAWN] for row, info in zip(members, infos, strict=True)},
-    )
-    for key in dict.fromkeys(
-        key for drawn in of_row.values() for key in drawn
-    ):  # some rows may leave it out
-        mask = np.array([key in of_row.get(row, ()) for row in range(rows)])
-        values = np.array([of_row[row][key] for row in np.flatnonzero(mask).tolist()])
-        found |= {key: np.zeros((rows, *values.shape[1:])), f"_{key}": mask}
-        found[key][mask] = values
-    return {DRAWN: found, f"_{DRAWN}": np.isin(np.arange(rows), members)}
+    drawn_of: dict[int, Mapping[str, Any]] = {}
+    for row, info in zip(members.tolist(), infos, strict=True):
+        drawn_of[row] = info[DRAWN]
+    keys: dict[str, None] = {}  # in the order in which rows have them
+    for drawn in drawn_of.values():
+        keys |= dict.fromkeys(drawn)
+    table: dict[str, Any] = {}
+    for key in keys:
+        # some rows may leave it out
+        rows_with_key = [row for row in sorted(drawn_of) if key in drawn_of[row]]
+        mask = np.zeros(rows, dtype=bool)
+        mask[rows_with_key] = True
+        values = np.array([drawn_of[row][key] for row in rows_with_key])
+        column = np.zeros((rows, *values.shape[1:]))
+        column[rows_with_key] = values
+        table[key] = column
+        table[f"_{key}"] = mask
+    has_begun = np.isin(np.arange(rows), members)
+    return {DRAWN: table, f"_{DRAWN}": has_begun}
 
 
 class Measured(NamedTuple):
@@ -181,46 +219,105 @@ class Measured(NamedTuple):
 
 
 class Sensors:
-    """Rows of noisy sensors."""
+    """Rows of noisy sensors.
+
+    Noise of a sample stands side by side: position and rotation of the tip, tendon lengths, strains
+    and their rates.
+    """
 
     def __init__(
-        self, noise: SensorNoise, rows: int, tendons: int, sensors: int, omit: float
+        self,
+        noise: SensorNoise,
+        rows: int,
+        tendons: int,
+        sensors: int,
+        omit: float,
     ) -> None:
-        """omit: probability with which an episode has no noise."""
-        of_pose, of_lengths = (
-            np.repeat([noise.position, noise.rotation], 3),
-            np.full(tendons, noise.length),
-        )
-        self._deviation = np.concatenate(
-            [of_pose, of_lengths, noise.of_strains(sensors), noise.of_strain_rates(sensors)]
-        )
-        ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
-        self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
+        """Make sensors that begin with the first episodes.
+
+        Args:
+            noise: standard deviations.
+            rows: of arms.
+            tendons: whose lengths are measured.
+            sensors: of strain.
+            omit: probability with which an episode has no noise.
+        """
+        deviations = {
+            "position": np.full(3, noise.position),
+            "rotation": np.full(3, noise.rotation),
+            "length": np.full(tendons, noise.length),
+            "strain": noise.of_strains(sensors),
+            "strain_rate": noise.of_strain_rates(sensors),
+        }
+        self._deviation = np.concatenate([*deviations.values()])
+        # columns of each part
+        self._columns: dict[str, slice] = {}
+        start = 0
+        for part, deviation in deviations.items():
+            end = start + deviation.size
+            self._columns[part] = slice(start, end)
+            start = end
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
-        self._omit, self._is_noisy = omit, np.ones((rows, 1), dtype=bool)
+        self._omit = omit
+        self._is_noisy = np.ones((rows, 1), dtype=bool)
 
     def begin(self, row: int, seed: int) -> None:
-        """A new episode of a row."""
-        self._generator[row] = generator = np.random.default_rng(seed)
+        """Begin a new episode of a row, whose noise follows from the seed."""
+        generator = np.random.default_rng(seed)
+        self._generator[row] = generator
         self._is_noisy[row] = not self._omit or generator.random() >= self._omit
 
-    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
-        """Sensor readings of true ones; `members` have moved on."""
+    def measured(
+        self,
+        reading: Reading,
+        step_count: Indices,
+        members: Indices,
+    ) -> Measured:
+        """Sensor readings of all rows: the true ones with noise.
+
+        Args:
+            reading: the true readings.
+            step_count: (rows,) control periods since the episodes began.
+            members: rows that have moved on.
+
+        Returns:
+            The measured values.
+        """
         for row in members[step_count[members] % CHUNK == 0]:
-            self._noise[row] = (
-                self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
-            )
-        noise = self._noise[np.arange(len(step_count)), step_count % CHUNK] * self._is_noisy
-        position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
-        pose, turn = np.empty_like(reading.tip_pose), np.zeros((len(rotation), 1, 6))
-        turn[:, 0, :3] = rotation
-        move_poses(reading.tip_pose, turn, pose[:, None])
-        pose[:, :3, 3] += position
-        strain, rate = strain.reshape(reading.strain.shape), rate.reshape(reading.strain_rate.shape)
+            self._draw_chunk(row)
+        noise = self._noise_now(step_count)
+        strain_noise = noise["strain"].reshape(reading.strain.shape)
+        rate_noise = noise["strain_rate"].reshape(reading.strain_rate.shape)
         return Measured(
-            pose,
-            reading.tendon_length + length,
-            reading.strain + strain,
-            reading.strain_rate + rate,
+            tip_pose=_moved(reading.tip_pose, noise["position"], noise["rotation"]),
+            tendon_length=reading.tendon_length + noise["length"],
+            strain=reading.strain + strain_noise,
+            strain_rate=reading.strain_rate + rate_noise,
         )
+
+    def _draw_chunk(self, row: int) -> None:
+        """Draw the noise of a row's next CHUNK control periods."""
+        shape = CHUNK, self._deviation.size
+        samples = self._generator[row].standard_normal(shape)
+        self._noise[row] = samples * self._deviation
+
+    def _noise_now(self, step_count: Indices) -> dict[str, Array]:
+        """Noise (rows, size) by part, 0 in episodes without noise."""
+        rows = np.arange(len(step_count))
+        sample = step_count % CHUNK
+        noise = self._noise[rows, sample] * self._is_noisy
+        return {part: noise[:, columns] for part, columns in self._columns.items()}
+
+
+def _moved(pose: Array, position: Array, rotation: Array) -> Array:
+    """Poses (rows, 4, 4) that are turned by vectors (rows, 3) [rad], in their frames, and moved.
+
+    They are moved by others (rows, 3) [m], in the world.
+    """
+    twist = np.zeros((len(pose), 1, 6))
+    twist[:, 0, :3] = rotation
+    moved = np.empty_like(pose)
+    move_poses(pose, twist, moved[:, None])
+    moved[:, :3, 3] += position
+    return moved

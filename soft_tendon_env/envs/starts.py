@@ -1,5 +1,4 @@
-"""How the arms of rows begin: at rest, with numbers of their own where those are drawn, clear of
-obstacles.
+"""How arms of rows begin: at rest, clear of obstacles, with numbers of their own if drawn.
 
 Making an arm takes longer than a reset. So an environment has BANK arms, which follow from its
 scene and its ranges alone. An episode takes the one whose number its generator draws.
@@ -37,6 +36,9 @@ DRAWS = 4
 """Numbers that an episode takes from its generator before anything else; the first chooses the
 arm."""
 
+OBSTACLES = "effects.contact.obstacles."
+"""How keys of obstacles begin."""
+
 SOFTNESS = re.compile(r"\.(young_modulus|bending)\b")
 """Names of drawn numbers by which an arm is soft where they are small."""
 
@@ -52,33 +54,48 @@ class Drawn(NamedTuple):
 class Starts:
     """Beginnings of rows of arms.
 
-    The scene's arm rests at `q` (n,) under the `tension` (n_a,) [N] nearest to zero within `limits`
-    (n_a, 2), which `command` (n_a,) holds; `setting`: of its targets; `numbers`: drawn ones by row.
     Arms that need no search for where they rest are made at once, others when they are first drawn.
+
+    Attributes:
+        q: coordinates (n,) at which the scene's arm rests.
+        tension: (n_a,) [N] nearest to zero within `limits`, under which it rests.
+        limits: of tensions (n_a, 2) [N].
+        command: (n_a,) that holds the tension.
+        setting: of the arm's targets.
+        numbers: drawn ones of the scene, by row.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
-        """Raises ConfigurationError where the arm, or one at an end of the ranges, cannot be, does
-        not rest, or begins in an obstacle."""
-        self._arms, self._model = arms, arms.model
-        self.limits = arms.model.discretisation.tension_limits.copy()
+        """Find where arms rest.
+
+        Args:
+            options: of the environment.
+            arms: rows of the scene's arm.
+
+        Raises:
+            ConfigurationError: where the arm, or one at an end of the ranges, cannot be, does not
+                rest, or begins in an obstacle.
+        """
+        self._arms = arms
+        self._model = arms.model
+        model = arms.model
+        effects = model.scene.effects
+        self.limits = model.discretisation.tension_limits.copy()
         self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
-        self.q, reason = self._settle(arms.model)
+        self.q, reason = self._settle(model)
         if reason:
-            raise _problem(
-                ("scene",),
-                f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N:"
-                f" {reason}",
-            )
-        self.command = arms.model.command(self.tension, self.q)
+            tension = shown_numbers(self.tension)
+            text = f"has an arm that cannot begin at rest, under {tension} N: {reason}"
+            raise _problem(("scene",), text)
+        self.command = model.command(self.tension, self.q)
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
-        if arms.model.scene.effects.contact is not None:
+        if effects.contact is not None:
             free = ObstacleFreeSpace(arms)
             rests_clear = free.holds(self.q[None]).all()
             if rests_clear:  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
-        self._usual = Drawn(arms.model, self.q)
-        self._ranges = options.randomize.ranges(arms.model.scene)
+        self._usual = Drawn(model, self.q)
+        self._ranges = options.randomize.ranges(model.scene)
         self._omit = options.randomize.omit
         self._bank = dict[int, Drawn]()
         self.numbers = dict[int, Mapping[str, float]]()
@@ -88,26 +105,41 @@ class Starts:
         return {**self.__dict__, "_bank": {}}  # whose arms can be made again
 
     def _make_bank(self) -> None:
-        """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms
-        that need no search."""
+        """Look at extreme arms, and make the arms that need no search.
+
+        Extreme are those at an end of every range, and the softest and heaviest one.
+        """
         for drawn in self._ranges:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
         self._size = self._bank_size()
-        keys = [key for drawn in self._ranges for key in drawn.keys]
-        draws_obstacles = any(key.startswith("effects.contact.obstacles.") for key in keys)
+        draws_obstacles = self._draws_obstacles()
         self._redraws = REDRAWS if draws_obstacles else 0
+        # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
         if self._ranges and not draws_obstacles:
-            # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
-            is_soft = [SOFTNESS.search(drawn.name) is not None for drawn in self._ranges]
-            softest_and_heaviest = 1.0 - np.array(is_soft, dtype=np.float64)
             count = len(self._ranges)
-            for shares in (np.zeros(count), np.ones(count), softest_and_heaviest):
-                self._make_arm(shares)
+            self._make_arm(np.zeros(count))
+            self._make_arm(np.ones(count))
+            self._make_arm(self._softest_and_heaviest())
         needs_search = self._model.arm.effects.load or self.q.any()
         if not needs_search:
             for number in range(self._size):
                 self._arm(number)
+
+    def _draws_obstacles(self) -> bool:
+        """Whether numbers of obstacles are drawn."""
+        for drawn in self._ranges:
+            if any(key.startswith(OBSTACLES) for key in drawn.keys):
+                return True
+        return False
+
+    def _softest_and_heaviest(self) -> Array:
+        """Shares (ranges,) of every range, 0 to 1, with which an arm yields most to its weight."""
+        shares = np.ones(len(self._ranges))
+        for i, drawn in enumerate(self._ranges):
+            if SOFTNESS.search(drawn.name) is not None:
+                shares[i] = 0.0
+        return shares
 
     def _bank_size(self) -> int:
         """Number of different arms that episodes may have."""
@@ -117,37 +149,54 @@ class Starts:
         return BANK if varies else 1
 
     def begin(self, row: int, generator: np.random.Generator) -> Drawn:
-        """Give a row its arm, drawn from a generator. Raises ConfigurationError."""
-        drawn = self._arm(int(generator.random(DRAWS)[0] * self._size))
+        """Give a row its arm.
+
+        Args:
+            row: that begins.
+            generator: of the episode, from which the arm is drawn.
+
+        Returns:
+            The arm.
+
+        Raises:
+            ConfigurationError: where it cannot be.
+        """
+        first, *_ = generator.random(DRAWS)
+        drawn = self._arm(int(first * self._size))
         self._arms.set_model(row, drawn.model)
         self.numbers[row] = drawn.numbers
         return drawn
 
     def shares(self) -> Array:
-        """How far from the least to the greatest of every range (rows, ranges) the arms of rows
-        are, 0 to 1."""
+        """Drawn numbers of the arms (rows, ranges) as shares of their ranges, 0 to 1."""
         varying = [drawn for drawn in self._ranges if drawn.least < drawn.greatest]
-        shares = []
+        shares_of_rows = []
         for row in range(self._arms.size):
             numbers = self.numbers.get(row, {})
-            shares.append([drawn.share(numbers) for drawn in varying])
-        return np.array(shares)
+            shares = [drawn.share(numbers) for drawn in varying]
+            shares_of_rows.append(shares)
+        return np.array(shares_of_rows)
 
     def _arm(self, number: int) -> Drawn:
         """The arm of that number. Raises ConfigurationError."""
         if not self._ranges:
             return self._usual
         if number not in self._bank:
-            self._bank[number] = self._draw_arm(np.random.default_rng([BANK, number]))
+            generator = np.random.default_rng([BANK, number])
+            self._bank[number] = self._draw_arm(generator)
         return self._bank[number]
 
     def _draw_arm(self, random: np.random.Generator) -> Drawn:
         """An arm with random numbers, drawn again while it begins inside of a drawn obstacle.
-        Raises ConfigurationError where the last draw fails too."""
+
+        Raises ConfigurationError where the last draw fails too.
+        """
         left = self._redraws
         while True:
             shares = random.random(len(self._ranges))
-            omitted = random.random(shares.size) < self._omit if self._omit else None
+            omitted = None
+            if self._omit:
+                omitted = random.random(shares.size) < self._omit
             try:
                 return self._make_arm(shares, omitted)
             except ConfigurationError:
@@ -157,14 +206,20 @@ class Starts:
 
     def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
-        Raises ConfigurationError."""
+
+        Raises ConfigurationError.
+        """
         changes: dict[str, float] = {}
-        for i, (drawn, share) in enumerate(zip(self._ranges, shares.tolist(), strict=True)):
+        for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
-                changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
+                width = drawn.greatest - drawn.least
+                number = drawn.least + width * float(shares[i])
+                changes |= drawn.changes(number)
         model = self._model_with(changes)
-        rests_straight = not (model.arm.effects.load or self.tension.any() or self._redraws)
-        if rests_straight:
+        is_loaded = model.arm.effects.load or self.tension.any()
+        # drawn obstacles may be where the arm rests
+        rests_as_usual = not is_loaded and not self._redraws
+        if rests_as_usual:
             return Drawn(model, self.q, changes)
         q, reason = self._settle(model)
         if reason:
@@ -173,11 +228,15 @@ class Starts:
         return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
-        """The model with these numbers of the scene, which the range of that key draws. Raises
-        ConfigurationError."""
+        """The model with these numbers of the scene, which the range of that key draws.
+
+        Raises ConfigurationError.
+        """
         try:
-            model = self._model.with_scene(scene_with_numbers(self._model.scene, changes))
-            model.metric  # noqa: B018 # there is one where the arm holds the loads inside of its strain
+            scene = scene_with_numbers(self._model.scene, changes)
+            model = self._model.with_scene(scene)
+            # there is one where the arm holds the loads inside of its strain
+            model.metric  # noqa: B018
             misfit = self._model.misfit(model)
         except (ConfigurationError, StrainLimitError) as error:
             refusal = "; ".join(str(error).splitlines())
@@ -189,13 +248,16 @@ class Starts:
         return model
 
     def _settle(self, model: Model) -> tuple[Array, str]:
-        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and
-        why it does not; "": it does."""
+        """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest.
+
+        Also why it does not; "": it does.
+        """
         rest = static_equilibrium(model, self.tension, settle=True)
         return rest.q, why_inside(model, rest.q) or rest.reason
 
 
 def _listed(numbers: Mapping[str, float]) -> str:
+    """Numbers by their keys, as messages list them."""
     return ", ".join(f"{key} {value:.4g}" for key, value in numbers.items())
 
 

@@ -1,12 +1,13 @@
-"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm
-and a task.
+"""Tasks: what is observed, which tracking errors count, what is rewarded.
+
+An environment is an arm and a task.
 
 A task is one object, here or in a file of a user: `register_task(Task(...))`;
 `examples/own_task.py` is one from outside.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from soft_tendon_env.envs.observation import GROUPS, Group
@@ -25,9 +26,11 @@ from soft_tendon_env.envs.tracking import (
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, id_of, register_environment
 from soft_tendon_env.tools.configuration import not_among, not_registered
 
-STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
+STATIONS = 20
+"""Places along the backbone at which shapes are compared, the tip the last."""
 
-TIP = ("tip_position", "tip_rotation")  # groups that every task of the package observes
+TIP = ("tip_position", "tip_rotation")
+"""Observation groups that every task of the package has."""
 
 
 @dataclass(frozen=True)
@@ -66,24 +69,21 @@ class Task:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        return {
-            **OWN_TERMS,
-            **{name: term for error in self.errors for name, term in error.terms.items()},
-            **TERMS,
-        }
+        terms = dict(OWN_TERMS)
+        for error in self.errors:
+            terms |= error.terms
+        return {**terms, **TERMS}
 
     @property
     def observable(self) -> dict[str, Group]:
         """The groups that the task has, by name: those whose quantities its target has."""
-        lacks = {
-            name
-            for name, group in GROUPS.items()
-            if group.of_shape and not self.shapes or group.of_target and self.goal is not None
-        }
-        return {
-            **{name: group for name, group in GROUPS.items() if name not in lacks},
-            **self.groups,
-        }
+        groups: dict[str, Group] = {}
+        for name, group in GROUPS.items():
+            lacks_shape = group.of_shape and not self.shapes
+            lacks_target = group.of_target and self.goal is not None
+            if not lacks_shape and not lacks_target:
+                groups[name] = group
+        return {**groups, **self.groups}
 
     def __reduce__(self) -> str:
         return self.name  # pickled by name, since its functions have none; copies share it
@@ -99,34 +99,56 @@ TASKS: dict[str, Task] = {}
 
 
 def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
-    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to
-    `make_policy`; returns the task.
+    """Register a task: its id with Gymnasium, its classes and its name for `make_policy`.
 
-    A second task of the same name replaces the first. Raises ValueError for another name than one
-    word in capitals, and for a target or a group that does not exist.
+    A second task of the same name replaces the first.
+
+    Args:
+        task: to be registered.
+        max_episode_steps: after which Gymnasium truncates its episodes.
+
+    Returns:
+        The task.
+
+    Raises:
+        ValueError: for another name than one word in capitals, and for a target or a group that
+            does not exist.
     """
     if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
         raise ValueError(
             f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}"
         )
-    groups = [
-        *task.reference,
-        *task.measured_reference,
-        *(name for names in task.observations.values() for name in names),
-    ]
-    for names, valid in (([task.target], [*TARGETS]), (groups, [*task.observable])):
-        if unknown := [name for name in names if name not in valid]:
-            raise ValueError(
-                f"the task {task.name} names {unknown[0]!r}: {not_among(unknown[0], valid)}"
-            )
+    groups = [*task.reference, *task.measured_reference]
+    for names in task.observations.values():
+        groups += names
+    _check_names(task, [task.target], [*TARGETS])
+    _check_names(task, groups, [*task.observable])
     TASKS[task.name] = task
     register_environment(task.name, max_episode_steps)
     return task
 
 
+def _check_names(task: Task, names: Sequence[str], valid: Sequence[str]) -> None:
+    """Raises ValueError for the first of a task's names that is not valid."""
+    for name in names:
+        if name not in valid:
+            raise ValueError(f"the task {task.name} names {name!r}: {not_among(name, valid)}")
+
+
 def task_of_class(name: str, suffix: str, module: str) -> Task:
-    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for
-    what they do not have."""
+    """Registered task of the class `<task><suffix>`.
+
+    Args:
+        name: of the class.
+        suffix: after the task's name.
+        module: that was asked for the class, for messages.
+
+    Returns:
+        The task.
+
+    Raises:
+        AttributeError: as modules do for what they do not have.
+    """
     task = name.removesuffix(suffix)
     if not name.endswith(suffix) or task not in TASKS:
         raise AttributeError(

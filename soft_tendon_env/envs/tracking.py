@@ -1,5 +1,4 @@
-"""Tracking errors of an arm beside its target, their display units, and the rewards that fall with
-them.
+"""Tracking errors of an arm beside its target, their display units and the rewards of them.
 
 Reward terms are between 0 and 1, so that no episode gains by ending early; the reward is their
 weighted mean. An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`. With several
@@ -31,53 +30,83 @@ from soft_tendon_env.tools.configuration import (
 from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
-GRADES = (
-    4.0,
-    0.4,
-    0.04,
-    # scales of graded terms, in that of the error: returns then order policies as errors do, large
-    # and small
-)
-HALF = 5.0  # thresholds that are the scale of the dense reward
-Scales = Annotated[tuple[Annotated[float, Field(gt=0, ge=1e-9)], ...], Field(min_length=1)]
+
+GRADES = (4.0, 0.4, 0.04)
+"""Scales of graded terms, in that of the error: returns then order policies as errors do, large
+and small."""
+
+HALF = 5.0
+"""Thresholds that are the scale of the dense reward."""
+
+Scale = Annotated[float, Field(gt=0, ge=1e-9)]
+Scales = Annotated[tuple[Scale, ...], Field(min_length=1)]
+
+
+def _as_scales(scale: Any) -> Any:
+    """A tuple of scales, also where there is one number; None stays."""
+    if scale is None or isinstance(scale, tuple):
+        return scale
+    return (scale,)
 
 
 class Weight(Configuration):
-    """Weight of a term, and the error that halves it, in its unit; of several scales, the term is
-    the mean of what it is at each."""
+    """Weight of a term, and the error that halves it, in its unit.
+
+    Of several scales, the term is the mean of what it is at each.
+    """
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: Annotated[
-        Scales | None,
-        BeforeValidator(lambda scale: scale if isinstance(scale, tuple | None) else (scale,)),
-    ] = None
+    scale: Annotated[Scales | None, BeforeValidator(_as_scales)] = None
 
 
 def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
-    """Weights by term of numbers and tables. Raises ConfigurationError."""
-    weights, problems = dict[str, Weight](), list[Problem]()
+    """Weights by term of numbers and tables.
+
+    Args:
+        table: by term a `Weight`, a table with its fields, or the weight alone.
+
+    Returns:
+        The weights by term, in the order of the table.
+
+    Raises:
+        ConfigurationError: of all entries that are no weights.
+    """
+    weights = dict[str, Weight]()
+    problems = list[Problem]()
     for name, value in table.items():
         try:
-            weights[name] = (
-                value
-                if isinstance(value, Weight)
-                else Weight(**value if isinstance(value, dict) else {"weight": value})
-            )
+            weights[name] = _weight_of(value)
         except ConfigurationError as error:
-            problems += [Problem((name, *key), text) for key, text in error.problems]
+            for key, text in error.problems:
+                problems.append(Problem((name, *key), text))
     if problems:
         raise ConfigurationError(problems)
     return weights
 
 
+def _weight_of(value: Any) -> Weight:
+    """A weight of itself, a table or a number. Raises ConfigurationError."""
+    if isinstance(value, Weight):
+        return value
+    if isinstance(value, dict):
+        return Weight(**value)
+    return Weight(weight=value)
+
+
 class Term(NamedTuple):
     """A reward term."""
 
-    of: (
-        str | int | Callable[[Any], Array]
-    )  # name of its error; EFFORT or SMOOTHNESS; or a function of the Tracking, a user's own
+    # name of its error; EFFORT or SMOOTHNESS; or a user's own function of the Tracking
+    source: str | int | Callable[[Any], Array]
     scale: tuple[float, ...] = ()  # by default; (): none
     of_length: bool = False  # whether the scales are shares of the rod's length
+
+    def scales(self, weight: Weight, length: float) -> Array:
+        """Errors that halve the term, those of its weight or the default ones, of a rod [m]."""
+        if weight.scale is not None:
+            return np.array(weight.scale)
+        unit = length if self.of_length else 1.0
+        return np.array(self.scale) * unit
 
 
 TERMS: Mapping[str, Term] = {"effort": Term(EFFORT), "smoothness": Term(SMOOTHNESS)}
@@ -98,116 +127,187 @@ class Reward:
         strongest: Array,
         length: float,
     ) -> None:
-        """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed;
-        length: [m] of the rod.
+        """Choose terms by their weights.
 
-        Raises ConfigurationError for other terms, and unless one has a weight above 0.
+        Args:
+            weights: of the chosen terms, by name.
+            available: the task's terms, by name.
+            strongest: (n_a,) the largest commands that are allowed.
+            length: [m] of the rod.
+
+        Raises:
+            ConfigurationError: for other terms, and unless one has a weight above 0.
         """
         total = sum(weight.weight for weight in weights.values())
-        unknown = [name for name in weights if name not in available]
-        problems = [
-            Problem(
-                ("reward", name), f"is no term of this environment: {not_among(name, available)}"
-            )
-            for name in unknown
-        ]
-        scaled = [name for name, term in available.items() if isinstance(term.of, str)]
+        _check_terms(weights, available, total)
+        self._shares = {name: weight.weight / total for name, weight in weights.items()}
+        self._functions: dict[str, Callable[[Any], Array]] = {}
+        self._compiled: list[str] = []
+        self._errors: list[str] = []
+        sources: list[int] = []
+        scales: list[Array] = [np.empty(0)]
+        # a user's own terms are functions, the others are compiled
         for name, weight in weights.items():
-            if weight.scale is not None and name in available and name not in scaled:
-                text = (
-                    f"is {', '.join(map(shown, weight.scale))}: this term has a weight alone; those"
-                    f" with a scale are {', '.join(scaled)}"
-                )
-                problems.append(Problem(("reward", name, "scale"), text))
-        problems += (
-            []
-            if total > 0.0
-            else [Problem(("reward",), "should give at least one term a weight above 0")]
-        )
-        if problems:
-            raise ConfigurationError(problems, "environment")
-        functions: dict[str, Any] = {
-            name: available[name].of for name in weights if callable(available[name].of)
-        }
-        self._shares, self._functions = (
-            {name: weight.weight / total for name, weight in weights.items()},
-            functions,
-        )
-        compiled = self._compiled = {
-            name: available[name] for name in weights if name not in functions
-        }
-        self._errors = [term.of for term in compiled.values() if isinstance(term.of, str)]
-        codes = [
-            self._errors.index(term.of) if isinstance(term.of, str) else term.of
-            for term in compiled.values()
-        ]
-        usual = {
-            name: np.array(term.scale) * (length if term.of_length else 1.0)
-            for name, term in compiled.items()
-        }
-        scales = [np.array(weights[name].scale or usual[name]) for name in compiled]
-        shares = np.array([self._shares[name] for name in compiled], dtype=np.float64)
-        first, scale = np.cumsum([0, *map(len, scales)]), np.concatenate([np.empty(0), *scales])
-        of, most = np.array(codes, dtype=np.int64), np.full(strongest.size, 2.0)
+            term = available[name]
+            if callable(term.source):
+                self._functions[name] = term.source
+                continue
+            self._compiled.append(name)
+            sources.append(self._number_of(term.source))
+            scales.append(term.scales(weight, length))
+        counts = [scale.size for scale in scales]
+        shares = [self._shares[name] for name in self._compiled]
         self._table = TermTable(
-            of=of, first=first, scale=scale, weight=shares, strongest=strongest, most_change=most
+            source=np.array(sources, dtype=np.int64),
+            first=np.cumsum(counts, dtype=np.int64),
+            scale=np.concatenate(scales),
+            weight=np.array(shares, dtype=np.float64),
+            strongest=strongest,
+            most_change=np.full(strongest.size, 2.0),
         )
 
-    def of(self, errors: Mapping[str, Array], tracking: Any) -> tuple[dict[str, Array], Array]:
-        """Terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1], of errors (rows,)
-        by name and a Tracking; new arrays.
+    def _number_of(self, source: str | int) -> int:
+        """Number of an error among those that terms need, which it joins; codes are their own."""
+        if isinstance(source, int):
+            return source
+        if source not in self._errors:
+            self._errors.append(source)
+        return self._errors.index(source)
 
-        Raises ValueError where a user's own term has values of another shape, or beyond 0 and 1.
+    def evaluate(
+        self, errors: Mapping[str, Array], tracking: Any
+    ) -> tuple[dict[str, Array], Array]:
+        """Reward terms and reward of every row, new arrays.
+
+        Args:
+            errors: (rows,) by name.
+            tracking: the Tracking of now.
+
+        Returns:
+            Terms (rows,) by name, unweighted, and the reward (rows,), in [0, 1].
+
+        Raises:
+            ValueError: where a user's own term has values of another shape, or beyond 0 and 1.
         """
+        # terms that are compiled
         rows = len(tracking.command)
-        found, values, reward = (
-            np.empty((rows, len(self._errors))),
-            np.empty((len(self._compiled), rows)),
-            np.empty(rows),
-        )
+        error_table = np.empty((rows, len(self._errors)))
         for i, name in enumerate(self._errors):
-            found[:, i] = errors[name]
-        reward_terms(self._table, found, tracking.command, tracking.action_change, values, reward)
+            error_table[:, i] = errors[name]
+        values = np.empty((len(self._compiled), rows))
+        reward = np.empty(rows)
+        command = tracking.command
+        change = tracking.action_change
+        reward_terms(
+            self._table,
+            error_table,
+            command,
+            change,
+            values,
+            reward,
+        )
         terms = dict(zip(self._compiled, values, strict=True))
+        # terms of users, whose values are looked at
         for name, function in self._functions.items():
-            terms[name] = value = np.array(function(tracking), dtype=np.float64)
+            value = np.array(function(tracking), dtype=np.float64)
             if value.shape != (rows,) or not ((value >= 0.0) & (value <= 1.0)).all():
                 raise ValueError(
                     f"the reward term {name!r} should have values of shape ({rows},) between 0 and"
                     f" 1, not {shown(value)}"
                 )
+            terms[name] = value
             reward += self._shares[name] * value
         return terms, reward
 
 
+def _check_terms(
+    weights: Mapping[str, Weight], available: Mapping[str, Term], total: float
+) -> None:
+    """Raise an error for weights that do not fit the terms.
+
+    Raises ConfigurationError for weights of other terms, for scales of terms that have none, and
+    unless the total of all weights is above 0.
+    """
+    problems = list[Problem]()
+    for name in weights:
+        if name not in available:
+            text = f"is no term of this environment: {not_among(name, available)}"
+            problems.append(Problem(("reward", name), text))
+    scaled = [name for name, term in available.items() if isinstance(term.source, str)]
+    for name, weight in weights.items():
+        if weight.scale is not None and name in available and name not in scaled:
+            numbers = ", ".join(map(shown, weight.scale))
+            text = (
+                f"is {numbers}: this term has a weight alone; those with a scale are"
+                f" {', '.join(scaled)}"
+            )
+            problems.append(Problem(("reward", name, "scale"), text))
+    if not total > 0.0:
+        text = "should give at least one term a weight above 0"
+        problems.append(Problem(("reward",), text))
+    if problems:
+        raise ConfigurationError(problems, "environment")
+
+
 def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
-    """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give
-    the same bits. Raises ValueError."""
-    shapes = np.shape(achieved), np.shape(desired)
-    if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
+    """Distances (...) [m] of goals (..., 3), the same bits for one goal and for many.
+
+    Args:
+        achieved: positions (..., 3) [m].
+        desired: likewise, of the same shape.
+
+    Returns:
+        Distances (...) [m].
+
+    Raises:
+        ValueError: for other shapes.
+    """
+    shape = np.shape(achieved)
+    desired_shape = np.shape(desired)
+    if shape != desired_shape or shape[-1:] != (3,):
         raise ValueError(
-            f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]}"
-            f" and {shapes[1]}"
+            "achieved_goal and desired_goal should have the same shape (..., 3), not"
+            f" {shape} and {desired_shape}"
         )
     way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
-    x, y, z = way[..., 0], way[..., 1], way[..., 2]
+    # component by component: a sum over an axis may round otherwise for one goal than for many
+    x = way[..., 0]
+    y = way[..., 1]
+    z = way[..., 2]
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def goal_reward(achieved: ArrayLike, desired: ArrayLike, threshold: float, dense: bool) -> Array:
-    """Rewards (...) of goals (..., 3) [m]: 1 within the threshold [m], else 0; if dense graded, of
-    HALF thresholds. Raises ValueError."""
+def goal_reward(
+    achieved: ArrayLike,
+    desired: ArrayLike,
+    threshold: float,
+    dense: bool,
+) -> Array:
+    """Rewards (...) of goals (..., 3) [m].
+
+    Args:
+        achieved: positions (..., 3) [m].
+        desired: likewise, of the same shape.
+        threshold: distance [m] within which a goal is reached.
+        dense: graded rewards, of HALF thresholds, in place of 1 for a reached goal and else 0.
+
+    Returns:
+        Rewards (...) between 0 and 1.
+
+    Raises:
+        ValueError: for other shapes.
+    """
     distance = goal_distance(achieved, desired)
-    if dense:
-        return np.asarray(
-            sum(closeness(distance, grade * HALF * threshold) for grade in GRADES) / len(GRADES)
-        )
-    return np.asarray(distance <= threshold, dtype=np.float64)
+    if not dense:
+        return np.asarray(distance <= threshold, dtype=np.float64)
+    grades = [closeness(distance, grade * HALF * threshold) for grade in GRADES]
+    return np.asarray(sum(grades) / len(GRADES))
 
 
 class Tracking(NamedTuple):
-    """The arm and its target now, rows first, without noise: of which tracking errors and reward
-    terms are functions.
+    """The arm and its target now, without noise, rows first.
+
+    Tracking errors and reward terms are functions of it.
 
     A time limit lies around the environment, so how many steps are left is not known here: a term
     that counts towards the end of episodes compares `time` or `step_count` with a number of its
@@ -215,8 +315,7 @@ class Tracking(NamedTuple):
     """
 
     arms: Arms
-    # of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and `strain` at
-    # the sensors
+    # of the arms: `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], `strain` at the sensors
     reading: Reading
     error: Array  # (rows, 6) SE(3) logarithm from tip to target
     distance: Array  # (rows,) [m] from tip to target
@@ -224,9 +323,8 @@ class Tracking(NamedTuple):
     # (rows, 1 + previews, ..) now and at each preview time, its backbone (rows, 1 + previews,
     # stations, 3) [m]
     target: TargetSamples
-    command: (
-        Array  # (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of
-    )
+    # (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of
+    command: Array
     action_change: Array  # (rows, n_a) change of the action, in [-2, 2]
     step_count: Indices  # (rows,) control periods since the episode began, 0 after its reset
 
@@ -253,11 +351,15 @@ class Tracking(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackingError:
-    """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of
-    the error that halves that term; of graded_<term> it is the unit of the scales.
+    """A tracking error of a task, and the reward terms that fall with it.
 
-    value: (rows,) from the arm and its target, in SI units. of_length: whether `scale` is a share
-    of the rod's length.
+    Attributes:
+        name: as in `info`.
+        term: the reward term that falls with it.
+        description: what it is, with its unit.
+        scale: of the error, that halves that term; of graded_<term> the unit of the scales.
+        value: (rows,) from the arm and its target, in SI units.
+        of_length: whether `scale` is a share of the rod's length.
     """
 
     name: str
@@ -269,75 +371,98 @@ class TrackingError:
 
     @property
     def terms(self) -> dict[str, Term]:
-        """The reward terms of the error, by name."""
-        scales = {
-            self.term: (self.scale,),
-            f"graded_{self.term}": tuple(grade * self.scale for grade in GRADES),
+        """The reward terms of the error, by name: one of one scale, one of GRADES of it."""
+        graded_scales = tuple(grade * self.scale for grade in GRADES)
+        return {
+            self.term: Term(self.name, (self.scale,), self.of_length),
+            f"graded_{self.term}": Term(self.name, graded_scales, self.of_length),
         }
-        return {term: Term(self.name, scale, self.of_length) for term, scale in scales.items()}
 
 
 def norm(vectors: Array) -> Array:
     """Euclidean norms (...) of vectors (..., k)."""
-    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
+    squares = np.add.reduce(vectors * vectors, -1)
+    return np.asarray(np.sqrt(squares))
 
 
-def _backbone_distance(t: Tracking) -> Array:
-    return np.asarray(
-        np.sqrt(
-            np.mean(norm(t.target.backbone[:, 0] - t.reading.backbone[..., :3, 3]) ** 2, axis=1)
-        )
-    )
+def _distance(tracking: Tracking) -> Array:
+    return tracking.distance
+
+
+def _angle(tracking: Tracking) -> Array:
+    return tracking.angle
+
+
+def _backbone_distance(tracking: Tracking) -> Array:
+    """Root mean square distances (rows,) [m] of the stations from those of the target."""
+    stations = tracking.reading.backbone[..., :3, 3]
+    distances = norm(tracking.target.backbone[:, 0] - stations)
+    return np.asarray(np.sqrt(np.mean(distances**2, axis=1)))
+
+
+def _coordinate_distance(tracking: Tracking) -> Array:
+    return norm(tracking.target.q[:, 0] - tracking.q)
 
 
 POSITION = TrackingError(
-    "position_error",
-    "position",
-    "tip position error [m]",
-    0.05,
-    lambda t: t.distance,
+    name="position_error",
+    term="position",
+    description="tip position error [m]",
+    scale=0.05,
+    value=_distance,
     of_length=True,
 )
 ANGLE = TrackingError(
-    "angle_error",
-    "angle",
-    "angle between the tip's and the target's frame [rad]",
-    0.5,
-    lambda t: t.angle,
+    name="angle_error",
+    term="angle",
+    description="angle between the tip's and the target's frame [rad]",
+    scale=0.5,
+    value=_angle,
 )
-_ROOT_MEAN_SQUARE = "root mean square distance between backbone and target [m]"
 BACKBONE = TrackingError(
-    "backbone_error", "backbone", _ROOT_MEAN_SQUARE, 0.05, _backbone_distance, of_length=True
+    name="backbone_error",
+    term="backbone",
+    description="root mean square distance between backbone and target [m]",
+    scale=0.05,
+    value=_backbone_distance,
+    of_length=True,
 )
 COORDINATES = TrackingError(
-    "coordinate_error",
-    "coordinates",
-    "norm of the coordinates' error, newton for tensions",
-    10.0,
-    lambda t: norm(t.target.q[:, 0] - t.q),
+    name="coordinate_error",
+    term="coordinates",
+    description="norm of the coordinates' error, newton for tensions",
+    scale=10.0,
+    value=_coordinate_distance,
 )
 
 
 def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tracking], Array]:
-    """Function decorator: make a reward term available to every task and to the option `reward`, by
-    the function's name.
+    """Function decorator: make a reward term available to every task and to the option `reward`.
 
-    It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode
-    gains by ending early. A second function of the same name replaces the first. Raises ValueError
-    for a name that a term of the package has.
+    A second function of the same name replaces the first.
+
+    Args:
+        function: takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that
+            no episode gains by ending early. Its name is the term's.
+
+    Returns:
+        The function itself.
+
+    Raises:
+        ValueError: for a name that a term of the package has.
     """
-    if (name := function.__name__) in {
-        *TERMS,
-        *(term for error in (POSITION, ANGLE, BACKBONE, COORDINATES) for term in error.terms),
-    }:
+    name = function.__name__
+    taken = {*TERMS}
+    for error in (POSITION, ANGLE, BACKBONE, COORDINATES):
+        taken |= {*error.terms}
+    if name in taken:
         raise ValueError(f"the reward term {name!r} is taken: choose another name")
     OWN_TERMS[name] = Term(function)
     return function
 
 
 class ErrorUnit(NamedTuple):
-    """Label and unit symbol of an error in plots and tables, and the factor from SI units to that
-    unit."""
+    """Label and unit symbol of an error in plots and tables, and the factor from SI units."""
 
     label: str
     symbol: str = ""  # empty where the error's unit depends on the scene
@@ -347,10 +472,12 @@ class ErrorUnit(NamedTuple):
     def heading(self) -> str:
         """Label without the word "error", and its unit."""
         label = self.label.removesuffix(" error")
-        return f"{label} [{self.symbol}]" if self.symbol else label
+        if not self.symbol:
+            return label
+        return f"{label} [{self.symbol}]"
 
     def text(self, value: float) -> str:
-        """Text of a value given in SI units, in the display unit."""
+        """Text of a value in SI units, in the display unit."""
         return f"{self.factor * value:.3g} {self.symbol}".rstrip()
 
 
@@ -359,8 +486,13 @@ SYMBOLS = {
     "backbone_error": ("mm", 1e3),
     "angle_error": ("deg", 57.29577951308232),
 }
+"""Display units of errors by their names: symbol, and factor from SI units."""
 
 
 def error_unit(name: str) -> ErrorUnit:
     """Display unit of an error by its name; one that is not known keeps SI units."""
-    return ErrorUnit(name.replace("_", " "), *SYMBOLS.get(name, ()))
+    label = name.replace("_", " ")
+    if name not in SYMBOLS:
+        return ErrorUnit(label)
+    symbol, factor = SYMBOLS[name]
+    return ErrorUnit(label, symbol, factor)

@@ -323,9 +323,9 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
             np.testing.assert_allclose(found.tip_pose, seen[seed], atol=1e-12)
     for seed in range(40):
         env.reset(seed=seed)
-    assert len(env.episodes._draws._bank) <= BANK
+    assert len(env.episodes._targets.draws._bank) <= BANK
     env.reset(seed=0, options={"target": {**target, "fraction": 0.5}})  # a bank of its own
-    assert len({key for key, _ in env.episodes._draws._bank}) == 2
+    assert len({key for key, _ in env.episodes._targets.draws._bank}) == 2
     again = pickle.loads(pickle.dumps(env))
     assert same(again.reset()[0], env.reset()[0])
 

@@ -1,5 +1,4 @@
-"""Target trajectories: a configuration class per kind, its drawn course as a function of time, and
-the table by which options name them.
+"""Target trajectories: a configuration class per kind, and its drawn course over time.
 
 A target is one file, in this package or a user's own: a configuration class under
 `@register_target` whose `draw` returns the motion as a function of time, the same whatever other
@@ -28,9 +27,8 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.types import Array
 
-FARTHEST = (
-    1e6  # largest coordinate [m] of a target: a thousand kilometres, whose square is a number still
-)
+FARTHEST = 1e6
+"""Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""
 
 Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
@@ -48,28 +46,55 @@ class Setting(NamedTuple):
     # whose equilibria drawn targets are: that of the arms, without obstacles where there is a free
     # space
     model: Model
-    free: ObstacleFreeSpace | None = (
-        # where drawn motions stay, if there are obstacles and the arm does not rest against one
-        None
+    # where drawn motions stay, if there are obstacles and the arm does not rest against one
+    free: ObstacleFreeSpace | None = None
+
+
+def make_setting(
+    arms: Arms,
+    limits: Array,
+    tension: Array,
+    rest: Array,
+) -> Setting:
+    """Setting of arms that have no obstacles, or rest against one.
+
+    Args:
+        arms: of an environment.
+        limits: of tensions (n_a, 2) [N].
+        tension: (n_a,) [N] nearest to zero within the limits.
+        rest: coordinates (n,) in which that tension holds the arm.
+
+    Returns:
+        The setting.
+    """
+    response = _response(arms.model)
+    return Setting(
+        arms,
+        limits,
+        tension,
+        rest,
+        response,
+        arms.model,
     )
 
 
-def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Setting:
-    """The setting of these arms, see Setting."""
-    model = arms.model
+def _response(model: Model) -> Array:
+    """Coordinates (n_a, n) of the unloaded arm by tensions, to first order."""
     if isinstance(model.arm.strain, Implicit):
-        response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
-    else:
-        unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
-        response = np.asarray(
-            np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64
-        )
-    return Setting(arms, limits, tension, rest, response, model)
+        units = np.eye(model.tendon_count)
+        return np.stack([model.rest_coordinates(unit) for unit in units])
+    straight = np.zeros(model.coordinate_count)
+    at_rest = np.zeros(model.coordinate_count)
+    unloaded = model.terms(straight, at_rest)
+    response = np.linalg.solve(unloaded.stiffness, unloaded.actuation)
+    return np.asarray(response.T, dtype=np.float64)
 
 
 class TargetSamples(NamedTuple):
-    """A target at m times. Targets that are poses alone have coordinates, lengths and backbone of
-    size 0."""
+    """A target at m times.
+
+    Targets that are poses alone have coordinates, lengths and backbone of size 0.
+    """
 
     tip_pose: Array  # (m, 4, 4)
     tip_twist: Array  # (m, 6) body twist
@@ -91,17 +116,18 @@ class ShapeCourse(ABC):
 
     @abstractmethod
     def coordinates(self, times: Array) -> tuple[Array, Array]:
-        """q and q_dot, (m, n) each, at times (m,) [s]."""
+        """Coordinates q and rates q_dot, (m, n) each, at times (m,) [s]."""
 
 
 Course = PoseCourse | ShapeCourse
 
 
 class Target(Configuration):
-    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`,
-    the name that options use.
+    """Base of the targets' configurations.
 
-    What a class may have otherwise:
+    A class has a field `type: Literal["name"] = "name"`, the name that options use.
+
+    What it may have otherwise:
         is_random: whether episodes differ in it; one that does not is drawn once for all of them.
         gives_shapes: whether its course is a ShapeCourse, which tasks that compare shapes need.
         repeats: time [s] after which a drawn course repeats; None: it does not.
@@ -115,43 +141,66 @@ class Target(Configuration):
 
     @property
     def is_random(self) -> bool:
+        """Whether episodes differ in it."""
         return False
 
     @property
     def gives_shapes(self) -> bool:
+        """Whether its course is a ShapeCourse."""
         return False
 
     @property
     def repeats(self) -> float | None:
+        """Time [s] after which a drawn course repeats; None: it does not."""
         return None
 
     @property
     def kinds(self) -> int:
+        """Number of targets of which it is one."""
         return 1
 
     def check(self, scene: Scene) -> None:
-        """Raises ConfigurationError with keys from `target` on, where the target does not fit the
-        scene."""
+        """Raise an error where the target does not fit the scene.
+
+        Args:
+            scene: of an environment.
+
+        Raises:
+            ConfigurationError: with keys from `target` on.
+        """
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
+        """Motion of one episode.
+
+        Args:
+            generator: of the episode.
+            setting: of the arms.
+
+        Returns:
+            The course.
+
+        Raises:
+            ConfigurationError: where the arm can hold none.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
 def drawn(value: float | tuple[float, float], generator: np.random.Generator) -> float:
     """A number, or one that is drawn from a range (least, greatest)."""
-    return generator.uniform(*value) if isinstance(value, tuple) else value
+    if not isinstance(value, tuple):
+        return value
+    least, greatest = value
+    return generator.uniform(least, greatest)
 
 
 def _up_to(greatest: float) -> BeforeValidator:
     """Validator of positive numbers up to a greatest, and of ranges of them."""
 
     def checked(value: Any) -> Any:
-        ends = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
-        if (
-            not all(type(end) in (int, float) for end in ends)
-            or not 0.0 < ends[0] <= ends[1] <= greatest
-        ):
+        is_range = isinstance(value, tuple) and len(value) == 2
+        ends = value if is_range else (value, value)
+        are_numbers = all(type(end) in (int, float) for end in ends)
+        if not are_numbers or not 0.0 < ends[0] <= ends[1] <= greatest:
             raise ValueError(
                 f"should be a number greater than 0 and at most {greatest:g}, or (least, greatest)"
             )
@@ -165,8 +214,11 @@ Amount = Annotated[float | tuple[float, float], _up_to(FARTHEST)]
 
 
 class DrawnShapes(Target):
-    """Base of targets that are shapes at rest, under random tensions within `fraction` of their
-    limits, which may be a range (least, greatest) from which every episode draws it."""
+    """Base of targets that are shapes at rest, under random tensions.
+
+    They are within `fraction` of their limits, which may be a range (least, greatest) from which
+    every episode draws it.
+    """
 
     fraction: Fraction = 0.25
 
@@ -180,8 +232,7 @@ class DrawnShapes(Target):
 
 
 class GivenShapes(DrawnShapes):
-    """Base of targets that are shapes at rest under a given `tension` (n_a) [N], or else random
-    ones."""
+    """Base of targets that are shapes at rest under a `tension` (n_a) [N], or else random ones."""
 
     tension: tuple[float, ...] | None = None
 
@@ -190,11 +241,12 @@ class GivenShapes(DrawnShapes):
         return self.tension is None
 
     def check(self, scene: Scene) -> None:
-        if self.tension is not None and len(self.tension) != len(scene.tendons):
-            text = (
-                f"has {len(self.tension)} entries: it should have one per tendon,"
-                f" {len(scene.tendons)}"
-            )
+        if self.tension is None:
+            return
+        count = len(self.tension)
+        tendons = len(scene.tendons)
+        if count != tendons:
+            text = f"has {count} entries: it should have one per tendon, {tendons}"
             raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
 
 
@@ -205,15 +257,23 @@ TARGETS: dict[str, type[Target]] = {}
 
 
 def register_target(target: Class) -> Class:
-    """Class decorator: make a `Target` available to options, by its name or as a table with that
-    `type`.
+    """Class decorator: make a `Target` available to options, by name or as a table of that `type`.
 
-    A second class of the same module and name replaces the first. Raises ValueError for a name that
-    is taken.
+    A second class of the same module and name replaces the first.
+
+    Args:
+        target: the class.
+
+    Returns:
+        The class itself.
+
+    Raises:
+        ValueError: for a name that is taken.
     """
     kind = target.__pydantic_fields__["type"].default
     present = TARGETS.get(kind, target)
-    if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
+    is_same = (present.__module__, present.__qualname__) == (target.__module__, target.__qualname__)
+    if not is_same:
         raise ValueError(
             f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}"
         )
@@ -222,17 +282,15 @@ def register_target(target: Class) -> Class:
 
 
 def _by_name(target: Any) -> Any:
+    """The target of a name or a table; else itself. Raises ConfigurationError."""
     settings = {"type": target} if isinstance(target, str) else target
     if not isinstance(settings, dict):
         return target
-    if (kind := str(settings.get("type"))) not in TARGETS:
-        raise ConfigurationError(
-            [
-                Problem(
-                    ("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}"
-                )
-            ]
-        )
+    named = settings.get("type")
+    kind = str(named)
+    if kind not in TARGETS:
+        text = f"is {shown(named)}: {not_registered(kind, TARGETS)}"
+        raise ConfigurationError([Problem(("type",), text)])
     return TARGETS[kind](**settings)
 
 
@@ -241,10 +299,15 @@ NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_by_name)]
 
 
 def pose_samples(pose: Array, twist: Array) -> TargetSamples:
-    """The samples of a PoseCourse from poses (m, 4, 4) and body twists (m, 6), angular before
-    linear."""
-    m = len(pose)
-    return TargetSamples(pose, twist, np.empty((m, 0)), np.empty((m, 0)), np.empty((m, 0, 4, 4)))
+    """Samples of a PoseCourse from poses (m, 4, 4) and body twists (m, 6), angular first."""
+    count = len(pose)
+    return TargetSamples(
+        tip_pose=pose,
+        tip_twist=twist,
+        q=np.empty((count, 0)),
+        tendon_length=np.empty((count, 0)),
+        backbone=np.empty((count, 0, 4, 4)),
+    )
 
 
 for _module in pkgutil.iter_modules(__path__):

@@ -21,14 +21,19 @@ from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import UNIT, Array
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
-FARTHEST_POSE = 2.0  # largest coordinate of the poses, in lengths of the rod: more is not in metres
+"""Columns of the file."""
+
+FARTHEST_POSE = 2.0
+"""Largest coordinate of the poses, in lengths of the rod: more is not in metres."""
 
 
 @register_target
 class File(Target):
-    """The tip follows poses of a CSV file, joined by cubic splines, the first held before and the
-    last after them. `path`: a file with the columns time [s], x, y, z [m], qw, qx, qy, qz in the
-    world frame; Reach ignores the orientation."""
+    """The tip follows poses of a CSV file, joined by cubic splines.
+
+    The first is held before and the last after them. `path`: a file with the columns time [s],
+    x, y, z [m], qw, qx, qy, qz in the world frame; Reach ignores the orientation.
+    """
 
     type: Literal["file"] = "file"
     path: str
@@ -39,20 +44,17 @@ class File(Target):
         return FileCourse(self.path)
 
     def check(self, scene: Scene) -> None:
-        bound, key = FARTHEST_POSE * rod_length(scene), ("target", "path")
         try:
-            farthest = np.abs(self.course.place(self.course.times) - scene.base.position).max()
+            course = self.course
         except ValueError as error:
-            raise ConfigurationError(
-                [Problem(key, f"is {self.path!r}: {error}")], "environment"
-            ) from None
+            raise _problem(f"is {self.path!r}: {error}") from None
+        way = course.place(course.times) - scene.base.position
+        farthest = np.abs(way).max()
+        bound = FARTHEST_POSE * rod_length(scene)
         if farthest > bound:
-            text = (
+            raise _problem(
                 f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the"
-                " base"
-            )
-            raise ConfigurationError(
-                [Problem(key, f"{text}, {FARTHEST_POSE:g} lengths of the rod")], "environment"
+                f" base, {FARTHEST_POSE:g} lengths of the rod"
             )
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
@@ -60,36 +62,53 @@ class File(Target):
 
 
 class FileCourse(PoseCourse):
-    """Poses of a table as splines of time, see `read_table`. Raises OSError, ValueError without
-    poses or times that grow."""
+    """Poses of a table as splines of time, see `read_table`."""
 
     def __init__(self, path: str) -> None:
-        from scipy.interpolate import (
-            CubicSpline,
-        )  # here: these take longer to import than all else that most targets need
+        """Read a file. Raises OSError, ValueError without poses or times that grow."""
+        # these take longer to import than all else that most targets need
+        from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
 
-        table = read_table(Path(path), COLUMNS)
-        if missing := [name for name in COLUMNS if name not in table.header]:
-            raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
-        rows = table.numbers((name, 1.0) for name in COLUMNS)
-        if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
-            raise ValueError("should have at least two rows of numbers, with times that grow")
-        if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > UNIT:
-            raise ValueError(
-                f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it"
-                f" should be 1 ± {UNIT:g}"
-            )
+        rows = _read_poses(path)
         self.times = rows[:, 0]
         self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
-        self._turn = RotationSpline(self.times, Rotation.from_quat(rows[:, 4:], scalar_first=True))
+        turns = Rotation.from_quat(rows[:, 4:], scalar_first=True)
+        self._turn = RotationSpline(self.times, turns)
 
     def sample(self, times: Array) -> TargetSamples:
         held = np.clip(times, self.times[0], self.times[-1])
         R = self._turn(held).as_matrix()
         pose = np.tile(np.eye(4), (times.size, 1, 1))
-        pose[:, :3, :3], pose[:, :3, 3] = R, self.place(held)
-        linear = (R * self.place(held, 1)[:, :, None]).sum(axis=1)
-        return pose_samples(
-            pose, (held == times)[:, None] * np.concatenate([self._turn(held, 1), linear], axis=1)
+        pose[:, :3, :3] = R
+        pose[:, :3, 3] = self.place(held)
+        velocity = self.place(held, 1)
+        angular = self._turn(held, 1)
+        linear = (R * velocity[:, :, None]).sum(axis=1)  # R^T velocity
+        twist = np.concatenate([angular, linear], axis=1)
+        # before the first pose and after the last the tip rests
+        twist *= (held == times)[:, None]
+        return pose_samples(pose, twist)
+
+
+def _read_poses(path: str) -> Array:
+    """Rows (m, 8) of a file, by COLUMNS. Raises OSError, ValueError."""
+    table = read_table(Path(path), COLUMNS)
+    missing = [name for name in COLUMNS if name not in table.header]
+    if missing:
+        raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
+    rows = table.numbers((name, 1.0) for name in COLUMNS)
+    if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
+        raise ValueError("should have at least two rows of numbers, with times that grow")
+    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    deviation = np.abs(lengths - 1.0)
+    if deviation.max() > UNIT:
+        raise ValueError(
+            f"has a quaternion of length 1 ± {deviation.max():.2g} in row {deviation.argmax() + 1}:"
+            f" it should be 1 ± {UNIT:g}"
         )
+    return rows
+
+
+def _problem(text: str) -> ConfigurationError:
+    return ConfigurationError([Problem(("target", "path"), text)], "environment")

@@ -1,5 +1,4 @@
-"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at
-rest."""
+"""Quasi-static trajectories: the shapes at rest under tensions that change with time."""
 
 from collections.abc import Callable
 from functools import partial
@@ -16,22 +15,36 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
-HALVINGS = 40  # how often drawn tensions that the arm cannot hold are halved
-# part of a drawn motion's coordinates that should have strains too: it may reach farther between
-# places
+HALVINGS = 40
+"""How often drawn tensions that the arm cannot hold are halved."""
+
 MARGIN = 1.03
-# how far forces may be off between the places of a spline, see `At.residual`; usual motions have
-# 1e-6 to 5e-5
+"""Part of a drawn motion's coordinates that should have strains too: it may reach farther between
+places."""
+
 BETWEEN = 2e-4
+"""How far forces may be off between the places of a spline, see `At.residual`; usual motions have
+1e-6 to 5e-5."""
+
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four
 equilibria moves the tip of a loaded arm by up to 1e-4 of its length off those between, through two
 by up to 2e-3."""
-NEAR, CLOSE = 0.2, 0.01
-"""Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions
-change by half as much at a time; and within which one that is not stable is the end."""
-SAME = 1e-6  # angle [rad] between shapes that count as one
-SHORTER = 8  # how often changes of tensions are halved before the arm is said to jump
+
+NEAR = 0.2
+"""Angle [rad] from where an equilibrium is expected, within which it is taken; else tensions change
+by half as much at a time."""
+
+CLOSE = 0.01
+"""Angle [rad] from where an equilibrium is expected, within which one that is not stable is the
+end."""
+
+SAME = 1e-6
+"""Angle [rad] between shapes that count as one."""
+
+SHORTER = 8
+"""How often changes of tensions are halved before the arm is said to jump."""
+
 JUMPS = "the arm jumps from one shape to another near there"
 
 
@@ -45,8 +58,10 @@ class NoEquilibrium(ArithmeticError):
 class Tensions:
     """Tensions as a function of time; by itself, tensions that stay: the first of points (1, n_a).
 
-    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or,
-    if `is_closed`, to where it repeats.
+    Attributes:
+        knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end
+            or, if `is_closed`, to where it repeats.
+        is_closed: whether it repeats.
     """
 
     knots = np.zeros(1)
@@ -56,10 +71,11 @@ class Tensions:
         self.points = points
 
     def within(self, times: Array) -> Array:
-        """The times (m,) between the first and the last knot at which the motion is what it is at
-        `times`."""
+        """Times (m,) from the first to the last knot at which the motion is as at `times`."""
         end = self.knots[-1]
-        return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
+        if self.is_closed:
+            return np.mod(times, end)
+        return np.clip(times, 0.0, end)
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
@@ -74,47 +90,73 @@ def shape_course(
     motion: Callable[[Array], Tensions] = Tensions,
     count: int = 1,
 ) -> "StaticCourse":
-    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of
-    obstacles; of one shape by default.
+    """Course of the shapes that tensions make, given ones or drawn ones clear of obstacles.
 
     Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are
     uniform within a fraction of their limits around those nearest to zero, and halved towards these
     until the arm holds them: one draw, so that whatever is drawn next is the same for every arm.
-    Raises ConfigurationError where the arm holds none.
+
+    Args:
+        target: that is drawn; it may have a `tension`.
+        generator: of the episode.
+        setting: of the arms.
+        motion: tensions over time of points (count, n_a); by default those of one shape.
+        count: of the points.
+
+    Returns:
+        The course.
+
+    Raises:
+        ConfigurationError: where the arm holds none.
     """
-    if (given := getattr(target, "tension", None)) is not None:
-        return _given_course(np.array([given]), setting, motion)
-    middle, share, free = setting.tension, drawn(target.fraction, generator), setting.free
-    reach = share * (setting.limits - middle[:, None])
+    tension = getattr(target, "tension", None)
+    if tension is not None:
+        return _given_course(np.array([tension]), setting, motion)
+    fraction = drawn(target.fraction, generator)
+    middle = setting.tension
+    reach = fraction * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
     for halvings in range(HALVINGS + 1):
+        points = middle + 0.5**halvings * offset
         try:
-            course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
-            if free is None or free.holds(course.coordinates(course.places)[0]).all():
-                return course
-            reason = "the arm would touch an obstacle"
+            course = StaticCourse(setting, motion(points), MARGIN)
         except NoEquilibrium as error:
             reason = str(error)
+            continue
+        if _is_clear(course, setting):
+            return course
+        reason = "the arm would touch an obstacle"
     text = (
-        f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can"
+        f"is {fraction:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can"
         f" hold, not {reason}"
     )
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
+def _is_clear(course: "StaticCourse", setting: Setting) -> bool:
+    """Whether a course stays in the space that obstacles leave free, if there are any."""
+    if setting.free is None:
+        return True
+    q, _ = course.coordinates(course.places)
+    return bool(setting.free.holds(q).all())
+
+
 def _given_course(
-    points: Array, setting: Setting, motion: Callable[[Array], Tensions]
+    points: Array,
+    setting: Setting,
+    motion: Callable[[Array], Tensions],
 ) -> "StaticCourse":
-    warn_beyond_limits(setting.limits.tolist(), points[0])
-    setting = setting._replace(model=setting.arms.model)
+    """Course of given tensions (1, n_a). Raises ConfigurationError where the arm holds none."""
+    tension = points[0]
+    warn_beyond_limits(setting.limits.tolist(), tension)
+    with_obstacles = setting._replace(model=setting.arms.model)
     try:
-        return StaticCourse(setting, motion(points))
+        return StaticCourse(with_obstacles, motion(points))
     except NoEquilibrium as error:
-        reason = static_equilibrium(setting.model, points[0]).reason
-        why = f"{shown_numbers(points[0])} N: {reason}" if reason else str(error)
+        reason = static_equilibrium(with_obstacles.model, tension).reason
+        why = f"{shown_numbers(tension)} N: {reason}" if reason else str(error)
         text = (
-            f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not"
-            f" {why}"
+            f"is {shown(tension.tolist())}: it should be tensions that the arm can hold, not {why}"
         )
         raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
 
@@ -131,105 +173,156 @@ class StaticCourse(ShapeCourse):
     themselves (34). Otherwise a cubic spline goes through what loads add to that, at fixed places.
     """
 
-    def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
-        """margin: part of the coordinates that should have a strain too, above 1 for drawn ones.
-        Raises NoEquilibrium."""
-        self.tension, self._response = tension, setting.response
-        self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
-        pulls = (
-            margin > 1.0 and setting.limits.min() >= 0.0
-        )  # so that there is a strain, and one alone, between knots too
-        places = tension.knots if pulls else self.places
-        if not (firm := setting.arms.have_margin(margin * self.coordinates(places)[0])).all():
-            raise NoEquilibrium(
-                tension(places[~firm][:1])[0][0], "the section is about to give way"
-            )
+    def __init__(
+        self,
+        setting: Setting,
+        tension: Tensions,
+        margin: float = 1.0,
+    ) -> None:
+        """Follow the equilibria of a motion.
+
+        Args:
+            setting: of the arms.
+            tension: over time.
+            margin: part of the coordinates that should have a strain too, above 1 for drawn ones.
+
+        Raises:
+            NoEquilibrium: where the arm cannot hold the tensions.
+        """
+        self.tension = tension
+        self._response = setting.response
+        self._added: Callable[..., Array] | None = None
+        if not rests_at_tensions(setting.model):
+            self._added = self._loaded(setting)
+        # tendons that pull alone: so that there is a strain, and one alone, between knots too
+        is_drawn = margin > 1.0
+        pulls = setting.limits.min() >= 0.0
+        places = tension.knots if is_drawn and pulls else self.places
+        q, _ = self.coordinates(places)
+        is_firm = setting.arms.have_margin(margin * q)
+        if not is_firm.all():
+            tensions, _ = tension(places[~is_firm][:1])
+            raise NoEquilibrium(tensions[0], "the section is about to give way")
 
     @property
     def places(self) -> Array:
         """Times (m,) [s] at which the motion is looked at."""
         knots = self.tension.knots
-        return np.interp(
-            np.arange(PER_KNOT * (knots.size - 1) + 1) / PER_KNOT, np.arange(knots.size), knots
-        )
+        knot_numbers = np.arange(knots.size)
+        count = PER_KNOT * (knots.size - 1) + 1
+        return np.interp(np.arange(count) / PER_KNOT, knot_numbers, knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
-        """Function of time and of the order of its derivative: what loads add to the response to
-        the tensions. Raises NoEquilibrium."""
+        """What loads add to the response to the tensions, as a function of time.
+
+        Its second argument is the order of the derivative. Raises NoEquilibrium.
+        """
         places = self.places
-        tension = self.tension(places)[0]
+        tension, _ = self.tension(places)
         with setting.model.workspace() as work:
             path = EquilibriumPath(setting, work)
             added = path.follow(tension) - tension @ setting.response
             if len(added) == 1:
                 return partial(_still, added)
-            if self.tension.is_closed:
-                added[-1] = added[0]  # which differ by round-off
-            from scipy.interpolate import (
-                CubicSpline,
-            )  # here: it takes longer to import than all else that most scenes need
+            # it takes longer to import than all else that most scenes need
+            from scipy.interpolate import CubicSpline
 
-            spline: Callable[..., Array] = CubicSpline(
-                places, added, bc_type="periodic" if self.tension.is_closed else "clamped"
-            )
+            ends = "clamped"
+            if self.tension.is_closed:
+                ends = "periodic"
+                added[-1] = added[0]  # which differ by round-off
+            spline: Callable[..., Array] = CubicSpline(places, added, bc_type=ends)
             between = 0.5 * (places[:-1] + places[1:])
-            tension = self.tension(between)[0]
-            off = path.off(tension, tension @ setting.response + spline(between))
-            if not off.max() <= BETWEEN:
-                raise NoEquilibrium(
-                    tension[np.argmax(off)], "the shape changes there by more than is followed"
-                )
+            tension_between, _ = self.tension(between)
+            q = tension_between @ setting.response + spline(between)
+            residuals = path.residuals(tension_between, q)
+            if not residuals.max() <= BETWEEN:
+                worst = tension_between[np.argmax(residuals)]
+                raise NoEquilibrium(worst, "the shape changes there by more than is followed")
         return spline
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
-        q, q_dot = (values @ self._response for values in self.tension(times))
+        tension, tension_rate = self.tension(times)
+        q = tension @ self._response
+        q_dot = tension_rate @ self._response
         if self._added is None:
             return q, q_dot
         place = self.tension.within(times)
         moves = self.tension.is_closed | (place == times)
-        return q + self._added(place), q_dot + self._added(place, 1) * moves[:, None]
+        added_rate = self._added(place, 1) * moves[:, None]
+        return q + self._added(place), q_dot + added_rate
 
 
 class EquilibriumPath:
-    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it
-    rests: natural continuation."""
+    """Equilibria of an arm whose tensions change slowly, each next to the one before.
+
+    It goes on from where the arm rests, by natural continuation.
+    """
 
     def __init__(self, setting: Setting, work: Workspace) -> None:
-        """work: of the setting's model."""
-        self._q, self._tension, self._response = setting.rest, setting.tension, setting.response
+        """Begin where the arm rests; work: of the setting's model."""
+        self._q = setting.rest
+        self._tension = setting.tension
+        self._response = setting.response
         self._balance = Balance(setting.model, setting.tension, work)
 
     def follow(self, tension: Array) -> Array:
-        """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises
-        NoEquilibrium, also where tensions that come back do not bring back the shape."""
+        """Coordinates at rest under tensions, one after the other.
+
+        Args:
+            tension: (m, n_a) [N].
+
+        Returns:
+            Coordinates (m, n).
+
+        Raises:
+            NoEquilibrium: also where tensions that come back do not bring back the shape.
+        """
         q = np.array([self._move(u) for u in tension])
-        if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
+        comes_back = (tension[-1] == tension[0]).all()
+        if comes_back and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
 
-    def off(self, tension: Array, q: Array) -> Array:
-        """How far (m,) forces at coordinates q (m, n) are off under tensions (m, n_a), see
-        `At.residual`; infinity without a strain."""
-        found = np.full(len(q), np.inf)
-        for i, (self._balance.tension, at) in enumerate(zip(tension, q, strict=True)):
-            if (here := self._balance.at(at, 1.0)) is not None:
-                found[i] = here.residual
-        return found
+    def residuals(self, tension: Array, q: Array) -> Array:
+        """How far forces are off at coordinates under tensions, see `At.residual`.
+
+        Args:
+            tension: (m, n_a) [N].
+            q: coordinates (m, n).
+
+        Returns:
+            Residuals (m,), infinity without a strain.
+        """
+        balance = self._balance
+        residuals = np.full(len(q), np.inf)
+        for i in range(len(q)):
+            balance.tension = tension[i]
+            balanced = balance.at(q[i], 1.0)
+            if balanced is not None:
+                residuals[i] = balanced.residual
+        return residuals
 
     def _move(self, tension: Array, shorter: int = SHORTER) -> Array:
         """Go on to the equilibrium (n,) under other tensions (n_a,), halfway first if need be.
-        Raises NoEquilibrium."""
-        balance, guess = self._balance, self._q + (tension - self._tension) @ self._response
-        balance.tension, balance.obstacle = tension, ""
-        found = LoadPath(balance).equilibrium(guess, 1.0)
-        off = np.inf if found is None else balance.angle(found.at.q - guess)
-        if found is not None and off <= NEAR and found.stability.stable:
-            self._q, self._tension = found.at.q, tension
-        elif off <= CLOSE:
+
+        Raises NoEquilibrium.
+        """
+        balance = self._balance
+        balance.tension = tension
+        balance.obstacle = ""
+        guess = self._q + (tension - self._tension) @ self._response
+        rest = LoadPath(balance).equilibrium(guess, 1.0)
+        angle = np.inf
+        if rest is not None:
+            angle = balance.angle(rest.at.q - guess)
+            if angle <= NEAR and rest.stability.stable:
+                self._q = rest.at.q
+                self._tension = tension
+                return self._q
+        if angle <= CLOSE:
             raise NoEquilibrium(tension, "the arm is no longer stable there")
-        elif shorter:
-            self._move(0.5 * (self._tension + tension), shorter - 1)
-            self._move(tension, shorter - 1)
-        else:
+        if shorter == 0:
             raise NoEquilibrium(tension, balance.obstacle or JUMPS)
-        return self._q
+        self._move(0.5 * (self._tension + tension), shorter - 1)
+        return self._move(tension, shorter - 1)
