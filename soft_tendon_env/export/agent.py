@@ -334,13 +334,14 @@ class _ControlPeriod(torch.nn.Module):
             rows["coordinates"],
             rows["rates"],
         )
-        target: Any = TargetSamples(
-            tip_pose=rows["target_pose"],
-            tip_twist=rows["target_twist"],
-            q=rows["target_coordinates"],  # type: ignore[arg-type] # tensors in place of arrays
-            tendon_length=rows["target_lengths"][:, None],
-            backbone=None,
-        )
+        # tensors in place of arrays
+        target: dict[str, Any] = {
+            "tip_pose": rows["target_pose"],
+            "tip_twist": rows["target_twist"],
+            "q": rows["target_coordinates"],
+            "tendon_length": rows["target_lengths"][:, None],
+            "backbone": None,
+        }
         # measurements are less those at rest already
         zeros = [0.0 * value for value in self.episodes.observed.rest]
         error = pose_logarithm(arm.tip_pose[0], rows["target_pose"][0])
@@ -348,7 +349,7 @@ class _ControlPeriod(torch.nn.Module):
             "arms": _Arms(arm, arm),
             "measured": arm,
             "error": error[None],
-            "target": target,
+            "target": TargetSamples(**target),
             "action": last_action,
             "command": command,
             "rest": RestValues(*as_tensors(*zeros)),

@@ -202,7 +202,7 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     scene, left = exportable(scene)
     chain = make_chain(scene, links)
     root = Element("mujoco", model=scene.name)
-    root.append(_comment(left))
+    root.append(Comment(_comment(left)))
     gravity = scene.effects.gravity
     acceleration = np.zeros(3) if gravity is None else gravity.acceleration
     SubElement(
@@ -237,14 +237,14 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     return ElementTree(root)
 
 
-def _comment(left: list[str]) -> Element:
+def _comment(left: list[str]) -> str:
     """Comment on the time step and on what is left out."""
     why = (
         f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, half of that at which the"
         " stiffest joint is stable"
     )
     words = f" {why}; left out: {', '.join(left) or 'nothing'} "
-    return Comment(words.replace("--", "- -"))  # which ends comments of XML
+    return words.replace("--", "- -")  # which ends comments of XML
 
 
 def text(numbers: ArrayLike) -> str:
