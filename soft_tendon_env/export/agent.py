@@ -13,14 +13,14 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 import onnx
 import onnxruntime
 import torch
+from torch import Tensor
 
 from soft_tendon_env.differentiable.actuation import TensorActuation
 from soft_tendon_env.differentiable.observation import TensorObservation
@@ -38,256 +38,463 @@ from soft_tendon_env.policies.normalization import BOX, Normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.types import Array
 
-OPSET, IR_VERSION = 17, 8  # of ONNX 1.12 (2022), which runtimes of small computers have
+Parts = dict[str, Tensor]  # tensors of one row by name
+# of ONNX 1.12 (2022), which runtimes of small computers have
+OPSET = 17
+IR_VERSION = 8
 SMALL = 1e-6  # sine of half an angle below which the limits at zero are exact to double precision
+TINY = 1e-30  # in place of a cosine of 0, so that the quotient with it stays finite
 SEEDS = EVALUATION_SEEDS[:4]  # of the check: 1,000 observations
 # difference of commands, as a share of their range, beyond which it is no round-off of a network in
 # single precision
 ALLOWED = 1e-4
-MEASUREMENTS: Mapping[str, tuple[str, Callable[[Observed], Array]]] = {
-    "tip_pose": ("1, last column m", lambda o: o.tip_pose),
-    "tip_twist": ("rad/s, then m/s", lambda o: o.tip_twist),
-    "tendon_lengths": ("m", lambda o: o.tendon_length),
-    "strain": ("1/m three times, then 1", lambda o: o.measured.strain - o.rest.strain),
-    "strain_rate": ("1/(m s) three times, then 1/s", lambda o: o.measured.strain_rate),
-    "coordinates": ("the coordinates'", lambda o: o.q),
-    "rates": ("the coordinates' per second", lambda o: o.q_dot),
-    "target_pose": ("1, last column m", lambda o: o.target.tip_pose),
-    "target_twist": ("rad/s, then m/s", lambda o: o.target.tip_twist),
-    "target_coordinates": ("the coordinates'", lambda o: o.target.q),
-    "target_lengths": (
-        "m",
-        lambda o: o.target_length if o.target.tendon_length.size else o.target.tendon_length[:, 0],
-    ),
+
+
+class Measurement(NamedTuple):
+    """An input of exported agents."""
+
+    unit: str
+    values: Callable[[Observed], Array]  # (rows, ...)
+
+
+def _target_length(observed: Observed) -> Array:
+    """Tendon lengths (rows, n_a) [m] of the target less those at rest, (rows, 0) without them."""
+    lengths = observed.target.tendon_length
+    return observed.target_length if lengths.size else lengths[:, 0]
+
+
+MEASUREMENTS: Mapping[str, Measurement] = {
+    "tip_pose": Measurement("1, last column m", lambda o: o.tip_pose),
+    "tip_twist": Measurement("rad/s, then m/s", lambda o: o.tip_twist),
+    "tendon_lengths": Measurement("m", lambda o: o.tendon_length),
+    "strain": Measurement("1/m three times, then 1", lambda o: o.measured.strain - o.rest.strain),
+    "strain_rate": Measurement("1/(m s) three times, then 1/s", lambda o: o.measured.strain_rate),
+    "coordinates": Measurement("the coordinates'", lambda o: o.q),
+    "rates": Measurement("the coordinates' per second", lambda o: o.q_dot),
+    "target_pose": Measurement("1, last column m", lambda o: o.target.tip_pose),
+    "target_twist": Measurement("rad/s, then m/s", lambda o: o.target.tip_twist),
+    "target_coordinates": Measurement("the coordinates'", lambda o: o.target.q),
+    "target_lengths": Measurement("m", _target_length),
 }
-"""Inputs of exported agents by name: unit, and values (rows, ...). Lengths and strains are less
-those at rest."""
+"""Inputs of exported agents by name. Lengths and strains are less those at rest."""
 
 
 def measurements(episodes: Episodes) -> dict[str, Array]:
     """Measurements of a single environment now, by name."""
-    return {name: values(episodes.observed)[0].copy() for name, (_, values) in MEASUREMENTS.items()}
+    values = {}
+    for name, measurement in MEASUREMENTS.items():
+        rows = measurement.values(episodes.observed)
+        values[name] = rows[0].copy()
+    return values
 
 
-def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """SE(3) logarithms log(g^-1 g_bar) (m, 6), angular before linear, from a pose g (4, 4) to
-    wanted ones g_bar (m, 4, 4), float64, by operations that ONNX has. Rotations go by way of unit
-    quaternions (Shepperd 1978), which are exact at half turns too."""
-    turn = (pose[None, :3, :3, None] * wanted[:, :3, None, :3]).sum(
-        1
-    )  # R^T R_bar: not all runtimes have products of transposed doubles
-    q = _quaternion(turn)
-    p, w, v = (wanted[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3], q[:, :1], q[:, 1:]
-    s = (v * v).sum(1, keepdim=True).sqrt()
-    half = torch.atan(
-        (s / w.clamp(min=1e-30)).float()
-    ).double()  # runtimes have no atan of doubles: a step of Newton's adds the digits
-    half = half + s * torch.sin(half + 0.5 * math.pi) - w * torch.sin(half)
-    safe = s.clamp(min=SMALL)
-    k = v * torch.where(s < SMALL, 2.0, 2.0 * half / safe)
-    e = torch.where(
-        s < SMALL, 1.0 / 12.0, (1.0 - half * w / safe) / (4.0 * half * half).clamp(min=SMALL**2)
-    )
-    u = torch.linalg.cross(k, p)
-    return torch.cat([k, p - 0.5 * u + e * torch.linalg.cross(k, u)], dim=1)
+def pose_logarithm(pose: Tensor, target: Tensor) -> Tensor:
+    """SE(3) logarithms log(g^-1 g_bar) (m, 6) from a pose to target poses, angular before linear.
+
+    They are made of operations that ONNX has. Rotations go by way of unit quaternions (Shepperd
+    1978), which are exact at half turns too.
+
+    Args:
+        pose: g (4, 4), float64.
+        target: g_bar (m, 4, 4), float64.
+    """
+    rotation = pose[:3, :3]
+    target_rotation = target[:, :3, :3]
+    # R^T R_bar as a sum: not all runtimes have products of transposed doubles
+    products = rotation[None, :, :, None] * target_rotation[:, :, None]
+    turn = products.sum(1)
+    away = target[:, :3, 3] - pose[:3, 3]
+    translation = away @ rotation
+    # cosine of half the angle, and its sine times the axis
+    cosine, axis = _quaternion(turn).split([1, 3], dim=1)
+    squares = axis * axis
+    sine = squares.sum(1, keepdim=True).sqrt()
+    half = _half_angle(sine, cosine)
+    # the rotation vector, by its limit at zero
+    is_small = sine < SMALL
+    safe_sine = sine.clamp(min=SMALL)
+    stretch = torch.where(is_small, 2.0, 2.0 * half / safe_sine)
+    vector = axis * stretch
+    # factor of the square in the inverse of the Jacobian: (1 - x cot x) / (4 x^2), x half the angle
+    numerator = 1.0 - half * cosine / safe_sine
+    square = 4.0 * half * half
+    denominator = square.clamp(min=SMALL**2)
+    factor = torch.where(is_small, 1.0 / 12.0, numerator / denominator)
+    once = torch.linalg.cross(vector, translation)
+    twice = torch.linalg.cross(vector, once)
+    linear = translation - 0.5 * once + factor * twice
+    return torch.cat([vector, linear], dim=1)
 
 
-def _quaternion(R: torch.Tensor) -> torch.Tensor:
-    """Unit quaternions (m, 4), w >= 0 first, of rotation matrices (m, 3, 3): the longest column of
-    4 q q^T, which is linear in R."""
-    trace = (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2])[:, None, None]
-    axial = torch.stack(
-        [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], dim=1
-    )[:, None]
-    symmetric = R + R.transpose(1, 2) + (1.0 - trace) * torch.eye(3, dtype=R.dtype)
-    products = torch.cat(
-        [
-            torch.cat([1.0 + trace, axial], dim=2),
-            torch.cat([axial.transpose(1, 2), symmetric], dim=2),
-        ],
-        dim=1,
-    )
-    longest = torch.eye(4, dtype=R.dtype)[products.reshape(-1, 16)[:, ::5].argmax(1)]
+def _half_angle(sine: Tensor, cosine: Tensor) -> Tensor:
+    """Angles (m, 1) in [0, pi/2] by their sines and cosines, in double precision."""
+    tangent = sine / cosine.clamp(min=TINY)
+    # runtimes have no atan of doubles: a step of Newton's adds the digits
+    half = torch.atan(tangent.float()).double()
+    return half + sine * torch.sin(half + 0.5 * math.pi) - cosine * torch.sin(half)
+
+
+def _quaternion(rotation: Tensor) -> Tensor:
+    """Unit quaternions (m, 4) of rotation matrices (m, 3, 3), w >= 0 first.
+
+    They are the longest column of 4 q q^T, which is linear in the matrix.
+    """
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation.flatten(1).unbind(1)
+    trace = xx + yy + zz
+    rest = 1.0 - trace
+    # 4 w times the vector part
+    wx = zy - yz
+    wy = xz - zx
+    wz = yx - xy
+    # 4 times the products of the vector part
+    x_y = xy + yx
+    x_z = xz + zx
+    y_z = yz + zy
+    columns = [
+        torch.stack([1.0 + trace, wx, wy, wz], dim=1),
+        torch.stack([wx, xx + xx + rest, x_y, x_z], dim=1),
+        torch.stack([wy, x_y, yy + yy + rest, y_z], dim=1),
+        torch.stack([wz, x_z, y_z, zz + zz + rest], dim=1),
+    ]
+    products = torch.stack(columns, dim=2)
+    diagonal = products.flatten(1)[:, ::5]
+    # a product with a unit vector takes a column in all runtimes
+    units = torch.eye(4, dtype=rotation.dtype)
+    longest = units[diagonal.argmax(1)]
     column = (products * longest[:, None]).sum(2)
-    return (
-        torch.where(column[:, :1] < 0.0, -1.0, 1.0)
-        * column
-        / (column * column).sum(1, keepdim=True).sqrt()
-    )
+    first = column[:, :1]
+    sign = torch.where(first < 0.0, -1.0, 1.0)
+    squares = column * column
+    length = squares.sum(1, keepdim=True).sqrt()
+    return sign * column / length
+
+
+class _ArmTensors(NamedTuple):
+    """What is measured of an arm, as tensors of one row: its state and its reading at once."""
+
+    tip_pose: Tensor  # (1, 4, 4)
+    tip_twist: Tensor  # (1, 6)
+    tendon_length: Tensor  # (1, n_a) less those at rest
+    strain: Tensor  # (1, sensors, 6) less the stress-free ones
+    strain_rate: Tensor  # (1, sensors, 6)
+    q: Tensor  # (1, n)
+    q_dot: Tensor  # (1, n)
+
+
+class _Arms(NamedTuple):
+    """In place of `envs.arms.Arms`, as far as groups of tensors read it."""
+
+    rows: _ArmTensors
+    reading: _ArmTensors
+
+
+class _TensorNormalisation:
+    """Observation normalisation by running statistics, on tensors, see Normalization."""
+
+    def __init__(self, normalise: Normalization) -> None:
+        self._clip = normalise.clip
+        self._moments: dict[str, list[Tensor]] = {}
+        for key, moments in normalise.moments.items():
+            deviation = np.sqrt(moments.variance + normalise.epsilon)
+            self._moments[key] = as_tensors(moments.mean, deviation)
+
+    def __call__(self, parts: Parts) -> Parts:
+        seen = dict(parts)
+        for key, (mean, deviation) in self._moments.items():
+            scaled = (parts[key] - mean) / deviation
+            seen[key] = scaled.clamp(-self._clip, self._clip).float()
+        return seen
+
+
+class _TensorIntegral:
+    """Integral action on tensors, see IntegralPolicy, by its two linear maps as matrices."""
+
+    def __init__(self, integral: IntegralPolicy, episodes: Episodes) -> None:
+        self._share = integral.share
+        if episodes.task.goal:
+            way = np.eye(3) / integral.goal_unit
+            shift = integral.goal_unit * np.eye(3)
+        else:
+            # the maps are linear, so that rows of the identity give their matrices
+            entries = episodes.layout.space.shape[0]
+            way = integral.way_to_target(np.eye(entries))
+            ways = way.shape[1]
+            shift = integral.move_target(np.zeros((ways, entries)), np.eye(ways))
+        # (entries, ways) and (ways, entries): from an observation to the way that is integrated,
+        # and from the integral to what moves
+        self._way, self._shift = as_tensors(way, shift)
+        self.start = torch.zeros(len(shift))
+
+    def __call__(self, parts: Parts, integral: Tensor) -> tuple[Parts, Tensor]:
+        """Parts of an observation with their target moved, and the next integral (1, ways)."""
+        key = BOX if BOX in parts else "desired_goal"
+        start = parts.get("achieved_goal", 0.0)
+        observed_way = parts[key] - start
+        way = observed_way.double() @ self._way
+        largest = way.abs().amax(1, keepdim=True)
+        is_near = largest <= NEAR
+        grown = self._share * torch.where(is_near, way, 0.0)
+        total = (integral + grown).clamp(-MOST, MOST)
+        shift = total @ self._shift
+        moved = parts[key].double() + shift
+        return {**parts, key: moved.float()}, total
 
 
 class _ControlPeriod(torch.nn.Module):
-    """One control period of an agent: measurements and states, in the order of `inputs`, to values
-    in the order of `outputs`."""
+    """One control period of an agent, from measurements and states to values in SI units.
+
+    It takes them in the order of `inputs`, and gives those of `outputs`.
+    """
 
     def __init__(
         self, episodes: Episodes, agent: NetworkPolicy, integral: IntegralPolicy | None
     ) -> None:
         super().__init__()
         self.network = TensorNetwork(agent.network)
-        self.agent = agent
         self.episodes = episodes
-        self.integral = integral
-        self.observation, self.scale = (
-            TensorObservation(episodes, torch.float32),
-            TensorActuation(episodes.actuation).scale,
-        )
-        self.start = dict(
-            zip(
-                ("command", "last_action"),
-                as_tensors(episodes.start_command, episodes.actuation.start_action),
-                strict=True,
-            )
-        )
-        states = {"started": torch.zeros(1)} | {
-            name: torch.zeros_like(value) for name, value in self.start.items()
+        self.observation = TensorObservation(episodes, torch.float32)
+        self.scale = TensorActuation(episodes.actuation).scale
+        self.normalise: _TensorNormalisation | None = None
+        if isinstance(agent.normalise, Normalization):
+            self.normalise = _TensorNormalisation(agent.normalise)
+        self.integral: _TensorIntegral | None = None
+        if integral is not None:
+            self.integral = _TensorIntegral(integral, episodes)
+        starts = (episodes.start_command, episodes.actuation.start_action)
+        self._start_command, self._start_action = as_tensors(*starts)
+        measured = measurements(episodes)
+        tensors = as_tensors(*measured.values())
+        states = self._first_states()
+        self.inputs = dict(zip(measured, tensors, strict=True))
+        for name, value in states.items():
+            self.inputs[name] = value.double()
+        self.outputs = ["action"]
+        for name in states:
+            self.outputs.append(f"next_{name}")
+
+    def _first_states(self) -> Parts:
+        """What is remembered, by name, as zeros."""
+        states = {
+            "started": torch.zeros(1),
+            "command": torch.zeros_like(self._start_command),
+            "last_action": torch.zeros_like(self._start_action),
         }
-        if episodes.history is not None:
-            states["history"] = torch.zeros(episodes.options.history, episodes.layout.kept.size)
-        if (
-            integral is not None
-        ):  # its linear maps: to the way that is integrated, and from the integral to what moves
-            unit, size = integral.goal_unit, episodes.layout.space.shape[0]
-            way = np.eye(3) / unit if episodes.task.goal else integral._way(np.eye(size))
-            moved = (
-                unit * np.eye(3)
-                if episodes.task.goal
-                else integral._move_target(np.zeros(way.T.shape), np.eye(way.shape[1]))
-            )
-            self.way, self.shift = as_tensors(way, moved)
-            states["integral"] = torch.zeros(len(moved))
+        if self.episodes.history is not None:
+            periods = self.episodes.options.history
+            states["history"] = torch.zeros(periods, self.episodes.layout.kept.size)
+        if self.integral is not None:
+            states["integral"] = self.integral.start
         if self.network.memory:
             states["memory"] = torch.zeros(self.network.memory)
-        measured = dict(
-            zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True)
-        )
-        self.inputs = {**measured, **{name: value.double() for name, value in states.items()}}
-        self.outputs = ["action", *(f"next_{name}" for name in states)]
+        return states
 
-    def forward(self, *values: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        given = {name: value[None] for name, value in zip(self.inputs, values, strict=True)}
-        running = given["started"] > 0.5
-        command, before = (
-            torch.where(running, given[name], start) for name, start in self.start.items()
-        )
-        arm = SimpleNamespace(
-            **given,
-            q=given["coordinates"],
-            q_dot=given["rates"],
-            tendon_length=given["tendon_lengths"],
-        )
-        wanted: Any = (
-            *(given[f"target_{name}"] for name in ("pose", "twist", "coordinates")),
-            given["target_lengths"][:, None],
-            None,
-        )
-        error: Any = pose_logarithm(arm.tip_pose[0], given["target_pose"][0])[None]
-        rest: Any = RestValues(
-            *as_tensors(*(0.0 * value for value in self.episodes.observed.rest))
-        )  # of which measurements are free
-        of_arm: dict[str, Any] = {
-            "arms": SimpleNamespace(rows=arm, reading=arm),
-            "measured": arm,
-            "action": before,
-            "command": command,
-        }
-        observed: Any = replace(
-            self.episodes.observed, error=error, target=TargetSamples(*wanted), rest=rest, **of_arm
-        )
-        flat, past, total = self.observation.groups(observed), given.get("history"), None
-        if past is not None:
-            past = torch.where(running[..., None], past, flat[:, None, self.episodes.layout.kept])
-        seen, past = self.observation.complete(observed, flat, past)
-        parts = dict(seen) if isinstance(seen, dict) else {BOX: seen}
+    def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
+        rows = self._rows(values)
+        is_running = rows["started"] > 0.5
+        # an episode begins with these two as they are at rest
+        command = torch.where(is_running, rows["command"], self._start_command)
+        last_action = torch.where(is_running, rows["last_action"], self._start_action)
+        observed = self._observed(rows, command, last_action)
+        parts, history = self._observation(observed, rows, is_running)
+        total = None
         if self.integral is not None:
-            key = BOX if BOX in parts else "desired_goal"
-            way = (parts[key] - parts.get("achieved_goal", 0.0)).double() @ self.way
-            grown = self.integral.share * torch.where(
-                way.abs().amax(1, keepdim=True) <= NEAR, way, 0.0
-            )
-            total = (given["integral"] + grown).clamp(-MOST, MOST)
-            parts[key] = (parts[key].double() + total @ self.shift).float()
-        if isinstance(by := self.agent.normalise, Normalization):
-            for key, of in by.moments.items():
-                mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
-                parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
-        seen, memory = parts.get(BOX, parts), given.get("memory")
-        action, remembered = self.network(seen, None if memory is None else memory.float())
-        if memory is not None:
-            memory = remembered.double()
-        action = action.clamp(-1.0, 1.0).double()
-        sent = torch.minimum(
-            torch.maximum(self.scale.wanted(action, command), self.scale.least), self.scale.greatest
+            parts, total = self.integral(parts, rows["integral"])
+        if self.normalise is not None:
+            parts = self.normalise(parts)
+        mean, memory = self._network(parts, rows)
+        action = mean.clamp(-1.0, 1.0).double()
+        unlimited = self.scale.wanted(action, command)
+        above = torch.maximum(unlimited, self.scale.least)
+        sent = torch.minimum(above, self.scale.greatest)
+        started = rows["started"].clamp(min=1.0)
+        # an output of its own, though the same as the action
+        next_action = 1.0 * action
+        states = (started, sent, next_action, history, total, memory)
+        outputs = [action[0]]
+        for state in states:
+            if state is not None:
+                outputs.append(state[0])
+        return tuple(outputs)
+
+    def _rows(self, values: tuple[Tensor, ...]) -> Parts:
+        """Inputs by name, as rows."""
+        rows = {}
+        for name, value in zip(self.inputs, values, strict=True):
+            rows[name] = value[None]
+        return rows
+
+    def _observed(self, rows: Parts, command: Tensor, last_action: Tensor) -> Any:
+        """Quantities that observation groups are computed from, as tensors of one row."""
+        arm = _ArmTensors(
+            rows["tip_pose"],
+            rows["tip_twist"],
+            rows["tendon_lengths"],
+            rows["strain"],
+            rows["strain_rate"],
+            rows["coordinates"],
+            rows["rates"],
         )
-        found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total, memory]
-        return tuple(value[0] for value in found if value is not None)
+        # tensors in place of arrays
+        target: dict[str, Any] = {
+            "tip_pose": rows["target_pose"],
+            "tip_twist": rows["target_twist"],
+            "q": rows["target_coordinates"],
+            "tendon_length": rows["target_lengths"][:, None],
+            "backbone": None,
+        }
+        # measurements are less those at rest already
+        zeros = [0.0 * value for value in self.episodes.observed.rest]
+        error = pose_logarithm(arm.tip_pose[0], rows["target_pose"][0])
+        tensors: dict[str, Any] = {
+            "arms": _Arms(arm, arm),
+            "measured": arm,
+            "error": error[None],
+            "target": TargetSamples(**target),
+            "action": last_action,
+            "command": command,
+            "rest": RestValues(*as_tensors(*zeros)),
+        }
+        return replace(self.episodes.observed, **tensors)
+
+    def _observation(
+        self, observed: Any, rows: Parts, is_running: Tensor
+    ) -> tuple[Parts, Tensor | None]:
+        """Parts of the observation by key, BOX where there is but one, and the next history."""
+        flat = self.observation.groups(observed)
+        history = rows.get("history")
+        if history is not None:
+            # an episode begins as if it had always been so
+            now = flat[:, None, self.episodes.layout.kept]
+            history = torch.where(is_running[..., None], history, now)
+        seen, history = self.observation.complete(observed, flat, history)
+        parts = seen if isinstance(seen, dict) else {BOX: seen}
+        return parts, history
+
+    def _network(self, parts: Parts, rows: Parts) -> tuple[Tensor, Tensor | None]:
+        """Mean action (1, n_a) and the next memory, None without one."""
+        seen = parts.get(BOX, parts)
+        if not self.network.memory:
+            mean, _ = self.network(seen, None)
+            return mean, None
+        mean, memory = self.network(seen, rows["memory"].float())
+        return mean, memory.double()
 
 
 def export_agent(
     policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None
 ) -> onnx.ModelProto:
-    """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its
-    environment.
+    """ONNX model of a trained agent for the observation and the actions of its environment.
 
-    origin: what its metadata should say besides. Raises ValueError for other policies and
-    observation groups in NumPy, ConfigurationError naming those of contact, TypeError
-    for environments of other packages."""
-    episodes, file = episodes_of(env), io.BytesIO()
-    integral, agent = (
-        (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
-    )
-    known = (
+    Args:
+        policy: trained agent, see `load_agent`.
+        env: its environment.
+        origin: what the model's metadata should say besides.
+
+    Returns:
+        The model, checked.
+
+    Raises:
+        ValueError: it is another policy, or an observation group is in NumPy.
+        ConfigurationError: groups of contact, which it names.
+        TypeError: the environment is of another package.
+    """
+    episodes = episodes_of(env)
+    agent, integral = _parts_of(policy)
+    module = _ControlPeriod(episodes, agent, integral).eval()
+    model = _trace(module)
+    used = _drop_unused_inputs(model)
+    model.ir_version = IR_VERSION
+    about = {**_metadata(episodes, used), **(origin or {})}
+    onnx.helper.set_model_props(model, {"soft_tendon_env": json.dumps(about)})
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
+    """The agent of a policy, and the integral action around it. Raises ValueError."""
+    integral = policy if isinstance(policy, IntegralPolicy) else None
+    agent = policy if integral is None else integral.policy
+    if (
         isinstance(agent, NetworkPolicy)
         and isinstance(agent.network, PolicyNetwork)
         and isinstance(agent.normalise, Normalization | None)
+    ):
+        return agent, integral
+    raise ValueError(
+        f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}"
     )
-    if not isinstance(agent, NetworkPolicy) or not known:
-        raise ValueError(
-            f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}"
-        )
-    module = _ControlPeriod(episodes, agent, integral).eval()
+
+
+def _trace(module: _ControlPeriod) -> onnx.ModelProto:
+    """ONNX model of a module. Raises ValueError where it makes an array of a tensor."""
+    file = io.BytesIO()
     options: dict[str, Any] = {
         "input_names": [*module.inputs],
         "output_names": module.outputs,
         "opset_version": OPSET,
         "dynamo": False,
     }
-    with warnings.catch_warnings(record=True, action="always") as told, torch.no_grad():
-        torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
-    if any(
-        "to a NumPy array" in str(warning.message) for warning in told
-    ):  # the tracer's others are of sizes, which are constants
+    inputs = (*module.inputs.values(),)
+    with warnings.catch_warnings(record=True, action="always") as caught, torch.no_grad():
+        # it takes files too
+        torch.onnx.export(module, inputs, file, **options)  # type: ignore[arg-type]
+    # the tracer's other warnings are of sizes, which are constants
+    if any("to a NumPy array" in str(warning.message) for warning in caught):
         raise ValueError(
             "an observation group uses NumPy, whose values the file would have as constants: use"
             " what tensors have too"
         )
-    model = onnx.load_from_string(file.getvalue())
+    return onnx.load_from_string(file.getvalue())
+
+
+def _drop_unused_inputs(model: onnx.ModelProto) -> set[str]:
+    """Removes the inputs of a model that it does not read; names of what it reads."""
     used = {name for node in model.graph.node for name in node.input}
-    for unused in [of for of in model.graph.input if of.name not in used]:
-        model.graph.input.remove(unused)
-    model.ir_version, actions, values = (
-        IR_VERSION,
-        episodes.actuation.actions,
-        measurements(episodes),
-    )
-    said = {
+    unused = [entry for entry in model.graph.input if entry.name not in used]
+    for entry in unused:
+        model.graph.input.remove(entry)
+    return used
+
+
+def _metadata(episodes: Episodes, used: set[str]) -> dict[str, Any]:
+    """What the file says of its inputs and its command."""
+    actions = episodes.actuation.actions
+    limits = np.c_[actions.least, actions.greatest]
+    values = measurements(episodes)
+    inputs = {}
+    for name, measurement in MEASUREMENTS.items():
+        if name in used:
+            inputs[name] = {"shape": values[name].shape, "unit": measurement.unit}
+    unit = episodes.model.scene.effects.command_unit
+    return {
         "task": episodes.task.name,
         "control_period_s": episodes.period,
-        "inputs": {
-            name: {"shape": values[name].shape, "unit": unit}
-            for name, (unit, _) in MEASUREMENTS.items()
-            if name in used
-        },
+        "inputs": inputs,
         "preview_s": episodes.ahead[1:].tolist(),
         "sensors_m": episodes.sensors.tolist(),
-        "command": {
-            "unit": episodes.model.scene.effects.command_unit,
-            "limits": np.c_[actions.least, actions.greatest].tolist(),
-        },
+        "command": {"unit": unit, "limits": limits.tolist()},
     }
-    onnx.helper.set_model_props(model, {"soft_tendon_env": json.dumps({**said, **(origin or {})})})
-    onnx.checker.check_model(model, full_check=True)
-    return model
+
+
+class _ExportedAgent:
+    """An exported agent that acts in the ONNX runtime."""
+
+    def __init__(self, path: Path) -> None:
+        self._session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        self._inputs = {entry.name: entry.shape for entry in self._session.get_inputs()}
+        self._outputs = [entry.name for entry in self._session.get_outputs()]
+
+    def start(self) -> dict[str, Any]:
+        """Outputs before the first control period: what is remembered is zero."""
+        return {f"next_{name}": np.zeros(shape) for name, shape in self._inputs.items()}
+
+    def act(self, before: Mapping[str, Any], measured: Mapping[str, Array]) -> dict[str, Any]:
+        """Outputs by name, of those before and of measurements."""
+        states = {name.removeprefix("next_"): value for name, value in before.items()}
+        known = {**states, **measured}
+        inputs = {name: known[name] for name in self._inputs}
+        values = self._session.run(self._outputs, inputs)
+        return dict(zip(self._outputs, values, strict=True))
 
 
 def compare(
@@ -297,39 +504,36 @@ def compare(
     seeds: Sequence[int] = SEEDS,
     steps: int = 250,
 ) -> tuple[int, float, float]:
-    """Number of observations, and the largest difference of commands on them, in their unit and as
-    a share of their range.
+    """Largest difference of an exported agent's commands from those of its original.
 
     The original acts for `steps` control periods of an episode from each seed. The exported agent
     gets what is measured meanwhile, and remembers as command what the original has sent.
+
+    Args:
+        path: of the file.
+        policy: the original.
+        env: its environment.
+        seeds: of episodes, one each.
+        steps: control periods of an episode.
+
+    Returns:
+        Number of observations, and the largest difference of commands on them, in their unit and
+        as a share of their range.
     """
-    episodes, session = (
-        episodes_of(env),
-        onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]),
-    )
-    names, found = [of.name for of in session.get_outputs()], list[Array]()
+    episodes = episodes_of(env)
+    exported = _ExportedAgent(path)
+    differences: list[Array] = []
     for seed in seeds:
-        after = {f"next_{of.name}": np.zeros(of.shape) for of in session.get_inputs()}
+        after = exported.start()
         for k, step in enumerate(play_steps(policy, env, [seed])):
-            if k:
-                found.append(np.abs(after["next_command"] - episodes.actuation.command[0]))
-                after["next_command"] = episodes.actuation.command[0].copy()
+            if k > 0:
+                command = episodes.actuation.command[0].copy()
+                differences.append(np.abs(after["next_command"] - command))
+                after["next_command"] = command
             if k == steps or step.ended[0]:
                 break
-            known = {
-                **{name.removeprefix("next_"): value for name, value in after.items()},
-                **measurements(episodes),
-            }
-            after = dict(
-                zip(
-                    names,
-                    session.run(names, {of.name: known[of.name] for of in session.get_inputs()}),
-                    strict=True,
-                )
-            )
-    actions, largest = episodes.actuation.actions, np.max(found, axis=0)
-    return (
-        len(found),
-        float(largest.max()),
-        float((largest / (actions.greatest - actions.least)).max()),
-    )
+            after = exported.act(after, measurements(episodes))
+    actions = episodes.actuation.actions
+    largest = np.max(differences, axis=0)
+    shares = largest / (actions.greatest - actions.least)
+    return len(differences), float(largest.max()), float(shares.max())

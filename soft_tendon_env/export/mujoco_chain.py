@@ -15,12 +15,13 @@ link.
 import copy
 import itertools
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, ElementTree, SubElement, indent
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.accuracy.fidelity import build_model
@@ -28,10 +29,12 @@ from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, skew
 from soft_tendon_env.envs.observation import stress_free_strain
 from soft_tendon_env.model.grid import disc_inertia, screw_matrices
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import (
     Scene,
+    Tendon,
     disc_rows,
     rod_length,
     rod_radius,
@@ -45,20 +48,20 @@ from soft_tendon_env.tools.types import Array
 KEPT = {
     "gravity": {"acceleration"},
     "tip_load": {"mass", "inertia"},
-}  # effects, and what of them, that a chain has
+}
+"""Effects, and what of them, that a chain has."""
+PARTS = 16  # of an element, at least, whose compliances are in series
 LONGEST_STEP = 2e-3  # [s], MuJoCo's own, which its contacts are made for
-SETS, LONGEST_MOTION, MOST_STEPS = (
-    20,
-    2.0,
-    20_000,
-)  # that are compared: sets of tensions at rest; [s] and steps after a step of tensions
+SETS = 20  # sets of tensions at rest that are compared
+LONGEST_MOTION = 2.0  # [s] that are compared after a step of tensions
+MOST_STEPS = 20_000  # of MuJoCo, that are compared after a step of tensions
 SLOW = 1e3  # [s], damping by stiffness to come to rest
-SETTLED, MOST_TURNS = (
-    1e-7,
-    50,
-    # movement of the tip that counts as rest, as a share of the length, and how often it is looked
-    # for
-)
+SETTLING_STEP = 0.2 * SLOW  # [s], a fifth of the way to balance
+SETTLED = 1e-7  # movement of the tip that counts as rest, as a share of the length
+MOST_TURNS = 50  # how often rest is looked for
+STEPS_OF_TURN = 20  # between two looks
+LEAST_SHARE = 1e-9  # of an element: parts below it are round-off of borders
+JOINT_ORDER = (3, 4, 5, 0, 1, 2)  # of a link's joints, by places in STRAINS
 
 
 class Chain(NamedTuple):
@@ -75,112 +78,152 @@ class Chain(NamedTuple):
 
 def exportable(scene: Scene) -> tuple[Scene, list[str]]:
     """The scene with what a chain in MuJoCo can have, and names of what is left out."""
-    effects, load = scene.effects.chosen(), scene.effects.tip_load
-    tables = {
-        name: effects[name].model_dump(include=keys)
-        for name, keys in KEPT.items()
-        if name in effects
-    }
-    left = [name for name in effects if name not in KEPT] + ["force and moment of tip_load"] * bool(
-        load and load.acts
-    )
-    left += ["quasi_static"] * scene.integrator.quasi_static
-    return scene.replace({"effects": tables, "integrator.quasi_static": False}), left
+    tables = {}
+    left = []
+    for name, effect in scene.effects.chosen().items():
+        if name in KEPT:
+            tables[name] = effect.model_dump(include=KEPT[name])
+        else:
+            left.append(name)
+    load = scene.effects.tip_load
+    if load is not None and load.acts:
+        left.append("force and moment of tip_load")
+    if scene.integrator.quasi_static:
+        left.append("quasi_static")
+    changes = {"effects": tables, "integrator.quasi_static": False}
+    return scene.replace(changes), left
 
 
 def rest_poses(scene: Scene, arc_length: Array) -> Array:
     """Poses (m, 4, 4) of the stress-free rod in the world frame at arc lengths (m,) [m]."""
-    places = np.unique([0.0, *arc_length, *segment_borders(scene)])
-    twists = np.diff(places)[:, None] * stress_free_strain(scene, 0.5 * (places[1:] + places[:-1]))
+    borders = segment_borders(scene)
+    places = np.unique([0.0, *arc_length, *borders])
+    lengths = np.diff(places)
+    strains = stress_free_strain(scene, _middles(places))
+    twists = lengths[:, None] * strains
     poses = itertools.accumulate(twists, moved_pose, initial=scene.base.pose)
-    return np.array([*poses])[np.searchsorted(places, arc_length)]
+    indices = np.searchsorted(places, arc_length)
+    return np.array([*poses])[indices]
+
+
+def _middles(borders: Array) -> Array:
+    """Middles (m,) between borders (m + 1,)."""
+    return 0.5 * (borders[1:] + borders[:-1])
+
+
+def _membership(borders: Array, places: Array) -> NDArray[np.bool_]:
+    """Whether places (p,) are between borders (m + 1,), (m, p); those beyond are of the last."""
+    indices = np.searchsorted(borders[1:-1], places)
+    parts = np.arange(len(borders) - 1)
+    return indices == parts[:, None]
 
 
 def make_chain(scene: Scene, links: int) -> Chain:
-    """Chain of at least two links; the compliances of an element are in series, by midpoints of at
-    least sixteen parts of each."""
+    """Chain of at least two links.
+
+    The compliances of an element are in series, by midpoints of at least sixteen parts of each.
+    """
     borders = rod_length(scene) * np.linspace(0.0, 1.0, links + 1)
-    stations = np.array([0.0, *0.5 * (borders[1:] + borders[:-1]), borders[-1]])
-    cuts = np.unique([*np.linspace(0.0, borders[-1], 16 * links + 1), *segment_borders(scene)])
-    arc, length = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)[:, None]
+    joints = _middles(borders)
+    tip = borders[-1]
+    stations = np.array([0.0, *joints, tip])
+    pose = rest_poses(scene, stations)
+    part_borders = np.linspace(0.0, tip, PARTS * links + 1)
+    cuts = np.unique([*part_borders, *segment_borders(scene)])
+    arc = _middles(cuts)
+    length = np.diff(cuts)[:, None]
     elasticity, viscosity, density = screw_matrices(scene, arc)
-    element = np.searchsorted(borders[1:-1], arc) == np.arange(links)[:, None]
-    stiffness = 1.0 / (element @ (length / elasticity))
-    damping = stiffness**2 * (element @ (length * viscosity / elasticity**2))
+    is_of_element = _membership(borders, arc)
+    compliance = is_of_element @ (length / elasticity)
+    stiffness = 1.0 / compliance
+    part_loss = length * viscosity / elasticity**2
+    loss = is_of_element @ part_loss
+    damping = stiffness**2 * loss
+    # masses of the parts, of discs and of the payload
     discs = disc_rows(scene)
-    places, lumps = (
-        np.array([*arc, *discs[:, 0], borders[-1]]),
-        np.vstack([length * density, disc_inertia(discs), scene.effects.payload]),
+    places = np.array([*arc, *discs[:, 0], tip])
+    payload = scene.effects.payload
+    lumps = np.vstack([length * density, disc_inertia(discs), payload])
+    inertia = _link_inertia(scene, stations, pose, places, lumps)
+    return Chain(stations, pose, stiffness, damping, inertia)
+
+
+def _link_inertia(scene: Scene, stations: Array, pose: Array, places: Array, lumps: Array) -> Array:
+    """Inertia (links + 1, 6, 6) of base and links about their stations.
+
+    Args:
+        scene: of the arm.
+        stations: (links + 2,) [m], see Chain.
+        pose: (links + 2, 4, 4) at the stations.
+        places: (p,) arc lengths [m] of what has mass.
+        lumps: (p, 6) diagonals of their inertia.
+    """
+    is_of_link = _membership(stations, places).astype(float)
+    to_lump = _adjoints(inverse_pose(place) for place in rest_poses(scene, places))
+    # in the world frame, where those of a link add up
+    about_world = np.einsum(
+        "lp,pki,pk,pkj->lij", is_of_link, to_lump, lumps, to_lump, optimize=True
     )
-    link = np.searchsorted(stations[1:-1], places) == np.arange(links + 1)[:, None]
-    pose, to_lump = (
-        rest_poses(scene, stations),
-        np.array([adjoint(inverse_pose(here)) for here in rest_poses(scene, places)]),
-    )
-    inertia = np.einsum(
-        "lp,pki,pk,pkj->lij", link.astype(float), to_lump, lumps, to_lump, optimize=True
-    )
-    to_world = np.array([adjoint(here) for here in pose[:-1]])
-    return Chain(
-        stations,
-        pose,
-        stiffness,
-        damping,
-        np.einsum("lki,lkm,lmj->lij", to_world, inertia, to_world),
-    )
+    to_world = _adjoints(pose[:-1])
+    return np.einsum("lki,lkm,lmj->lij", to_world, about_world, to_world)
+
+
+def _adjoints(poses: Iterable[Array]) -> Array:
+    """Adjoint matrices (m, 6, 6) of m poses (4, 4)."""
+    return np.array([adjoint(pose) for pose in poses])
 
 
 def time_step(scene: Scene, chain: Chain) -> float:
-    """Time step [s], a whole part of HOLD: MuJoCo takes damping implicitly and springs explicitly,
-    so that an oscillator of inertia m, stiffness k and damping t k is stable up to t + sqrt(t^2 + 4
-    m / k)."""
-    ratio, own = chain.damping / chain.stiffness, np.diagonal(chain.inertia[1:], axis1=1, axis2=2)
-    limit = ratio + np.hypot(
-        ratio, np.sqrt(own / chain.stiffness)
-    )  # a joint between two links has half of their inertia
-    stable = limit[:, [strain in scene.strain.free for strain in STRAINS]].min()
-    return HOLD / math.ceil(HOLD / min(LONGEST_STEP, scene.integrator.step / 10.0, 0.5 * stable))
+    """Time step of MuJoCo [s], a whole part of HOLD, at which all joints are stable.
+
+    MuJoCo takes damping implicitly and springs explicitly, so that an oscillator of inertia m,
+    stiffness k and damping t k is stable up to t + sqrt(t^2 + 4 m / k).
+    """
+    ratio = chain.damping / chain.stiffness
+    link_inertia = np.diagonal(chain.inertia[1:], axis1=1, axis2=2)
+    # a joint between two links has half of their inertia
+    period = np.sqrt(link_inertia / chain.stiffness)
+    limit = ratio + np.hypot(ratio, period)
+    is_free = [strain in scene.strain.free for strain in STRAINS]
+    stable = limit[:, is_free].min()
+    tenth = scene.integrator.step / 10.0
+    longest = min(LONGEST_STEP, tenth, 0.5 * stable)
+    steps = math.ceil(HOLD / longest)
+    return HOLD / steps
 
 
 def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
-    """Arm of a scene in MJCF, as a chain of at least two links; see `exportable` for what is left
-    out.
+    """Arm of a scene in MJCF, as a chain of at least two links.
 
     Bodies and geoms `base`, `link_0` ...; joints `torsion_0`, `bend_y_0` ...; site `tip`; spatial
     tendons `tendon_0` ..., with motors `tension_0` ... for tensions [N] within their limits, which
-    pull where positive. Geoms do not touch each other.
+    pull where positive. Geoms do not touch each other. See `exportable` for what is left out.
     """
     scene, left = exportable(scene)
-    chain, root, gravity = (
-        make_chain(scene, links),
-        Element("mujoco", model=scene.name),
-        scene.effects.gravity,
+    chain = make_chain(scene, links)
+    root = Element("mujoco", model=scene.name)
+    root.append(Comment(_comment(left)))
+    gravity = scene.effects.gravity
+    acceleration = np.zeros(3) if gravity is None else gravity.acceleration
+    SubElement(
+        root,
+        "option",
+        timestep=text(time_step(scene, chain)),
+        integrator="implicitfast",
+        gravity=text(acceleration),
     )
-    why = (
-        f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, half of that at which the"
-        " stiffest joint is stable"
-    )
-    root.append(Comment(f" {why}; left out: {', '.join(left) or 'nothing'} ".replace("--", "- -")))
-    down, step = (
-        text(gravity.acceleration if gravity else np.zeros(3)),
-        text(time_step(scene, chain)),
-    )
-    SubElement(root, "option", timestep=step, integrator="implicitfast", gravity=down)
-    world, tendons, motors = (
-        SubElement(root, name) for name in ("worldbody", "tendon", "actuator")
-    )
+    world = SubElement(root, "worldbody")
+    tendons = SubElement(root, "tendon")
+    motors = SubElement(root, "actuator")
     bodies = [add_body(world, scene, chain, 0)]
     for i in range(1, links + 1):
         bodies.append(add_body(bodies[-1], scene, chain, i))
-    SubElement(
-        bodies[-1], "site", {"name": "tip", **placed(inverse_pose(chain.pose[-2]) @ chain.pose[-1])}
-    )
+    tip = inverse_pose(chain.pose[-2]) @ chain.pose[-1]
+    SubElement(bodies[-1], "site", {"name": "tip", **placed(tip)})
+    width = text(rod_radius(scene, 0.0)[0] / 20.0)
     for k, tendon in enumerate(scene.tendons):
-        path = SubElement(
-            tendons, "spatial", name=f"tendon_{k}", width=text(rod_radius(scene, 0.0)[0] / 20.0)
-        )
+        path = SubElement(tendons, "spatial", name=f"tendon_{k}", width=width)
         add_branches(bodies, path, scene, chain, k)
-        limits = text(tendon.tension_limits)
         SubElement(
             motors,
             "motor",
@@ -188,161 +231,259 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
             tendon=f"tendon_{k}",
             gear="-1",
             ctrllimited="true",
-            ctrlrange=limits,
+            ctrlrange=text(tendon.tension_limits),
         )
     indent(root)
     return ElementTree(root)
 
 
+def _comment(left: list[str]) -> str:
+    """Comment on the time step and on what is left out."""
+    why = (
+        f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, half of that at which the"
+        " stiffest joint is stable"
+    )
+    words = f" {why}; left out: {', '.join(left) or 'nothing'} "
+    return words.replace("--", "- -")  # which ends comments of XML
+
+
 def text(numbers: ArrayLike) -> str:
     """Numbers as an attribute."""
-    return " ".join(map(repr, np.atleast_1d(np.asarray(numbers, dtype=float)).tolist()))
+    values = np.atleast_1d(np.asarray(numbers, dtype=float))
+    return " ".join(map(repr, values.tolist()))
 
 
 def placed(pose: Array) -> dict[str, str]:
     """Attributes of a pose (4, 4)."""
-    return {
-        "pos": text(pose[:3, 3]),
-        "quat": text(Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)),
-    }
+    rotation = Rotation.from_matrix(pose[:3, :3])
+    quaternion = rotation.as_quat(canonical=True, scalar_first=True)
+    return {"pos": text(pose[:3, 3]), "quat": text(quaternion)}
 
 
 def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
     """Body of the base, i = 0, or of link i - 1, with inertia, capsule and joints."""
-    name, pose, inertia = (
-        f"link_{i - 1}" if i else "base",
-        chain.pose[i],
-        chain.inertia[i],
-    )  # [[J, m c~], [-m c~, m]]
-    body = SubElement(
-        parent,
-        "body",
-        {"name": name, **placed(inverse_pose(chain.pose[i - 1]) @ pose if i else pose)},
-    )
-    mass, centre = inertia[5, 5], inertia[[2, 0, 1], [4, 5, 3]] / inertia[5, 5]
-    about = (inertia[:3, :3] + mass * skew(centre) @ skew(centre))[
-        [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    ]
-    SubElement(body, "inertial", pos=text(centre), mass=text(mass), fullinertia=text(about))
-    radius, end = (
-        rod_radius(scene, chain.stations[i : i + 2].mean())[0],
-        (inverse_pose(pose) @ chain.pose[i + 1])[:3, 3],
-    )
+    pose = chain.pose[i]
+    name = "base"
+    in_parent = pose
+    if i > 0:
+        name = f"link_{i - 1}"
+        in_parent = inverse_pose(chain.pose[i - 1]) @ pose
+    body = SubElement(parent, "body", {"name": name, **placed(in_parent)})
+    _add_inertia(body, chain.inertia[i])
+    middle = chain.stations[i : i + 2].mean()
+    to_end = inverse_pose(pose) @ chain.pose[i + 1]
     SubElement(
         body,
         "geom",
         name=name,
         type="capsule",
-        size=text(radius),
-        fromto=text([0.0, 0.0, 0.0, *end]),
+        size=text(rod_radius(scene, middle)[0]),
+        fromto=text([0.0, 0.0, 0.0, *to_end[:3, 3]]),
         contype="0",
     )
-    for j in (3, 4, 5, 0, 1, 2)[:: (-1) ** i] if i else ():
-        if STRAINS[j] in scene.strain.free:
-            joint = SubElement(
-                body,
-                "joint",
-                name=f"{STRAINS[j]}_{i - 1}",
-                type="hinge" if j < 3 else "slide",
-                axis=text(np.eye(3)[j % 3]),
-            )
-            joint.attrib |= {
-                "stiffness": text(chain.stiffness[i - 1, j]),
-                "damping": text(chain.damping[i - 1, j]),
-            }
+    if i > 0:
+        _add_joints(body, scene, chain, i)
     return body
 
 
-def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chain, k: int) -> None:
-    """Path of tendon k over sites of the bodies. For the part of an element that it passes, and for
-    those on either side of a segment's border, the joint gets as much of the tension as bends it by
-    the same angle."""
-    (start, end), length = (
-        tendon_ends(scene, scene.tendons[k]),
-        rod_length(scene) / (len(bodies) - 1),
+def _add_inertia(body: Element, inertia: Array) -> None:
+    """Mass, centre and moments of inertia of a body, of its spatial inertia (6, 6)."""
+    # [[J, m c~], [-m c~, m]]
+    mass = inertia[5, 5]
+    centre = inertia[[2, 0, 1], [4, 5, 3]] / mass
+    about_centre = inertia[:3, :3] + mass * skew(centre) @ skew(centre)
+    # xx, yy, zz, xy, xz, yz
+    entries = about_centre[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    SubElement(
+        body,
+        "inertial",
+        pos=text(centre),
+        mass=text(mass),
+        fullinertia=text(entries),
     )
-    for i, (before, behind) in enumerate(itertools.pairwise(bodies)):
-        joint = (
-            inverse_pose(chain.pose[i]) @ chain.pose[i + 1]
-        )  # in the frame of the body before it
-        cuts = np.unique(
-            np.clip([start, end, *segment_borders(scene)], i * length, (i + 1) * length)
+
+
+def _add_joints(body: Element, scene: Scene, chain: Chain, i: int) -> None:
+    """Joints of link i - 1, a spring and a damper for every strain that is free."""
+    order = list(JOINT_ORDER)
+    if i % 2 == 1:
+        order.reverse()  # the axes are reversed from link to link
+    for j in order:
+        strain = STRAINS[j]
+        if strain not in scene.strain.free:
+            continue
+        SubElement(
+            body,
+            "joint",
+            name=f"{strain}_{i - 1}",
+            type="hinge" if j < 3 else "slide",
+            axis=text(np.eye(3)[j % 3]),
+            stiffness=text(chain.stiffness[i - 1, j]),
+            damping=text(chain.damping[i - 1, j]),
         )
-        parts, places = np.diff(cuts), 0.5 * (cuts[1:] + cuts[:-1])
-        shares = parts / screw_matrices(scene, places)[0][:, 1]
-        for place, part, share in zip(places, parts, shares / shares.sum(), strict=True):
-            if not start < place < end or share < 1e-9:  # by round-off
-                continue
-            (offset,), (slope,) = tendon_offset(scene, scene.tendons[k], place)
-            at, (strain,) = np.array([0.0, *offset]), stress_free_strain(scene, np.array([place]))
-            ahead = part / share * (np.cross(strain[:3], at) + strain[3:] + [0.0, *slope])
-            branches = [(at, at + ahead)] * (behind is not bodies[-1]) + [(at - ahead, at)] * (
-                i > 0
-            )  # none beyond base and tip
-            for pair in branches:
-                if len(path) or len(branches) != share:
-                    SubElement(path, "pulley", divisor=text(len(branches) / share))
-                for body, site in (
-                    (before, joint[:3, :3] @ pair[0] + joint[:3, 3]),
-                    (behind, pair[1]),
-                ):
-                    name = f"{path.attrib['name']}_site_{len(path)}"
-                    SubElement(
-                        body,
-                        "site",
-                        name=name,
-                        pos=text(site),
-                        size=path.attrib["width"],
-                        group="4",
-                    )
-                    SubElement(path, "site", site=name)
 
 
-def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
-    """Distances [m] of the tip of an exported scene in MuJoCo, without contact, from that of its
-    rod at the preset "fine": at rest under sets of tensions within limits (SETS,), NaN where either
-    has no rest; the largest after a step of tensions, and how long [s] that is."""
-    import mujoco
+class _Passage(NamedTuple):
+    """A part of an element that a tendon passes."""
 
-    chain, (scene, _) = mujoco.MjModel.from_xml_path(str(path)), exportable(scene)
-    chain.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    place: float  # arc length [m] of its middle
+    length: float  # [m]
+    share: float  # of the element's angle by which the joint bends under the tendon here
+
+
+def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chain, k: int) -> None:
+    """Path of tendon k over sites of the bodies.
+
+    For the part of an element that it passes, and for those on either side of a segment's border,
+    the joint gets as much of the tension as bends it by the same angle.
+    """
+    tendon = scene.tendons[k]
+    links = len(bodies) - 1
+    for i in range(links):
+        # in the frame of the body before it
+        joint = inverse_pose(chain.pose[i]) @ chain.pose[i + 1]
+        rotation = joint[:3, :3]
+        position = joint[:3, 3]
+        for passage in _passages(scene, tendon, i, links):
+            site, ahead = _branch(scene, tendon, passage)
+            branches = []
+            # none beyond base and tip
+            if i + 1 < links:
+                branches.append((site, site + ahead))
+            if i > 0:
+                branches.append((site - ahead, site))
+            for start, end in branches:
+                if len(path) or len(branches) != passage.share:
+                    divisor = len(branches) / passage.share
+                    SubElement(path, "pulley", divisor=text(divisor))
+                _add_site(bodies[i], path, rotation @ start + position)
+                _add_site(bodies[i + 1], path, end)
+
+
+def _branch(scene: Scene, tendon: Tendon, passage: _Passage) -> tuple[Array, Array]:
+    """Position (3,) [m] of a tendon in the frame of the rod, and the way [m] along its tangent."""
+    (offset,), (slope,) = tendon_offset(scene, tendon, passage.place)
+    (strain,) = stress_free_strain(scene, np.array([passage.place]))
+    curvature = strain[:3]
+    stretch = strain[3:]
+    site = np.array([0.0, *offset])
+    tangent = np.cross(curvature, site) + stretch + [0.0, *slope]
+    ahead = passage.length / passage.share * tangent
+    return site, ahead
+
+
+def _passages(scene: Scene, tendon: Tendon, element: int, elements: int) -> list[_Passage]:
+    """Parts of an element that a tendon passes, cut at the borders of segments."""
+    start, end = tendon_ends(scene, tendon)
+    length = rod_length(scene) / elements
+    borders = [start, end, *segment_borders(scene)]
+    first = element * length
+    last = (element + 1) * length
+    cuts = np.unique(np.clip(borders, first, last))
+    parts = np.diff(cuts)
+    places = _middles(cuts)
+    elasticity, _, _ = screw_matrices(scene, places)
+    bending = parts / elasticity[:, 1]
+    shares = bending / bending.sum()
+    passages = []
+    for place, part, share in zip(places, parts, shares, strict=True):
+        if start < place < end and share >= LEAST_SHARE:
+            passages.append(_Passage(place, part, share))
+    return passages
+
+
+def _add_site(body: Element, path: Element, position: Array) -> None:
+    """Site of a body at a position (3,) [m], as the next one of a tendon's path."""
+    name = f"{path.attrib['name']}_site_{len(path)}"
+    SubElement(
+        body,
+        "site",
+        name=name,
+        pos=text(position),
+        size=path.attrib["width"],
+        group="4",
     )
-    chain.actuator_ctrllimited[:] = (
-        0  # the step begins without tension, also where limits do not allow it
-    )
-    calm, data, rod = copy.copy(chain), mujoco.MjData(chain), build_model(scene, "fine")
-    calm.dof_damping[:], calm.opt.timestep = (
-        SLOW * calm.jnt_stiffness,
-        0.2 * SLOW,
-    )  # a fifth of the way to balance in each step
-    tip = data.site("tip").xpos
+    SubElement(path, "site", site=name)
 
-    def settle(tension: ArrayLike) -> Array:
-        mujoco.mj_resetData(chain, data)
-        data.ctrl[:] = tension
+
+class _MujocoArm:
+    """An exported arm in MuJoCo, without contact."""
+
+    def __init__(self, path: Path, length: float) -> None:
+        """length: of the rod [m]."""
+        import mujoco
+
+        self._engine = mujoco
+        self._length = length
+        self._model = mujoco.MjModel.from_xml_path(str(path))
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        # the step begins without tension, also where limits do not allow it
+        self._model.actuator_ctrllimited[:] = 0
+        # the same arm with so much damping that it comes to rest
+        self._calm = copy.copy(self._model)
+        self._calm.dof_damping[:] = SLOW * self._calm.jnt_stiffness
+        self._calm.opt.timestep = SETTLING_STEP
+        self._data = mujoco.MjData(self._model)
+        self.tip = self._data.site("tip").xpos
+        self.time_step: float = self._model.opt.timestep
+
+    def settle(self, tension: ArrayLike) -> Array:
+        """Tip (3,) [m] at rest under tensions (n_a,) [N], NaN where it does not come to rest."""
+        self._engine.mj_resetData(self._model, self._data)
+        self._data.ctrl[:] = tension
         for _ in range(MOST_TURNS):
-            before = tip.copy()
-            mujoco.mj_step(calm, data, nstep=20)
-            if math.dist(tip, before) < SETTLED * rod.length:
+            before = self.tip.copy()
+            self._engine.mj_step(self._calm, self._data, nstep=STEPS_OF_TURN)
+            if math.dist(self.tip, before) < SETTLED * self._length:
                 return before
         return np.full(3, np.nan)
 
-    least, greatest = np.array([tendon.tension_limits for tendon in scene.tendons]).T
+    def hold(self, tension: ArrayLike) -> None:
+        """Moves on by HOLD under tensions (n_a,) [N]."""
+        self._data.ctrl[:] = tension
+        steps = round(HOLD / self.time_step)
+        self._engine.mj_step(self._model, self._data, nstep=steps)
+        self._engine.mj_kinematics(self._model, self._data)
+
+
+def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
+    """Distances of the tip of an exported scene in MuJoCo from that of its rod.
+
+    Args:
+        path: of the exported scene.
+        scene: that was exported; its rod is computed at the preset "fine".
+
+    Returns:
+        Distances [m] at rest under sets of tensions within limits (SETS,), NaN where either has no
+        rest; the largest [m] after a step of tensions, without contact; and how long [s] that is.
+    """
+    scene, _ = exportable(scene)
+    rod = build_model(scene, "fine")
+    arm = _MujocoArm(path, rod.length)
+    rest = _distances_at_rest(arm, scene, rod)
+    longest = min(LONGEST_MOTION, MOST_STEPS * arm.time_step)
+    duration = HOLD * max(1, int(longest / HOLD))
+    tensions = motion_tensions(scene, "step", 0, duration)
+    poses = simulate(rod, tensions, duration, HOLD).tip_pose[1:]
+    arm.settle(0.0)
+    distances = []
+    for tension, pose in zip(tensions, poses, strict=True):
+        arm.hold(tension)
+        distances.append(math.dist(arm.tip, pose[:3, 3]))
+    return rest, float(np.max(distances)), duration
+
+
+def _distances_at_rest(arm: _MujocoArm, scene: Scene, rod: Model) -> Array:
+    """Distances (SETS,) [m] of two tips at rest, NaN where either has no rest."""
+    limits = [tendon.tension_limits for tendon in scene.tendons]
+    least, greatest = np.array(limits).T
     sets = np.random.default_rng(0).uniform(least, greatest, (SETS, len(least)))
-    found = [static_equilibrium(rod, tension) for tension in sets]
-    rest = [
-        math.dist(settle(u), arm.tip_pose[:3, 3]) if arm.converged else math.nan
-        for u, arm in zip(sets, found, strict=True)
-    ]
-    rows = max(1, int(min(LONGEST_MOTION, MOST_STEPS * chain.opt.timestep) / HOLD))
-    tensions, distances = motion_tensions(scene, "step", 0, HOLD * rows), list[float]()
-    settle(0.0)
-    for tension, pose in zip(
-        tensions, simulate(rod, tensions, HOLD * rows, HOLD).tip_pose[1:], strict=True
-    ):
-        data.ctrl[:] = tension
-        mujoco.mj_step(chain, data, nstep=round(HOLD / chain.opt.timestep))
-        mujoco.mj_kinematics(chain, data)
-        distances.append(math.dist(tip, pose[:3, 3]))
-    return np.array(rest), float(np.max(distances)), HOLD * rows
+    distances = []
+    for tension in sets:
+        equilibrium = static_equilibrium(rod, tension)
+        distance = math.nan
+        if equilibrium.converged:
+            distance = math.dist(arm.settle(tension), equilibrium.tip_pose[:3, 3])
+        distances.append(distance)
+    return np.array(distances)

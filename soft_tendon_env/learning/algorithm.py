@@ -56,10 +56,13 @@ class ActorAlgorithm(BaseAlgorithm):
     def _setup_model(self) -> None:
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
-        spaces = self.observation_space, self.action_space
-        self.policy = cast(
-            ActorCriticPolicy, self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs)
-        ).to(self.device)
+        policy = self.policy_class(
+            self.observation_space,
+            self.action_space,
+            self.lr_schedule,
+            **self.policy_kwargs,
+        )
+        self.policy = cast(ActorCriticPolicy, policy).to(self.device)
         if self.env is not None:
             self._prepare()
 
@@ -85,21 +88,31 @@ class ActorAlgorithm(BaseAlgorithm):
         log_interval: int = 1,
         **others: Any,
     ) -> Self:
-        """Learn for so many steps of all rows; every `log_interval`-th part has a row of the log.
-        See `BaseAlgorithm.learn`."""
+        """Learn for so many steps of all rows, see `BaseAlgorithm.learn`.
+
+        Every `log_interval`-th part has a row of the log.
+        """
         self._prepare()
-        reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)
-        total, called = self._setup_learn(
-            total_timesteps, callback, reset, others.get("tb_log_name", type(self).__name__), bar
+        total, every_callback = self._setup_learn(
+            total_timesteps,
+            callback,
+            others.get("reset_num_timesteps", True),
+            others.get("tb_log_name", type(self).__name__),
+            others.get("progress_bar", False),
         )
-        called.on_training_start(locals(), globals())
+        every_callback.on_training_start(locals(), globals())
         parts = 0
-        while self.num_timesteps < total and self._learn_part(called):
+        while self.num_timesteps < total and self._learn_part(every_callback):
             parts += 1
             if parts % log_interval == 0:
-                for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
-                    found = [episode[key] for episode in self.ep_info_buffer or ()]
-                    self.logger.record(f"rollout/{name}", safe_mean(found) if found else math.nan)
+                self._record_episodes("rollout/ep_rew_mean", "r")
+                self._record_episodes("rollout/ep_len_mean", "l")
                 self.logger.dump(self.num_timesteps)
-        called.on_training_end()
+        every_callback.on_training_end()
         return self
+
+    def _record_episodes(self, name: str, key: str) -> None:
+        """Log the mean of a number of the last episodes, NaN without any."""
+        values = [episode[key] for episode in self.ep_info_buffer or ()]
+        mean = safe_mean(values) if values else math.nan
+        self.logger.record(name, mean)

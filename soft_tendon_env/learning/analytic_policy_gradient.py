@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import Tensor
 
 from soft_tendon_env.differentiable import Trajectories, rollout
 from soft_tendon_env.differentiable.accuracy import check_gradients
@@ -26,14 +27,28 @@ from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.learning.recurrent import RecurrentPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
-SQUARES: Mapping[str, Callable[[Trajectories, float, float], torch.Tensor]] = {
-    "position_error": lambda found, position, angle: (
-        (found.position_error / position).square().sum(-1)
-    ),
-    "angle_error": lambda found, position, angle: (found.error[..., :3] / angle).square().sum(-1),
-    "backbone_error": lambda found, position, angle: (
-        (found.backbone_error / position).square().sum(-1).mean(-1)
-    ),
+Square = Callable[[Trajectories, float, float], Tensor]
+
+
+def _position_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
+    ratio = trajectories.position_error / position
+    return ratio.square().sum(-1)
+
+
+def _angle_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
+    ratio = trajectories.error[..., :3] / angle
+    return ratio.square().sum(-1)
+
+
+def _backbone_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
+    ratio = trajectories.backbone_error / position
+    return ratio.square().sum(-1).mean(-1)
+
+
+SQUARES: Mapping[str, Square] = {
+    "position_error": _position_square,
+    "angle_error": _angle_square,
+    "backbone_error": _backbone_square,
 }
 """Squares (periods, rows) of tracking errors in units of the scales of position [m] and angle
 [rad], by the names of the errors."""
@@ -67,152 +82,193 @@ class APGSettings:
     max_grad_norm: float = 1.0
     max_row_gradient: float = math.inf
     identification: float = 0.0
-    cost: Callable[[Trajectories], torch.Tensor] | None = None
+    cost: Callable[[Trajectories], Tensor] | None = None
 
 
 class TrackingCost:
-    """Cost of trajectories that grows as the logarithm of tracking errors, so that arms on their
-    way to far targets do not hide those that are there: Cauchy's, 1/2 log(1 + s) of the sum s of
-    squares, with a little of the distance itself and of changes of the action.
+    """Cost of trajectories that grows as the logarithm of tracking errors.
+
+    Arms on their way to far targets do not hide those that are there. It is Cauchy's, 1/2 log(1 +
+    s) of the sum s of squares, with a little of the distance itself and of changes of the action.
     """
 
     def __init__(self, episodes: Episodes, settings: APGSettings) -> None:
-        """Costs of the errors that the environment rewards. Raises ConfigurationError for others
-        than those of SQUARES."""
-        names = [
-            error.name
-            for error in episodes.task.errors
-            if episodes.task.goal or error.terms.keys() & episodes.terms.keys()
-        ]
+        """Costs of the errors that the environment rewards.
+
+        Raises:
+            ConfigurationError: it rewards others than those of SQUARES.
+        """
+        names = []
+        for error in episodes.task.errors:
+            is_rewarded = error.terms.keys() & episodes.terms.keys()
+            if episodes.task.goal or is_rewarded:
+                names.append(error.name)
         if not names or not SQUARES.keys() >= {*names}:
             text = (
                 f"rewards {', '.join(names) or 'no error'}: APG has costs of {', '.join(SQUARES)}"
                 " alone, give it a `cost`"
             )
             raise ConfigurationError([Problem(("reward",), text)], "environment")
-        self._squares, self._settings = [SQUARES[name] for name in names], settings
+        self._squares = [SQUARES[name] for name in names]
+        self._settings = settings
 
-    def __call__(self, found: Trajectories) -> torch.Tensor:
+    def __call__(self, trajectories: Trajectories) -> Tensor:
         """Mean cost () of periods and rows."""
-        of = self._settings
-        square = torch.stack(
-            [error(found, of.position_scale, of.angle_scale) for error in self._squares]
-        ).sum(0)
-        near, far = 0.5 * square.log1p(), (1.0 + square).sqrt()
-        return (
-            near + of.far_weight * far
-        ).mean() + of.smoothness * found.action_change.square().mean()
+        settings = self._settings
+        squares = []
+        for square in self._squares:
+            squares.append(square(trajectories, settings.position_scale, settings.angle_scale))
+        total = torch.stack(squares).sum(0)
+        near = 0.5 * total.log1p()
+        far = (1.0 + total).sqrt()
+        tracking = (near + settings.far_weight * far).mean()
+        change = trajectories.action_change.square().mean()
+        return tracking + settings.smoothness * change
 
 
 class APG(ActorAlgorithm):
-    """Analytic policy gradient with the interface of Stable-Baselines3, on the vector environments
-    of this package.
+    """Analytic policy gradient with Stable-Baselines3's interface, on this package's rows.
 
     It minimises a cost of its own, `TrackingCost`, of the errors that the environment rewards, not
     the reward: that is written to the log. Rows that have ended or diverged begin anew between
     windows. See APGSettings and ActorAlgorithm for arguments.
 
-    Raises TypeError for environments of other packages; ValueError for effects, and
-    ConfigurationError from `learn` for observation groups and rewards, naming what gradients cannot
-    pass. Warns (GradientWarning) where gradients through the arm are far from differences.
+    Raises:
+        TypeError: the environment is of another package.
+        ValueError: gradients cannot pass effects, which it names.
+        ConfigurationError: by `learn`, gradients cannot pass observation groups or rewards, which
+            it names.
+
+    Warns:
+        GradientWarning: gradients through the arm are far from differences.
     """
 
     settings_class: ClassVar[type] = APGSettings
-    policy_aliases: ClassVar[dict[str, Any]] = dict.fromkeys(
-        ("MlpPolicy", "MultiInputPolicy"), RecurrentPolicy
-    )
+    policy_aliases: ClassVar[dict[str, Any]] = {
+        "MlpPolicy": RecurrentPolicy,
+        "MultiInputPolicy": RecurrentPolicy,
+    }
     policy: RecurrentPolicy
     _identifier: torch.nn.Linear | None = None
 
     def _prepare(self) -> None:
-        self.rows.episodes.arms.check_adjoint()
+        episodes = self.rows.episodes
+        episodes.arms.check_adjoint()
         if self.settings.identification and self._identifier is None:
             if not self.policy.memory:
                 raise ValueError("identification needs a policy with a memory, see RecurrentPolicy")
-            self._identifier = torch.nn.Linear(
-                self.policy.memory, self.rows.episodes.drawn_shares().shape[1]
-            )
+            drawn = episodes.drawn_shares().shape[1]
+            self._identifier = torch.nn.Linear(self.policy.memory, drawn)
             self.policy.optimizer.add_param_group({"params": self._identifier.parameters()})
 
     def _learn_part(self, callback: BaseCallback) -> bool:
+        rows = self.rows
         if self.num_timesteps == 0:
-            check_gradients(self.rows.episodes)
+            check_gradients(rows.episodes)
         if self.num_timesteps == self._num_timesteps_at_start:
-            self._returns, self._lengths = (
-                np.zeros(self.n_envs),
-                np.zeros(self.n_envs, dtype=np.int64),
-            )
+            self._returns = np.zeros(self.n_envs)
+            self._lengths = np.zeros(self.n_envs, dtype=np.int64)
             self._memory = torch.zeros(self.n_envs, self.policy.memory)
         callback.on_rollout_start()
-        rows = self.rows
-        statistics, settings, seen, memories = self.get_vec_normalize_env(), self.settings, [], []
+        observations: list[Any] = []
+        memories: list[Tensor] = []
 
-        def mean_action(observation: Any) -> torch.Tensor:
-            seen.append(observation)
-            mean, self._memory = self.policy.act(normalised(observation, statistics), self._memory)
+        def mean_action(observation: Any) -> Tensor:
+            observations.append(observation)
+            mean = self._mean_action(observation)
             memories.append(self._memory)
-            if math.isfinite(settings.max_row_gradient):
-                mean.register_hook(lambda gradient: clip_rows(gradient, settings.max_row_gradient))
             return mean
 
-        found, self._memory = rollout(rows, mean_action, settings.n_steps), self._memory.detach()
-        update_statistics(statistics, seen)
-        cost = (settings.cost or TrackingCost(rows.episodes, settings))(found)
-        if self._identifier is not None:
-            drawn = torch.tensor(2.0 * rows.episodes.drawn_shares() - 1.0, dtype=torch.float32)
-            cost = (
-                cost
-                + settings.identification
-                * (self._identifier(torch.stack(memories)) - drawn).square().mean()
-            )
-        self._update_learning_rate(self.policy.optimizer)
-        self.policy.optimizer.zero_grad()
-        try:
-            cost.backward()
-            norm = torch.nn.utils.clip_grad_norm_(self.policy.parameters(), settings.max_grad_norm)
-            passed = bool(torch.isfinite(norm))
-        except np.linalg.LinAlgError:  # a row at a configuration without derivatives
-            norm, passed = torch.tensor(torch.inf), False
-        if passed:
-            self.policy.optimizer.step()
+        trajectories = rollout(rows, mean_action, self.settings.n_steps)
+        self._memory = self._memory.detach()
+        update_statistics(self.get_vec_normalize_env(), observations)
+        cost = self._cost(trajectories, memories)
+        norm = self._descend(cost)
         self.logger.record("train/cost", float(cost.detach()))
-        self.logger.record("train/gradient_norm", float(norm))
+        self.logger.record("train/gradient_norm", norm)
         callback.update_locals(locals())
-        for _ in range(settings.n_steps):
+        for _ in range(self.settings.n_steps):
             self.num_timesteps += self.n_envs
             if not callback.on_step():
                 return False
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
-        self._begin_ended(rows, found, all_rows=not passed)
+        self._begin_ended(rows, trajectories, all_rows=not math.isfinite(norm))
         callback.on_rollout_end()
         return True
 
-    def _begin_ended(self, rows: TendonRodVectorEnv, found: Trajectories, all_rows: bool) -> None:
-        """Begin new episodes in the rows that have timed out or diverged, and keep what the ended
-        ones had as return."""
-        self._returns += found.reward.sum(0).numpy()
+    def _mean_action(self, observation: Any) -> Tensor:
+        """Mean actions (rows, n_a), whose gradients are clipped; the memory goes on."""
+        seen = normalised(observation, self.get_vec_normalize_env())
+        mean, self._memory = self.policy.act(seen, self._memory)
+        most = self.settings.max_row_gradient
+        if math.isfinite(most):
+            mean.register_hook(lambda gradient: clip_rows(gradient, most))
+        return mean
+
+    def _cost(self, trajectories: Trajectories, memories: list[Tensor]) -> Tensor:
+        """Cost () of a window, that of identification included."""
+        settings = self.settings
+        episodes = self.rows.episodes
+        function = settings.cost or TrackingCost(episodes, settings)
+        cost: Tensor = function(trajectories)
+        if self._identifier is None:
+            return cost
+        shares = 2.0 * episodes.drawn_shares() - 1.0  # in [-1, 1]
+        drawn = torch.tensor(shares, dtype=torch.float32)
+        missed = self._identifier(torch.stack(memories)) - drawn
+        return cost + settings.identification * missed.square().mean()
+
+    def _descend(self, cost: Tensor) -> float:
+        """Norm of the gradient, by which the policy's weights move once, unless it is infinite."""
+        optimizer = self.policy.optimizer
+        self._update_learning_rate(optimizer)
+        optimizer.zero_grad()
+        try:
+            cost.backward()
+        except np.linalg.LinAlgError:  # a row at a configuration without derivatives
+            return math.inf
+        weights = self.policy.parameters()
+        norm = float(torch.nn.utils.clip_grad_norm_(weights, self.settings.max_grad_norm))
+        if math.isfinite(norm):
+            optimizer.step()
+        return norm
+
+    def _begin_ended(
+        self, rows: TendonRodVectorEnv, trajectories: Trajectories, all_rows: bool
+    ) -> None:
+        """Begin new episodes in the rows that have timed out or diverged.
+
+        What the ended ones had as return is kept.
+        """
+        self._returns += trajectories.reward.sum(0).numpy()
         self._lengths += self.settings.n_steps
-        over = rows.timed_out | found.diverged.any(0).numpy() | all_rows
-        for total, length in zip(
-            self._returns[over].tolist(), self._lengths[over].tolist(), strict=True
-        ):
+        diverged = trajectories.diverged.any(0).numpy()
+        over = rows.timed_out | diverged | all_rows
+        totals = self._returns[over].tolist()
+        lengths = self._lengths[over].tolist()
+        for total, length in zip(totals, lengths, strict=True):
             self.ep_info_buffer.append({"r": total, "l": length})  # type: ignore[union-attr]
-        self._returns[over], self._lengths[over] = 0.0, 0
+        self._returns[over] = 0.0
+        self._lengths[over] = 0
         if over.any():
             self._memory[over] = 0.0
             rows.reset(options={"reset_mask": over})
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        return [
-            "policy",
-            "policy.optimizer",
-            *(["_identifier"] if self._identifier is not None else []),
-        ], []
+        names = ["policy", "policy.optimizer"]
+        if self._identifier is not None:
+            names.append("_identifier")
+        return names, []
 
 
 def normalised(observation: Any, statistics: VecNormalize | None, moments: Any = None) -> Any:
-    """Observations as VecNormalize makes them, as tensors that carry gradients; moments: of a part
-    of a dictionary."""
+    """Observations as VecNormalize makes them, as tensors that carry gradients.
+
+    Args:
+        observation: rows as a tensor, or a dictionary of them.
+        statistics: None where there are none.
+        moments: of a part of a dictionary; None: those of the whole.
+    """
     if statistics is None or not statistics.norm_obs:
         return observation
     moments = moments or statistics.obs_rms
@@ -220,32 +276,38 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
         return {
             key: normalised(value, statistics, moments[key]) for key, value in observation.items()
         }
-    mean, deviation = (
-        torch.as_tensor(moments.mean),
-        torch.as_tensor(np.sqrt(moments.var + statistics.epsilon)),
-    )
-    return torch.clamp(
-        (observation - mean) / deviation, -statistics.clip_obs, statistics.clip_obs
-    ).to(observation.dtype)
+    mean = torch.as_tensor(moments.mean)
+    deviation = torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
+    most = statistics.clip_obs
+    scaled = (observation - mean) / deviation
+    return torch.clamp(scaled, -most, most).to(observation.dtype)
 
 
-def clip_rows(gradient: torch.Tensor, most: float) -> torch.Tensor:
-    """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row, unless
-    that is zero."""
+def clip_rows(gradient: Tensor, most: float) -> Tensor:
+    """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row.
+
+    It stays as it is where that is zero.
+    """
     norm = gradient.norm(dim=1, keepdim=True)
     greatest = most * norm.median()
-    return gradient * (greatest / norm).clamp(max=1.0) if greatest > 0.0 else gradient
+    if not greatest > 0.0:
+        return gradient
+    share = (greatest / norm).clamp(max=1.0)
+    return gradient * share
 
 
-def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:
+def update_statistics(statistics: VecNormalize | None, observations: list[Any]) -> None:
     """Let the running mean and deviation go on by the observations of a window."""
-    if statistics is not None and statistics.norm_obs and statistics.training:
-        named: Any = statistics.obs_rms if isinstance(seen[0], dict) else {None: statistics.obs_rms}
-        for key, moments in named.items():
-            moments.update(
-                torch.cat(
-                    [observation if key is None else observation[key] for observation in seen]
-                )
-                .detach()
-                .numpy()
-            )
+    if statistics is None or not statistics.norm_obs or not statistics.training:
+        return
+    moments: Any = statistics.obs_rms
+    if not isinstance(observations[0], dict):
+        _update_moments(moments, observations)
+        return
+    for key, of_part in moments.items():
+        _update_moments(of_part, [observation[key] for observation in observations])
+
+
+def _update_moments(moments: Any, observations: list[Tensor]) -> None:
+    rows = torch.cat(observations)
+    moments.update(rows.detach().numpy())

@@ -25,30 +25,26 @@ from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.files import check_digests, digests, read_json
 from soft_tendon_env.tools.messages import UserError, first_line
 
-BUFFER, MODEL, PICKLED, ENVIRONMENT = (
-    "replay_buffer.pkl",
-    "model.zip",
-    "vecnormalize.pkl",
-    "environment.pkl",
-)
-LAST = (
-    "_last_obs",
-    "_last_original_obs",
-    "_last_episode_starts",
-    "action_space",
-)  # what of a model belongs to its environment
+# files of a checkpoint
+BUFFER = "replay_buffer.pkl"
+MODEL = "model.zip"
+PICKLED = "vecnormalize.pkl"
+ENVIRONMENT = "environment.pkl"
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
+"""What of a model belongs to its environment."""
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
-    """Environment of a model in the midst of its episodes, with all else that the next step of its
-    training depends on."""
-    statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
-    generators = torch.get_rng_state(), np.random.get_state()
+    """Environment of a model in the midst of its episodes.
+
+    All else is with it that the next step of its training depends on.
+    """
+    statistics = statistics_of(model)
     return {
         "env": unwrapped(statistics),
         "returns": statistics.returns,
-        "last": last,
-        "generators": generators,
+        "last": {name: getattr(model, name) for name in LAST},
+        "generators": (torch.get_rng_state(), np.random.get_state()),
     }
 
 
@@ -56,13 +52,16 @@ def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
     """Let a model on the environment of `midst_of` go on from there."""
     statistics_of(model).returns = midst["returns"]
     vars(model).update(midst["last"])
-    torch.set_rng_state(midst["generators"][0])
-    np.random.set_state(midst["generators"][1])
+    of_torch, of_numpy = midst["generators"]
+    torch.set_rng_state(of_torch)
+    np.random.set_state(of_numpy)
 
 
 def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
-    """Write an agent of Stable-Baselines3 into a folder. resumable: with what a training needs to
-    go on from it."""
+    """Write an agent of Stable-Baselines3 into a folder.
+
+    resumable: with what a training needs to go on from it.
+    """
     statistics = statistics_of(model)
     save_agent(folder, model.policy, normalization_of(statistics))
     if resumable:
@@ -74,18 +73,28 @@ def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
-    """Content of config.json: the configuration as resolved, layout of observations, strain
-    parametrisation, and provenance."""
-    known = {"layout": layout_of(episodes), "strain": strain_of(episodes.model.scene)}
-    return {**training.model_dump(mode="json"), **known, "record": origin()}
+    """Content of config.json: the configuration as resolved, and where it comes from.
+
+    It has the layout of observations and the strain parametrisation too.
+    """
+    return {
+        **training.model_dump(mode="json"),
+        "layout": layout_of(episodes),
+        "strain": strain_of(episodes.model.scene),
+        "record": origin(),
+    }
 
 
 def replace_checkpoint(
     folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]
 ) -> None:
-    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises
-    UserError."""
-    new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
+    """Replace a checkpoint by what `write` puts into a folder, and its config.json.
+
+    Raises:
+        UserError: the folder cannot be written.
+    """
+    new = folder.with_name(f"{folder.name}.new")
+    old = folder.with_name(f"{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
     try:
@@ -106,17 +115,19 @@ def replace_checkpoint(
 
 def find_checkpoint(folder: Path) -> Path | None:
     """Path of the newest complete checkpoint of that name; None without any."""
-    new, old = (folder.with_name(f"{folder.name}.{kind}") for kind in ("new", "old"))
     if folder.exists():
         return folder
-    return (
-        new if old.exists() else None
-    )  # killed between the two renamings, when the new one was complete
+    new = folder.with_name(f"{folder.name}.new")
+    old = folder.with_name(f"{folder.name}.old")
+    # killed between the two renamings, when the new one was complete
+    return new if old.exists() else None
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
-    """Content of config.json of a checkpoint whose files are as they were written. Raises
-    ValueError, FileNotFoundError."""
+    """Content of config.json of a checkpoint whose files are as they were written.
+
+    Raises ValueError, FileNotFoundError.
+    """
     config = read_json(checkpoint / CONFIG)
     check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
     return config

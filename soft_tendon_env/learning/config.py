@@ -82,43 +82,33 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
-        """First arm's seed for `reset`, of a training that has done so many steps; those of others
-        follow. No two trainings share any."""
-        return SEEDS["training"].start + int(
-            np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0]
-            >> np.uint64(16)
-        )
+        """First arm's seed for `reset`, of a training that has done so many steps.
+
+        Those of other arms follow. No two trainings share any.
+        """
+        sequence = np.random.SeedSequence((self.seed, done))
+        (word,) = sequence.generate_state(1, np.uint64)
+        return SEEDS["training"].start + int(word >> np.uint64(16))
 
     @field_validator("algorithm")
     @classmethod
     def _is_trained(cls, algorithm: str) -> str:
-        if algorithm not in (names := (*ALGORITHMS, *MODULES)):
+        names = (*ALGORITHMS, *MODULES)
+        if algorithm not in names:
             raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
         return algorithm
 
     @field_validator("options")
     @classmethod
     def _say_action(cls, options: dict[str, Any]) -> dict[str, Any]:
-        return {
-            "action": Options.model_fields["action"].default,
-            **options,
-        }  # so that config.json says it
+        # so that config.json says it
+        return {"action": Options.model_fields["action"].default, **options}
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":
         problems = hyperparameter_problems(self.algorithm, self.hyperparameters)
         try:
-            options, task = Options.parse(self.options, "options"), TASKS[self.task]
-            try:
-                scene = resolved_scene(options)
-            except ConfigurationError as error:
-                raise ConfigurationError(
-                    Problem(("scene",), f"cannot be used: {line}")
-                    for line in str(error).splitlines()
-                ) from error
-            check_fit(options, task, scene)
-            groups_of(options, task)
-            episode_steps(self.seconds, self.evaluation.skip, self.options)
+            self._check_options()
         except ConfigurationError as error:
             problems += [Problem(("options", *key), text) for key, text in error.problems]
         except ValueError as error:
@@ -126,6 +116,20 @@ class Training(Configuration):
         if problems:
             raise ConfigurationError(problems)
         return self
+
+    def _check_options(self) -> None:
+        """Raises ConfigurationError, ValueError where the environment cannot be made."""
+        options = Options.parse(self.options, "options")
+        task = TASKS[self.task]
+        try:
+            scene = resolved_scene(options)
+        except ConfigurationError as error:
+            lines = str(error).splitlines()
+            problems = [Problem(("scene",), f"cannot be used: {line}") for line in lines]
+            raise ConfigurationError(problems) from error
+        check_fit(options, task, scene)
+        groups_of(options, task)
+        episode_steps(self.seconds, self.evaluation.skip, self.options)
 
     @property
     def episode_steps(self) -> int:
@@ -139,15 +143,18 @@ NO_TRAININGS = ("published", "tune_")  # prefixes of the files in configs/ that 
 def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
     stems = sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
-    return tuple(
-        stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS)
-    )
+    if prefix:
+        return tuple(stem.removeprefix(prefix) for stem in stems)
+    return tuple(stem for stem in stems if not stem.startswith(NO_TRAININGS))
 
 
 def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
-    """Path of the file of a training that ships (or of another kind, by its prefix), or of any
-    other file. Raises ConfigurationError."""
-    name, names = str(name_or_path), config_names(prefix)
+    """Path of the file of a training that ships, or of any other file.
+
+    prefix: of another kind of files in configs/. Raises ConfigurationError.
+    """
+    name = str(name_or_path)
+    names = config_names(prefix)
     if name in names and not Path(name).is_file():
         return CONFIGS / f"{prefix}{name}.toml"
     if Path(name).suffix != ".toml" and not Path(name).exists():
@@ -160,17 +167,18 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """Training of a file, overridden by `changes` "key=value" and by `more` keys. Raises
-    ConfigurationError, ValueError."""
-    table, given, source = (
-        read_toml(path),
-        parsed_changes(changes),
-        f"{path}, changed" if changes or more else str(path),
-    )
-    if twice := given.keys() & more.keys():
+    """Training of a file, overridden by `changes` "key=value" and by `more` keys.
+
+    Raises ConfigurationError, ValueError.
+    """
+    table = read_toml(path)
+    overrides = parsed_changes(changes)
+    source = f"{path}, changed" if changes or more else str(path)
+    twice = overrides.keys() & more.keys()
+    if twice:
         raise ValueError(f"--set has {min(twice)}, which is given twice")
     try:
-        override(table, given)
+        override(table, overrides)
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
     return Training.parse({**table, **more}, source)

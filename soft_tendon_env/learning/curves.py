@@ -29,11 +29,11 @@ RMS = "_rms"
 
 
 class Curves(NamedTuple):
-    """Learning curves of one configuration: rows of evaluations.csv of every seed (seeds, steps),
-    those of steps that all seeds have."""
+    """Learning curves of one configuration."""
 
     name: str
     task: str
+    # of evaluations.csv of every seed (seeds, steps), those of steps that all seeds have
     rows: list[list[dict[str, float]]]
 
     def values(self, key: str) -> Array:
@@ -42,50 +42,50 @@ class Curves(NamedTuple):
 
 
 def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
-    """Curves of a folder's runs, one per seed, as far as all have come. Raises ValueError where
-    nothing can be shown."""
-    runs, task = list[dict[float, dict[str, float]]](), ""
+    """Curves of a folder's runs, one per seed, as far as all have come.
+
+    Raises:
+        ValueError: nothing can be shown.
+    """
+    runs: list[dict[float, dict[str, float]]] = []
+    task = ""
     for run in seeds:
         try:
-            found = (
-                read_run(run)["task"],
-                {row["steps"]: row for row in read_numbers(run / "evaluations.csv")},
-            )
+            task_of_run = read_run(run)["task"]
+            rows = read_numbers(run / "evaluations.csv")
         except (ValueError, OSError) as error:
             print(f"left out: {describe(error)}")
             continue
-        if runs and found[0] != task:
-            raise ValueError(f"{folder} has runs of several tasks: {task}, {found[0]}")
-        task = found[0]
-        runs.append(found[1])
+        if runs and task_of_run != task:
+            raise ValueError(f"{folder} has runs of several tasks: {task}, {task_of_run}")
+        task = task_of_run
+        runs.append({row["steps"]: row for row in rows})
     steps = sorted(set.intersection(*map(set, runs))) if runs else []
     if not steps:
         raise ValueError(f"{folder} has no step at which all seeds were evaluated")
-    return Curves(folder.name, task, [[run[step] for step in steps] for run in runs])
+    common = [[run[step] for step in steps] for run in runs]
+    return Curves(folder.name, task, common)
 
 
 def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
     """Draw an error of one task over the steps, a line with its band per configuration."""
-    unit, drawn = error_unit(key.removesuffix(RMS)), styles(curves.name for curves in all_curves)
+    unit = error_unit(key.removesuffix(RMS))
+    style = styles(curves.name for curves in all_curves)
     figure, axes = plt.subplots(figsize=(6.0, 4.5), constrained_layout=True)
     for curves in all_curves:
-        steps, values, colour = (
-            curves.values("steps")[0],
-            unit.factor * curves.values(key),
-            drawn[curves.name].rgb,
-        )
-        axes.plot(
-            steps,
-            interquartile_mean(values),
-            color=colour,
-            label=with_seeds(curves.name, len(values)),
-        )
-        axes.fill_between(steps, *bootstrap_interval(values), color=colour, alpha=0.2, linewidth=0)
+        steps = curves.values("steps")[0]
+        values = unit.factor * curves.values(key)
+        middle = interquartile_mean(values)
+        low, high = bootstrap_interval(values)
+        colour = style[curves.name].rgb
+        axes.plot(steps, middle, color=colour, label=with_seeds(curves.name, len(values)))
+        axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
     set_log_scale(axes, axes.yaxis)
+    task = all_curves[0].task
     axes.set(
         xlabel="steps",
         ylabel=f"{unit.heading} RMS",
-        title=f"{all_curves[0].task}: interquartile mean over seeds, 95 % interval",
+        title=f"{task}: interquartile mean over seeds, 95 % interval",
     )
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=8)
@@ -93,53 +93,54 @@ def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
 
 
 def curve_table(all_curves: list[Curves], key: str) -> str:
-    """Table of one task: a row per configuration, its error at the last step that all seeds
-    have."""
-    unit, rows = error_unit(key.removesuffix(RMS)), []
-    for curves in all_curves:
-        last = [of_seed[-1] for of_seed in curves.rows]
-        minutes, values = (
-            number(float(np.mean([row["seconds"] for row in last])) / 60.0),
-            [unit.factor * row[key] for row in last],
-        )
-        middle, low, high, mean, tail = (
-            number(float(value))
-            for value in (interquartile_mean(values), *bootstrap_interval(values), *tails(values))
-        )
-        flag = f" {FLAG}" if any(row["diverged"] for row in last) else ""
-        rows.append(
-            (
-                curves.name,
-                str(len(last)),
-                f"{last[0]['steps']:.0f}",
-                minutes,
-                f"{middle} [{low}, {high}] / {mean} / {tail}{flag}",
-            )
-        )
-    table = markdown_table(
-        ("configuration", "seeds", "steps", "time per run [min]", f"{unit.heading} RMS"), rows
-    )
-    return "\n\n".join(
-        [
-            table,
-            f"Interquartile mean [95 % interval] / mean / p{HIGH} over seeds.",
-            *([LEGEND] if FLAG in table else []),
-        ]
+    """Table of one task: a row per configuration, its error at the last step of all seeds."""
+    unit = error_unit(key.removesuffix(RMS))
+    columns = ("configuration", "seeds", "steps", "time per run [min]", f"{unit.heading} RMS")
+    rows = [_table_row(curves, key, unit.factor) for curves in all_curves]
+    table = markdown_table(columns, rows)
+    parts = [table, f"Interquartile mean [95 % interval] / mean / p{HIGH} over seeds."]
+    if FLAG in table:
+        parts.append(LEGEND)
+    return "\n\n".join(parts)
+
+
+def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
+    """Row of one configuration; factor: of the unit in which the error is shown."""
+    last = [rows[-1] for rows in curves.rows]
+    seconds = np.mean([row["seconds"] for row in last])
+    values = [factor * row[key] for row in last]
+    middle = number(float(interquartile_mean(values)))
+    low, high = [number(float(bound)) for bound in bootstrap_interval(values)]
+    mean, tail = [number(float(value)) for value in tails(values)]
+    diverged = any(row["diverged"] for row in last)
+    flag = f" {FLAG}" if diverged else ""
+    return (
+        curves.name,
+        str(len(last)),
+        f"{last[0]['steps']:.0f}",
+        number(float(seconds) / 60.0),
+        f"{middle} [{low}, {high}] / {mean} / {tail}{flag}",
     )
 
 
 def show_curves(folders: Sequence[Path]) -> bool:
-    """Print and draw the curves of every configuration's folder of runs, beside it; False where
-    there are none."""
-    found = dict[str, list[Curves]]()
+    """Print and draw the curves of every configuration's folder of runs, beside it.
+
+    Returns:
+        False where there are none.
+    """
+    by_task: dict[str, list[Curves]] = {}
     for folder in folders:
         try:
             curves = read_curves(folder, seed_folders(folder).values())
-            found.setdefault(curves.task, []).append(curves)
         except (ValueError, OSError) as error:
             print(f"not shown: {error}")
-    for task, of_task in found.items():
-        key = next(key for key in of_task[0].rows[0][0] if key.endswith(RMS))
-        draw_curves(of_task, key, folders[0].parent / f"learning_curves_{task}.png")
+            continue
+        by_task.setdefault(curves.task, []).append(curves)
+    for task, of_task in by_task.items():
+        columns = of_task[0].rows[0][0]
+        key = next(name for name in columns if name.endswith(RMS))
+        picture = folders[0].parent / f"learning_curves_{task}.png"
+        draw_curves(of_task, key, picture)
         print(f"\n## {task}\n\n{curve_table(of_task, key)}")
-    return bool(found)
+    return bool(by_task)

@@ -14,7 +14,9 @@ from typing import Any
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import Problem, not_among, shown
 
-APG, DAGGER = "APG", "DAgger"
+# names of the package's own algorithms
+APG = "APG"
+DAGGER = "DAgger"
 MODULES: Mapping[str, str] = {
     APG: "soft_tendon_env.learning.analytic_policy_gradient",
     DAGGER: "soft_tendon_env.learning.imitation",
@@ -30,30 +32,42 @@ NOT_IN_FILES = frozenset(
 )
 """Arguments of algorithms and policies that a training gives, or that are objects, which no file
 can say."""
-RANGES: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(("gamma", "gae_lambda", "tau", "lead"), (0.0, 1.0)),
-    **dict.fromkeys(
-        (
-            "clip_range",
-            "max_grad_norm",
-            "max_row_gradient",
-            "position_scale",
-            "angle_scale",
-            "settling_time",
-        ),
-        (1e-9, math.inf),
-    ),
-    **dict.fromkeys(("vf_coef", "far_weight", "smoothness", "noise"), (0.0, math.inf)),
-    **dict.fromkeys(("n_steps", "n_epochs", "batch_size", "rounds"), (1, math.inf)),
+Range = tuple[float, float]
+IN_UNIT: Range = (0.0, 1.0)
+POSITIVE: Range = (1e-9, math.inf)
+NOT_NEGATIVE: Range = (0.0, math.inf)
+AT_LEAST_ONE: Range = (1, math.inf)
+RANGES: Mapping[str, Range] = {
+    "gamma": IN_UNIT,
+    "gae_lambda": IN_UNIT,
+    "tau": IN_UNIT,
+    "lead": IN_UNIT,
+    "clip_range": POSITIVE,
+    "max_grad_norm": POSITIVE,
+    "max_row_gradient": POSITIVE,
+    "position_scale": POSITIVE,
+    "angle_scale": POSITIVE,
+    "settling_time": POSITIVE,
+    "vf_coef": NOT_NEGATIVE,
+    "far_weight": NOT_NEGATIVE,
+    "smoothness": NOT_NEGATIVE,
+    "noise": NOT_NEGATIVE,
+    "n_steps": AT_LEAST_ONE,
+    "n_epochs": AT_LEAST_ONE,
+    "batch_size": AT_LEAST_ONE,
+    "rounds": AT_LEAST_ONE,
 }
 """Least and greatest of numbers beyond which algorithms would train without a word, to no good."""
 
 
 def training_class(algorithm: str) -> Any:
-    """Class of an algorithm of ALGORITHMS or MODULES to train with. Raises ModuleNotFoundError
-    without Stable-Baselines3."""
+    """Class of an algorithm of ALGORITHMS or MODULES to train with.
+
+    Raises ModuleNotFoundError without Stable-Baselines3.
+    """
     if algorithm in MODULES:
-        return getattr(importlib.import_module(MODULES[algorithm]), algorithm)
+        own = importlib.import_module(MODULES[algorithm])
+        return getattr(own, algorithm)
     registered = ALGORITHMS[algorithm]
     if not isinstance(registered, str):
         return registered
@@ -67,49 +81,54 @@ def training_class(algorithm: str) -> Any:
 
 
 def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
-    """Problems with hyperparameters that are no arguments of the algorithm, or of its policy, or
-    out of RANGES."""
-    kind, policy, found = training_class(algorithm), given.get("policy_kwargs", {}), list[Problem]()
+    """Problems with hyperparameters, by key.
+
+    They are no arguments of the algorithm, or of its policy, or out of RANGES.
+    """
+    kind = training_class(algorithm)
+    policy = given.get("policy_kwargs", {})
+    key = ("hyperparameters", "policy_kwargs")
     if not isinstance(policy, Mapping):
-        return [
-            Problem(
-                ("hyperparameters", "policy_kwargs"), f"is {shown(policy)}: it should be a table"
-            )
-        ]
-    for key, table, of in (
-        ((), given, kind),
-        (("policy_kwargs",), policy, kind.policy_aliases["MlpPolicy"]),
-    ):
-        valid = _names(of)
-        for name in table.keys() - {*valid}:
-            text = f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}"
-            found.append(Problem(("hyperparameters", *key, name), text))
+        return [Problem(key, f"is {shown(policy)}: it should be a table")]
+    policy_kind = kind.policy_aliases["MlpPolicy"]
+    problems = _unknown_keys(("hyperparameters",), given, kind)
+    problems += _unknown_keys(key, policy, policy_kind)
     for name in RANGES.keys() & given.keys():
-        (least, greatest), value = RANGES[name], given[name]
-        if isinstance(value, bool) or not (
-            isinstance(value, int | float) and least <= value <= greatest
-        ):
-            allowed = (
-                f"at least {least:g}" if greatest == math.inf else f"from {least:g} to {greatest:g}"
-            )
-            found.append(
-                Problem(
-                    ("hyperparameters", name), f"is {shown(value)}: it should be a number {allowed}"
-                )
-            )
-    return found
+        value = given[name]
+        least, greatest = RANGES[name]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if is_number and least <= value <= greatest:
+            continue
+        allowed = f"from {least:g} to {greatest:g}"
+        if greatest == math.inf:
+            allowed = f"at least {least:g}"
+        text = f"is {shown(value)}: it should be a number {allowed}"
+        problems.append(Problem(("hyperparameters", name), text))
+    return problems
+
+
+def _unknown_keys(key: tuple[str, ...], table: Mapping[str, Any], kind: Any) -> list[Problem]:
+    """Problems with keys of a table that are no arguments of an algorithm or a policy."""
+    valid = _names(kind)
+    problems = []
+    for name in table.keys() - {*valid}:
+        text = f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}"
+        problems.append(Problem((*key, name), text))
+    return problems
 
 
 def _names(kind: Any) -> list[str]:
-    """Names of the arguments of an algorithm or a policy that a file can say, those of an
-    algorithm's settings among them."""
+    """Names of the arguments of an algorithm or a policy that a file can say.
+
+    Those of an algorithm's settings are among them.
+    """
+    arguments = [*inspect.signature(kind.__init__).parameters.values()]
     settings = getattr(kind, "settings_class", None)
-    of = [
-        *inspect.signature(kind.__init__).parameters.values(),
-        *(inspect.signature(settings).parameters.values() if settings else ()),
-    ]
-    return [
-        argument.name
-        for argument in of
-        if argument.kind is not argument.VAR_KEYWORD and argument.name not in NOT_IN_FILES
-    ]
+    if settings is not None:
+        arguments += inspect.signature(settings).parameters.values()
+    names = []
+    for argument in arguments:
+        is_named = argument.kind is not argument.VAR_KEYWORD
+        if is_named and argument.name not in NOT_IN_FILES:
+            names.append(argument.name)
+    return names

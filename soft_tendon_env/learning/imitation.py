@@ -8,12 +8,13 @@ prediction to no-regret online learning, AISTATS 2011; Chen et al., Learning by 
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
+from torch import Tensor
 
 from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
@@ -29,9 +30,9 @@ from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.tools.types import Array
 
-LOOKS_AHEAD = (
-    2  # control periods ahead for which the teacher needs the target, besides those of the delay
-)
+# control periods ahead for which the teacher needs the target, besides those of the delay
+LOOKS_AHEAD = 2
+ROUND_OFF = 1e-9  # of a delay, in control periods
 # added to standard deviations of features, of which those that never change would get weights
 # without bounds
 LEAST_DEVIATION = 0.01
@@ -61,160 +62,224 @@ class DAggerSettings:
     settling_time: float = 0.2
 
 
-class Teacher:
-    """A controller per row that knows the row's arm, actuators, delay and state: the catalogue's
-    `tracking`, without integral.
+class Arrival(NamedTuple):
+    """States of rows when their commands arrive."""
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all
-    rows at once). settling_time: [s]. Raises ValueError where commands are no tensions, or late by
-    the scene rather than by `randomize`, and for too short a preview.
+    q: Array  # (rows, n)
+    q_dot: Array  # (rows, n)
+    tip_pose: Array  # (rows, 4, 4)
+
+
+class Teacher:
+    """A controller per row that knows the row's arm, actuators, delay and state.
+
+    It is the catalogue's `tracking`, without integral. Where commands are late, a copy of the arms
+    gets those on their way first (Smith predictor, all rows at once).
     """
 
     def __init__(self, episodes: Episodes, settling_time: float) -> None:
+        """A teacher of the rows of an environment.
+
+        Args:
+            episodes: the rows.
+            settling_time: of the controllers [s].
+
+        Raises:
+            ValueError: commands are no tensions, or late by the scene rather than by `randomize`.
+        """
         effects = episodes.model.scene.effects
         if effects.command_unit != "N" or effects.actuators is not None:
             raise ValueError(
                 "a teacher needs commands that are tensions and act as they are, without"
                 " tendon_elasticity and actuators"
             )
-        self.episodes, self._settling_time = episodes, settling_time
+        self.episodes = episodes
+        self._settling_time = settling_time
+        nothing = np.empty(0)
         self._copy = Arms(
-            episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1
+            episodes.model,
+            episodes.size,
+            episodes.period,
+            nothing,
+            nothing,
+            threads=1,
         )
         self._laws: list[Controller | None] = [None] * episodes.size
         self.memories: list[Any] = [None] * episodes.size  # of the laws
 
     def actions(self) -> Array:
-        """Actions that each row should take now, (rows, n_a). A row begins anew where its episode
-        does."""
-        episodes, actuation = self.episodes, self.episodes.actuation
-        late = np.array([actuation.delay(row) for row in range(episodes.size)])
-        sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
-        target = episodes.target_ahead(
-            LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9))
-        )
-        q, q_dot, tip_pose = self._predict_arrival(sent, late)
-        ahead = episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
+        """Actions (rows, n_a) that each row should take now.
+
+        A row begins anew where its episode does. Raises ValueError for too short a preview.
+        """
+        episodes = self.episodes
+        actuation = episodes.actuation
+        rows = range(episodes.size)
+        late = np.array([actuation.delay(row) for row in rows])
+        sent = np.stack([actuation.sent(row) for row in rows])
+        longest = late.max() / episodes.period - ROUND_OFF
+        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(longest)))
+        arrival = self._predict_arrival(sent, late)
+        periods = np.arange(target.tip_pose.shape[1], dtype=np.float64)
+        ahead = episodes.period * periods
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
-        for row in range(episodes.size):
-            law, begins = self._laws[row], not episodes.step_count[row]
-            if law is None or begins:
-                law = self._make_controller(row)
-            reference, time = (
-                self._reference(row, target, ahead - late[row]),
-                float(episodes.arms.rows.clock[row, 0]) + late[row],
-            )
-            now = ControllerInput(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
-            decision = law.act(now, None if begins else self.memories[row])
-            self._laws[row], self.memories[row] = law, decision.memory
-            tensions[row] = actuation.commanded(decision.tension, row)
+        for row in rows:
+            reference = self._reference(row, target, ahead - late[row])
+            now = self._row_input(row, arrival, sent, late, reference)
+            tension = self._decide(row, now)
+            tensions[row] = actuation.commanded(tension, row)
         return actuation.actions.action(tensions, actuation.command)
+
+    def _row_input(
+        self, row: int, arrival: Arrival, sent: Array, late: Array, reference: Reference
+    ) -> ControllerInput:
+        """What the controller of a row knows when its command arrives."""
+        clock = float(self.episodes.arms.rows.clock[row, 0])
+        time = clock + late[row]
+        last_tension = sent[row, -1]
+        return ControllerInput(
+            arrival.q[row],
+            arrival.q_dot[row],
+            arrival.tip_pose[row],
+            last_tension,
+            reference,
+            time,
+        )
+
+    def _decide(self, row: int, now: ControllerInput) -> Array:
+        """Tensions (n_a,) [N] by the controller of a row, a new one where its episode begins."""
+        law = self._laws[row]
+        memory = self.memories[row]
+        begins = self.episodes.step_count[row] == 0
+        if law is None or begins:
+            law = self._make_controller(row)
+        if begins:
+            memory = None
+        decision = law.act(now, memory)
+        self._laws[row] = law
+        self.memories[row] = decision.memory
+        return decision.tension
 
     def _make_controller(self, row: int) -> Controller:
         """Controller of a row's arm as it was drawn."""
-        episodes, model = self.episodes, self.episodes.arms.model_of(row)
-        limits = np.stack(
-            [episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1
-        )
-        arm = model, limits, episodes.period
+        episodes = self.episodes
+        model = episodes.arms.model_of(row)
+        bounds = [episodes.actuation.acting(bound, row) for bound in episodes.limits.T]
+        limits = np.stack(bounds, axis=1)
+        arm = (model, limits, episodes.period)
         if episodes.task.shapes:
             return ShapeTracking(*arm, settling_time=self._settling_time)
         objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
-        return ReferenceGovernor(
-            StaticFeedforward(*arm, objective),
-            TipTracking(*arm, objective, settling_time=self._settling_time),
+        feedforward = StaticFeedforward(*arm, objective)
+        tracking = TipTracking(*arm, objective, settling_time=self._settling_time)
+        return ReferenceGovernor(feedforward, tracking)
+
+    def _predict_arrival(self, sent: Array, late: Array) -> Arrival:
+        """States of rows when commands arrive; those now where that motion fails.
+
+        Args:
+            sent: (rows, m, n_a) tensions [N] that were sent, the newest last.
+            late: (rows,) delays [s].
+        """
+        arms = self.episodes.arms
+        predicted = self._copy
+        for name, values in arms.rows.fields().items():
+            getattr(predicted.rows, name)[...] = values
+        durations = self._durations(sent, late)
+        predicted.step(sent, np.flatnonzero(late), durations)
+        is_predicted = (late > 0.0) & (predicted.outcome.status == OK)
+
+        def choose(arrived: Array, now: Array) -> Array:
+            rows = is_predicted.reshape(-1, *[1] * (now.ndim - 1))
+            return np.where(rows, arrived, now)
+
+        return Arrival(
+            choose(predicted.rows.q, arms.rows.q),
+            choose(predicted.rows.q_dot, arms.rows.q_dot),
+            choose(predicted.reading.tip_pose, arms.reading.tip_pose),
         )
 
-    def _predict_arrival(self, sent: Array, late: Array) -> tuple[Array, Array, Array]:
-        """Coordinates, rates and tip poses of rows when commands that are late by `late` (rows,)
-        [s] arrive, after tensions sent (rows, m, n_a); those now where that motion fails."""
-        arms, copied, period = self.episodes.arms, self._copy, self.episodes.period
-        for name, values in arms.rows.fields().items():
-            getattr(copied.rows, name)[...] = values
+    def _durations(self, sent: Array, late: Array) -> Array:
+        """How long (rows, m) [s] tensions that were sent act until the next command arrives."""
+        period = self.episodes.period
         durations = np.zeros(sent.shape[:2])
+        count = sent.shape[1]
         for row, delay in enumerate(late):
             whole, rest = whole_periods(delay, period)
-            durations[row, sent.shape[1] - whole :], durations[row, -1 - whole] = period, rest
-        copied.step(sent, np.flatnonzero(late), durations)
-        moved = (late > 0.0) & (copied.outcome.status == OK)
-        q = np.where(moved[:, None], copied.rows.q, arms.rows.q)
-        q_dot = np.where(moved[:, None], copied.rows.q_dot, arms.rows.q_dot)
-        return (
-            q,
-            q_dot,
-            np.where(moved[:, None, None], copied.reading.tip_pose, arms.reading.tip_pose),
-        )
+            durations[row, count - whole :] = period
+            durations[row, -1 - whole] = rest  # the last part of the one before
+        return durations
 
     def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
-        episodes, pose = self.episodes, target.tip_pose[row]
+        """What the controller of a row is to follow at times (m,) [s] from now."""
+        episodes = self.episodes
+        pose = target.tip_pose[row]
         if episodes.task.shapes:
-            return Reference(
-                ahead, tip_pose=pose, q=episodes.arms.coordinates_of(row, target.q[row])
-            )
-        return (
-            Reference(ahead, tip_position=pose[:, :3, 3])
-            if episodes.task.goal
-            else Reference(ahead, tip_pose=pose)
-        )
+            q = episodes.arms.coordinates_of(row, target.q[row])
+            return Reference(ahead, tip_pose=pose, q=q)
+        if episodes.task.goal:
+            return Reference(ahead, tip_position=pose[:, :3, 3])
+        return Reference(ahead, tip_pose=pose)
 
 
-def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+def loss(means: Tensor, answers: Tensor) -> Tensor:
     """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
-    means = torch.where(
-        wanted >= 1.0,
-        means.clamp(max=1.0),
-        torch.where(wanted <= -1.0, means.clamp(min=-1.0), means),
-    )
-    return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
+    least = torch.where(answers <= -1.0, means.clamp(min=-1.0), means)
+    bounded = torch.where(answers >= 1.0, means.clamp(max=1.0), least)
+    return torch.nn.functional.smooth_l1_loss(bounded, answers, beta=EXACT)
 
 
 class DAgger(ActorAlgorithm):
-    """Dataset aggregation (DAgger) with the interface of Stable-Baselines3, on the vector
-    environments of this package.
+    """Dataset aggregation (DAgger) with Stable-Baselines3's interface, on this package's rows.
 
     In every round the teacher says what it would do in each control period, while a share of the
     episodes is led by it and the others by the agent; then the agent's mean is regressed on all
     that was said so far. See DAggerSettings and ActorAlgorithm for arguments.
 
-    Raises TypeError for environments of other packages, ValueError for arms that no teacher can
-    control, see `Teacher`, and for observations under running statistics, since the first layer has
-    a scale of its own.
+    Raises:
+        TypeError: the environment is of another package.
+        ValueError: no teacher can control the arms, see `Teacher`, or observations are under
+            running statistics, since the first layer has a scale of its own.
     """
 
     settings_class: ClassVar[type] = DAggerSettings
     generator: np.random.Generator
     _teacher: Teacher
-    _shown: list[
-        tuple[Any, Array]
-    ]  # observations of all rows, and the answers (rows, n_a), by control period
+    # observations of all rows, and the answers (rows, n_a), by control period
+    _shown: list[tuple[Any, Array]]
 
     def _prepare(self) -> None:
-        if (statistics := self.get_vec_normalize_env()) is not None and statistics.norm_obs:
+        statistics = self.get_vec_normalize_env()
+        if statistics is not None and statistics.norm_obs:
             raise ValueError(
                 "normalise.observations is true: DAgger has a scale of its own for what it observes"
             )
-        vars(self).setdefault("generator", np.random.default_rng(self.seed))
-        vars(self).setdefault("_shown", [])
-        if "_teacher" not in vars(self) or self._teacher.episodes is not self.rows.episodes:
-            self._leads, self._teacher = (
-                np.ones(self.n_envs, dtype=bool),
-                Teacher(self.rows.episodes, self.settings.settling_time),
-            )
+        # what a loaded training has already
+        known = vars(self)
+        known.setdefault("generator", np.random.default_rng(self.seed))
+        known.setdefault("_shown", [])
+        episodes = self.rows.episodes
+        if "_teacher" not in known or self._teacher.episodes is not episodes:
+            self._leads = np.ones(self.n_envs, dtype=bool)
+            self._teacher = Teacher(episodes, self.settings.settling_time)
 
     def _learn_part(self, callback: BaseCallback) -> bool:
-        periods, rounds = -(-self._total_timesteps // self.n_envs), self.settings.rounds
-        ends = (-(-number * periods // rounds) for number in range(1, rounds + 1))
+        periods = _divided_up(self._total_timesteps, self.n_envs)
+        done = self.num_timesteps // self.n_envs
         callback.on_rollout_start()
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
-        if not self._watch(
-            next(end for end in ends if end > self.num_timesteps // self.n_envs), periods, callback
-        ):
+        if not self._watch(self._end_of_round(done, periods), periods, callback):
             return False
         callback.on_rollout_end()
-        self.logger.record(
-            "train/loss", self._teach(self.lr_schedule(self._current_progress_remaining))
-        )
+        rate = self.lr_schedule(self._current_progress_remaining)
+        self.logger.record("train/loss", self._teach(rate))
         return True
+
+    def _end_of_round(self, done: int, periods: int) -> int:
+        """Control period at which the round ends that the period `done` of `periods` is in."""
+        rounds = self.settings.rounds
+        ends = [_divided_up(number * periods, rounds) for number in range(1, rounds + 1)]
+        return min(end for end in ends if end > done)
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
         """Act until control period `end` of `periods`, while the teacher says what it would do;
@@ -222,72 +287,90 @@ class DAgger(ActorAlgorithm):
         env: Any = self.env
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):
-            wanted = self._teacher.actions()
-            self._shown.append((observation, wanted))
-            chosen = self.predict(observation, deterministic=True)[0]
-            noise = self.settings.noise * self.generator.standard_normal(wanted.shape)
-            actions = np.clip(
-                np.where(self._leads[:, None], wanted, chosen) + noise, -1.0, 1.0
-            ).astype(np.float32)
+            answers = self._teacher.actions()
+            self._shown.append((observation, answers))
+            actions = self._noisy_actions(observation, answers)
             observation, _, ended, infos = env.step(actions)
             self._last_obs = observation
             self.num_timesteps += self.n_envs
             self._update_info_buffer(infos, ended)
-            share = (
-                max(0.0, 1.0 - (done + 1) / (self.settings.lead * periods))
-                if self.settings.lead
-                else 0.0
-            )
-            self._leads[ended] = self.generator.random(ended.sum()) < share
+            draws = self.generator.random(ended.sum())
+            self._leads[ended] = draws < self._lead_share(done + 1, periods)
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
         return True
 
-    def _teach(self, rate: float) -> float:
-        """Mean loss of the last epoch of regressing the policy's mean on all that was shown, at a
-        rate that falls from `rate` along a line.
+    def _noisy_actions(self, observation: Any, answers: Array) -> Any:
+        """Actions (rows, n_a), float32, of the teacher where it leads, else of the agent."""
+        chosen, _ = self.predict(observation, deterministic=True)
+        noise = self.settings.noise * self.generator.standard_normal(answers.shape)
+        actions = np.where(self._leads[:, None], answers, chosen)
+        return np.clip(actions + noise, -1.0, 1.0).astype(np.float32)
 
-        Meanwhile features are less their mean and over their standard deviation, which then becomes
-        part of the first layer.
+    def _lead_share(self, done: int, periods: int) -> float:
+        """Share of the episodes that the teacher leads after so many control periods."""
+        if not self.settings.lead:
+            return 0.0
+        led = self.settings.lead * periods
+        return max(0.0, 1.0 - done / led)
+
+    def _teach(self, rate: float) -> float:
+        """Mean loss of the last epoch of regressing the policy's mean on all that was shown.
+
+        The learning rate falls from `rate` along a line. Meanwhile features are less their mean and
+        over their standard deviation, which then becomes part of the first layer.
         """
         policy: Any = self.policy
-        observations, answers = zip(*self._shown, strict=True)
-        keys = [*observations[0]] if isinstance(observations[0], dict) else []
-        joined: Any = {
-            key: np.concatenate([seen[key] for seen in observations]) for key in keys
-        } or np.concatenate(observations)
-        wanted = torch.as_tensor(np.concatenate(answers), dtype=torch.float32)
+        observations, answers = self._joined()
         actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
         first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
         with torch.no_grad():
-            seen = policy.extract_features(
-                policy.obs_to_tensor(joined)[0], policy.pi_features_extractor
-            )
-            mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
-            seen = (seen - mean) / deviation
+            tensors, _ = policy.obs_to_tensor(observations)
+            features = policy.extract_features(tensors, policy.pi_features_extractor)
+            mean = features.mean(0)
+            deviation = features.std(0) + LEAST_DEVIATION
+            features = (features - mean) / deviation
             first.bias.add_(first.weight @ mean)
             first.weight.mul_(deviation)
-        epochs, batch = self.settings.n_epochs, self.settings.batch_size
-        optimizer, found = torch.optim.Adam(actor.parameters(), lr=rate), list[float]()
-        orders = (
-            torch.as_tensor(self.generator.permutation(len(wanted))).split(batch)
-            for _ in range(epochs)
-        )
-        for index, part in enumerate(batches := [part for order in orders for part in order]):
-            optimizer.param_groups[0]["lr"] = rate * (
-                1.0 - (1.0 - LAST_RATE) * index / len(batches)
-            )
-            optimizer.zero_grad()
-            error = loss(actor(seen[part]), wanted[part])
-            error.backward()
-            found.append(error.item())
-            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
-            optimizer.step()
+        losses = self._regress(actor, features, answers, rate)
         with torch.no_grad():
             first.weight.div_(deviation)
             first.bias.sub_(first.weight @ mean)
-        return float(np.mean(found[-len(found) // epochs :]))
+        last = -len(losses) // self.settings.n_epochs
+        return float(np.mean(losses[last:]))
+
+    def _joined(self) -> tuple[Any, Tensor]:
+        """All observations that were shown, and the answers to them."""
+        observations, answers = zip(*self._shown, strict=True)
+        together = torch.as_tensor(np.concatenate(answers), dtype=torch.float32)
+        if not isinstance(observations[0], dict):
+            return np.concatenate(observations), together
+        joined = {}
+        for key in observations[0]:
+            joined[key] = np.concatenate([observation[key] for observation in observations])
+        return joined, together
+
+    def _regress(
+        self, actor: torch.nn.Sequential, features: Tensor, answers: Tensor, rate: float
+    ) -> list[float]:
+        """Losses of all batches of stochastic gradient descent (Adam)."""
+        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
+        batches: list[Tensor] = []
+        for _ in range(self.settings.n_epochs):
+            order = torch.as_tensor(self.generator.permutation(len(answers)))
+            batches += order.split(self.settings.batch_size)
+        losses = []
+        for index, batch in enumerate(batches):
+            left = 1.0 - (1.0 - LAST_RATE) * index / len(batches)
+            optimizer.param_groups[0]["lr"] = rate * left
+            optimizer.zero_grad()
+            error = loss(actor(features[batch]), answers[batch])
+            error.backward()
+            losses.append(error.item())
+            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
+            optimizer.step()
+        return losses
 
     def save_replay_buffer(self, path: str | Path) -> None:
         """Write all that was shown so far, with what teacher and leads remember."""
@@ -295,7 +378,15 @@ class DAgger(ActorAlgorithm):
 
     def load_replay_buffer(self, path: str | Path) -> None:
         """Read what `save_replay_buffer` has written. Loading runs what is in the file."""
-        self._shown, self._leads, self._teacher.memories = load_from_pkl(path)
+        shown, leads, memories = load_from_pkl(path)
+        self._shown = shown
+        self._leads = leads
+        self._teacher.memories = memories
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_shown", "_teacher", "_leads"]
+
+
+def _divided_up(number: int, by: int) -> int:
+    """Quotient of whole numbers, rounded up."""
+    return -(-number // by)

@@ -34,62 +34,67 @@ from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.tables import read_numbers
 
-COLUMNS = (
-    "steps",
-    "seconds",
-    "return",
-    "diverged",
-)  # of every learning curve, before the task's own
+COLUMNS = ("steps", "seconds", "return", "diverged")
+"""Columns of every learning curve, before the task's own."""
+RMS = "_rms"  # with which columns of errors end
 Watch = Callable[[Mapping[str, float]], None]
 """Function that gets every row of a learning curve as it is measured."""
 
 
 def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Sort key of rows, the smaller the better: more goals reached, then a smaller `tracking_cost`,
-    then a smaller typical error."""
+    """Sort key of rows, the smaller the better.
+
+    More goals reached come first, then a smaller `tracking_cost`, then a smaller typical error.
+    """
     typical = row["typical"]
-    return (
-        -row.get("reached", 0.0),
-        row["cost"],
-        np.inf if typical is None or np.isnan(typical) else typical,
-    )
+    if typical is None or np.isnan(typical):
+        typical = np.inf
+    return -row.get("reached", 0.0), row["cost"], typical
 
 
 def format_row(row: Mapping[str, float]) -> str:
     """The errors of a row of the learning curve."""
-    named = [(name, error_unit(name.removesuffix("_rms"))) for name in row if name.endswith("_rms")]
-    return ", ".join(f"{unit.heading} {number(unit.factor * row[name])}" for name, unit in named)
+    parts = []
+    for name, value in row.items():
+        if name.endswith(RMS):
+            unit = error_unit(name.removesuffix(RMS))
+            parts.append(f"{unit.heading} {number(unit.factor * value)}")
+    return ", ".join(parts)
 
 
 class TrainingMonitor(ABC):
-    """Validations and checkpoints of a training while it learns. An engine says what its network
-    is, and when nothing is half done.
+    """Validations and checkpoints of a training while it learns.
 
-    checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
+    An engine says what its network is, and when nothing is half done.
     """
 
     watch: Watch | None = None
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
-        found = {} if checkpoint is None else read_checkpoint(checkpoint)
-        self.training, self.folder, self._csv = training, folder, folder / "evaluations.csv"
-        self.began, self._before, self._untimed = (
-            found.get("steps_done", 0),
-            found.get("seconds_learned", 0.0),
-            0.0,
-        )
+        """A monitor of a training in a folder.
+
+        checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
+        """
+        record = {} if checkpoint is None else read_checkpoint(checkpoint)
+        self.training = training
+        self.folder = folder
+        self.began = record.get("steps_done", 0)
+        self._before = record.get("seconds_learned", 0.0)
+        self._untimed = 0.0
+        self._csv = folder / "evaluations.csv"
         rows = read_numbers(self._csv, COLUMNS) if self._csv.exists() else []
-        self.curve = [
-            row for row in rows if row["steps"] <= self.began
-        ]  # what follows was learned by an agent that is lost
-        best = find_checkpoint(folder / "best")  # which may be further than the last checkpoint
+        # what follows was learned by an agent that is lost
+        self.curve = [row for row in rows if row["steps"] <= self.began]
+        # which may be further than the last checkpoint
+        best = find_checkpoint(folder / "best")
         self._best = None if best is None else quality(read_json(best / CONFIG)["evaluated"])
-        size: dict[str, Any] = {
-            "num_envs": training.evaluation.episodes,
-            "max_episode_steps": training.episode_steps,
-            "threads": 1,
-        }
-        self.envs = gym.make_vec(IDS[training.task], **size, **training.options)
+        self.envs = gym.make_vec(
+            IDS[training.task],
+            num_envs=training.evaluation.episodes,
+            max_episode_steps=training.episode_steps,
+            threads=1,
+            **training.options,
+        )
 
     @abstractmethod
     def steps_done(self) -> int:
@@ -109,67 +114,44 @@ class TrainingMonitor(ABC):
 
     def begin(self, config: dict[str, Any]) -> None:
         """Begin before the first step of this process. config: the record for config.json."""
-        self._started, self._config = time.perf_counter(), config
+        self._started = time.perf_counter()
+        self._config = config
         write_json(self.folder / CONFIG, config, say=False)
-        self._evaluated = self.steps_done() // self.training.evaluation.every
+        self._evaluated = self._evaluations_due()
         if not self.curve:
             self.evaluate()  # compiles, if need be
 
+    def _evaluations_due(self) -> int:
+        """Number of evaluations that the steps so far make."""
+        return self.steps_done() // self.training.evaluation.every
+
     def between_rollouts(self, ends: bool = False) -> None:
-        """Evaluate and keep the agent if that is due, when nothing is half done. ends: after the
-        last step, when it is."""
-        before, self._evaluated = (
-            self._evaluated,
-            self.steps_done() // self.training.evaluation.every,
-        )
-        if self._evaluated > before or ends and self.curve[-1]["steps"] < self.steps_done():
+        """Evaluate and keep the agent if that is due, when nothing is half done.
+
+        ends: after the last step, when it is.
+        """
+        before = self._evaluated
+        self._evaluated = self._evaluations_due()
+        is_due = self._evaluated > before
+        if is_due or ends and self.curve[-1]["steps"] < self.steps_done():
             self.evaluate()
-            self.save(
-                self.folder / "last",
-                self._config
-                | {
-                    "steps_done": self.steps_done(),
-                    "seconds_learned": self._seconds(),
-                },
-                True,
-            )
+            config = {
+                **self._config,
+                "steps_done": self.steps_done(),
+                "seconds_learned": self._seconds(),
+            }
+            self.save(self.folder / "last", config, True)
 
     def evaluate(self) -> None:
-        """Add a row of fixed validation episodes, in SI units, to the learning curve, and keep the
-        agent if it is the best so far."""
+        """Add a row of fixed validation episodes to the learning curve, in SI units.
+
+        The agent is kept if it is the best so far.
+        """
         self.check()
         row: dict[str, float] = {"steps": self.steps_done(), "seconds": self._seconds()}
-        policy = acting_policy(
-            NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time
-        )
-        seeds = VALIDATION_SEEDS[: self.envs.num_envs]
-        scores = evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip)
-        summary, first = (
-            summarise(scores),
-            np.array(
-                [
-                    next(iter(score.errors.values())).rms
-                    for score in scores
-                    if score.diverged is None
-                ]
-            ),
-        )
-        row |= {
-            "return": summary.mean_return,
-            "diverged": summary.diverged,
-            "cost": tracking_cost(scores),
-        }
-        row |= {"typical": float(np.exp(np.log(first).mean())) if first.size else np.nan}
-        row |= {} if summary.reached is None else {"reached": summary.reached}
-        for name, error in summary.errors.items():
-            row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}
+        row |= self._validate()
         self.curve.append(row)
-        with replacing(self._csv) as new, open(new, "w", newline="") as file:
-            writer = csv.DictWriter(file, list(row))
-            writer.writeheader()
-            writer.writerows(
-                {name: f"{value:.9g}" for name, value in values.items()} for values in self.curve
-            )
+        self._write_curve()
         print(
             f"{row['steps']} of {self.training.steps} steps, {row['seconds']:.0f} s:"
             f" {format_row(row)}",
@@ -177,18 +159,50 @@ class TrainingMonitor(ABC):
         )
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
-            self.save(
-                self.folder / "best",
-                self._config | {"steps_done": self.steps_done(), "evaluated": row},
-                False,
-            )
+            config = {**self._config, "steps_done": self.steps_done(), "evaluated": row}
+            self.save(self.folder / "best", config, False)
         self._untimed += self._seconds() - row["seconds"]
         if self.watch is not None:
             self.watch(row)
 
+    def _validate(self) -> dict[str, float]:
+        """What fixed validation episodes say of the agent, by column."""
+        agent = NetworkPolicy(self.network(), self.normalise)
+        policy = acting_policy(agent, self.envs, self.training.integral_time)
+        seeds = VALIDATION_SEEDS[: self.envs.num_envs]
+        scores = evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip)
+        summary = summarise(scores)
+        # of the task's first error, in episodes that did not diverge
+        rms = []
+        for score in scores:
+            if score.diverged is None:
+                first = next(iter(score.errors.values()))
+                rms.append(first.rms)
+        columns = {
+            "return": summary.mean_return,
+            "diverged": summary.diverged,
+            "cost": tracking_cost(scores),
+            "typical": float(np.exp(np.log(rms).mean())) if rms else np.nan,
+        }
+        if summary.reached is not None:
+            columns["reached"] = summary.reached
+        for name, error in summary.errors.items():
+            columns[f"{name}{RMS}"] = error.rms
+            columns[f"{name}_p95"] = error.percentile_95
+        return columns
+
+    def _write_curve(self) -> None:
+        """Replace the file of the learning curve."""
+        with replacing(self._csv) as new, open(new, "w", newline="") as file:
+            writer = csv.DictWriter(file, list(self.curve[-1]))
+            writer.writeheader()
+            for values in self.curve:
+                writer.writerow({name: f"{value:.9g}" for name, value in values.items()})
+
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
-        if not all(bool(torch.isfinite(weights).all()) for weights in self.network().parameters()):
+        parameters = self.network().parameters()
+        if not all(bool(torch.isfinite(weights).all()) for weights in parameters):
             text = (
                 f"after {self.steps_done()} steps the agent's weights are no longer finite: a"
                 " smaller learning_rate may help"
@@ -197,13 +211,15 @@ class TrainingMonitor(ABC):
 
     def report(self) -> None:
         """Print the speed of learning in this process."""
-        steps, learned = self.steps_done() - self.began, self._seconds() - self._before
+        steps = self.steps_done() - self.began
+        learned = self._seconds() - self._before
         print(
             f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s; at the end:"
             f" {format_row(self.curve[-1])}"
         )
 
     def _seconds(self) -> float:
+        """How long it has learned [s], without evaluations."""
         return self._before + time.perf_counter() - self._started - self._untimed
 
 
@@ -227,7 +243,8 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         replace_checkpoint(folder, config, lambda new: write_model(new, self.model, resumable))
 
     def _on_training_start(self) -> None:
-        self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))
+        rows = unwrapped(self.training_env).env
+        self.begin(config_record(self.training, rows.episodes))
 
     def _on_step(self) -> bool:
         return True

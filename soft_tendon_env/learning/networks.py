@@ -27,7 +27,8 @@ def policy_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """
     made = dict(arguments)
     if "activation_fn" in made:
-        made["activation_fn"] = getattr(torch.nn, activation_name(made["activation_fn"]))
+        name = activation_name(made["activation_fn"])
+        made["activation_fn"] = getattr(torch.nn, name)
     return made
 
 
@@ -54,11 +55,13 @@ def new_network(
     """
     is_dict = isinstance(observations, gym.spaces.Dict)
     aliases = training_class(algorithm).policy_aliases
-    policy = aliases["MultiInputPolicy" if is_dict else "MlpPolicy"]
-    made = {
-        name: value for name, value in policy_arguments(arguments).items() if name not in OPTIMISER
-    }
+    kind = "MultiInputPolicy" if is_dict else "MlpPolicy"
+    policy = aliases[kind]
+    made = policy_arguments(arguments)
+    for name in OPTIMISER:
+        made.pop(name, None)
     known = inspect.signature(policy.__init__).parameters
-    if unknown := made.keys() - known.keys():
+    unknown = made.keys() - known.keys()
+    if unknown:
         raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
     return policy(observations, actions, lr_schedule=lambda _: 0.0, **made)

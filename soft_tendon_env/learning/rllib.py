@@ -37,124 +37,151 @@ COUNTERPARTS = {
     "clip_range": "clip_param",
     "ent_coef": "entropy_coeff",
     "gae_lambda": "lambda_",
-}
-COUNTERPARTS |= {
     "gamma": "gamma",
     "max_grad_norm": "grad_clip",
     "n_epochs": "num_epochs",
     "vf_coef": "vf_loss_coeff",
 }
 """Arguments of `PPOConfig.training` by those of PPO of Stable-Baselines3 that mean the same."""
-ELSEWHERE = (
-    "n_steps",
-    "policy_kwargs",
-    "target_kl",
-)  # go into the batch, the network, the penalty on the divergence of policies
-BY_ROWS: Any = "vector_entry_point"
+ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")
+"""Arguments that go into the batch, the network, the penalty on the divergence of policies."""
+BY_ROWS: Any = "vector_entry_point"  # how Gymnasium makes environments with many rows
 RLLIB = "rllib"  # name of the engine, and of the folder of RLlib's own checkpoint in a checkpoint
+MOST_REWARD = 10.0  # greatest magnitude of normalised rewards, as VecNormalize's
+KL_TARGET = 0.01  # RLlib's own, where the divergence has no penalty
 
 
 class RunnerEnv(VectorWrapper):
-    """Rows of one runner, with seeds that no other has. Infos stay within: RLlib would make a
-    dictionary per row of them at every step."""
+    """Rows of one runner, with seeds that no other has.
+
+    Infos stay within: RLlib would make a dictionary per row of them at every step.
+    """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], seed: int) -> None:
         super().__init__(env)
         self._first_seed = seed
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes; any seed becomes ours, since RLlib's are one apart from runner to runner:
-        most arms would be there twice."""
-        return (
-            self.env.reset(seed=None if seed is None else self._first_seed, options=options)[0],
-            {},
-        )
+        """New episodes; any seed becomes ours.
+
+        RLlib's are one apart from runner to runner: most arms would be there twice.
+        """
+        own_seed = None if seed is None else self._first_seed
+        observation, _ = self.env.reset(seed=own_seed, options=options)
+        return observation, {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        return *self.env.step(actions)[:4], {}
+        observation, reward, terminated, truncated, _ = self.env.step(actions)
+        return observation, reward, terminated, truncated, {}
 
 
 def make_runner_env(context: Mapping[str, Any]) -> VectorEnv[Any, Any, Any]:
-    """Environment of a runner: `training` of the context, `num_envs` of its rows and RLlib's
-    `worker_index`."""
+    """Environment of a runner.
+
+    context: `training`, `num_envs` of its rows and RLlib's `worker_index`.
+    """
     training: Training = context["training"]
-    rows, index = context.get("num_envs", 1), max(getattr(context, "worker_index", 0) - 1, 0)
-    more: dict[str, Any] = {
+    rows = context.get("num_envs", 1)
+    index = max(getattr(context, "worker_index", 0) - 1, 0)
+    options: dict[str, Any] = {
         "max_episode_steps": training.episode_steps,
         "threads": 1,
         **training.options,
     }
-    arms = RunnerEnv(
-        gym.make_vec(IDS[training.task], rows, BY_ROWS, **more), context["seed"] + rows * index
-    )
+    envs = gym.make_vec(IDS[training.task], rows, BY_ROWS, **options)
+    arms = RunnerEnv(envs, context["seed"] + rows * index)
     if not training.normalise.rewards:
         return arms
-    return ClipReward(
-        NormalizeReward(arms, gamma=training.hyperparameters.get("gamma", 0.99)), -10.0, 10.0
-    )  # as VecNormalize
+    gamma = training.hyperparameters.get("gamma", 0.99)
+    normalised = NormalizeReward(arms, gamma=gamma)
+    return ClipReward(normalised, -MOST_REWARD, MOST_REWARD)
 
 
 def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
-    """RLlib's view of a training. Raises ConfigurationError for what RLlib has no counterpart of,
-    so that a file never says one thing and trains another, and where the arms cannot be shared out
-    among the runners (0: the process that learns has them)."""
+    """RLlib's view of a training.
+
+    Args:
+        training: its configuration.
+        runners: that share the arms; 0: the process that learns has them.
+        done: steps that it has done.
+
+    Raises:
+        ConfigurationError: RLlib has no counterpart of something, so that a file never says one
+            thing and trains another, or the arms cannot be shared out among the runners.
+    """
+    _check_counterparts(training, runners)
     arguments = inspect.signature(training_class("PPO").__init__).parameters
-    value = {
-        name: argument.default for name, argument in arguments.items()
-    } | training.hyperparameters
-    unknown = sorted(training.hyperparameters.keys() - COUNTERPARTS.keys() - {*ELSEWHERE})
-    strange: list[tuple[str, ...]] = [("algorithm",)] * (training.algorithm != "PPO") + [
-        ("hyperparameters", name) for name in unknown
-    ]
-    strange += [("normalise", "observations")] * training.normalise.observations
-    strange += [("learning_rate",)] * (
-        isinstance(training.learning_rate, tuple) and len(training.learning_rate) > 2
-    )
-    problems = [
-        Problem(
-            key, "has no counterpart in RLlib's PPO: leave it out, or train with Stable-Baselines3"
-        )
-        for key in strange
-    ]
-    if training.arms % max(runners, 1):
-        problems.append(
-            Problem(
-                ("arms",),
-                f"is {training.arms}: it should be a multiple of the {runners} runners, which share"
-                " them",
-            )
-        )
-    if problems:
-        raise ConfigurationError(problems, "with RLlib")
-    rate, target_kl = training.learning_rate, value["target_kl"]
+    value = {name: argument.default for name, argument in arguments.items()}
+    value |= training.hyperparameters
     register_env("soft_tendon_env", make_runner_env)
-    module = RLModuleSpec(
-        module_class=ActorCriticModule, model_config={"network": value["policy_kwargs"] or {}}
-    )
+    network = {"network": value["policy_kwargs"] or {}}
+    module = RLModuleSpec(module_class=ActorCriticModule, model_config=network)
     config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module)
     config.debugging(seed=(training.seed + done) % 2**31, log_level="ERROR")
-    arms, length = {"training": training, "seed": training.arm_seed(done)}, value["n_steps"]
+    # actions are clipped, not scaled, as Stable-Baselines3 does
     config.environment(
-        "soft_tendon_env", env_config=arms, clip_actions=True, normalize_actions=False
-    )  # as Stable-Baselines3 does
-    config.env_runners(
-        num_env_runners=runners, num_envs_per_env_runner=training.arms // max(runners, 1)
+        "soft_tendon_env",
+        env_config={"training": training, "seed": training.arm_seed(done)},
+        clip_actions=True,
+        normalize_actions=False,
     )
-    config.env_runners(rollout_fragment_length=length, gym_env_vectorize_mode=BY_ROWS)
+    length = value["n_steps"]
+    config.env_runners(
+        num_env_runners=runners,
+        num_envs_per_env_runner=training.arms // max(runners, 1),
+        rollout_fragment_length=length,
+        gym_env_vectorize_mode=BY_ROWS,
+    )
+    target_kl = value["target_kl"]
     return config.training(
         **{name: value[ours] for ours, name in COUNTERPARTS.items()},
         train_batch_size_per_learner=length * training.arms,
-        lr=rate if isinstance(rate, float) else [[0, rate[0]], [training.steps, rate[1]]],
+        lr=_learning_rate(training),
         grad_clip_by="global_norm",
         use_kl_loss=target_kl is not None,
-        kl_target=target_kl or 0.01,
+        kl_target=target_kl or KL_TARGET,
         vf_clip_param=float("inf"),
     )
 
 
+def _learning_rate(training: Training) -> float | list[list[float]]:
+    """Learning rate: a number, or [steps, rate] between which it is straight."""
+    rate = training.learning_rate
+    if isinstance(rate, float):
+        return rate
+    return [[0, rate[0]], [training.steps, rate[1]]]
+
+
+def _check_counterparts(training: Training, runners: int) -> None:
+    """Raises ConfigurationError for what RLlib has no counterpart of, and arms of no runner."""
+    keys: list[tuple[str, ...]] = []
+    if training.algorithm != "PPO":
+        keys.append(("algorithm",))
+    known = {*COUNTERPARTS, *ELSEWHERE}
+    for name in sorted(training.hyperparameters.keys() - known):
+        keys.append(("hyperparameters", name))
+    if training.normalise.observations:
+        keys.append(("normalise", "observations"))
+    rate = training.learning_rate
+    if isinstance(rate, tuple) and len(rate) > 2:
+        keys.append(("learning_rate",))
+    text = "has no counterpart in RLlib's PPO: leave it out, or train with Stable-Baselines3"
+    problems = [Problem(key, text) for key in keys]
+    if training.arms % max(runners, 1):
+        shared = (
+            f"is {training.arms}: it should be a multiple of the {runners} runners, which share"
+            " them"
+        )
+        problems.append(Problem(("arms",), shared))
+    if problems:
+        raise ConfigurationError(problems, "with RLlib")
+
+
 class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
-    """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`, so that
-    agents are saved as any other."""
+    """RLlib's module around the actor-critic network of Stable-Baselines3.
+
+    That is `policy`, so that agents are saved as any other.
+    """
 
     def setup(self) -> None:
         self.policy = new_network(
@@ -162,15 +189,12 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
         )
 
     def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
-        features = self.policy.extract_features(
-            batch[Columns.OBS], self.policy.pi_features_extractor
-        )
-        mean = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
-        return {
-            Columns.ACTION_DIST_INPUTS: torch.cat(
-                [mean, self.policy.log_std.expand_as(mean)], dim=-1
-            )
-        }
+        policy = self.policy
+        features = policy.extract_features(batch[Columns.OBS], policy.pi_features_extractor)
+        latent = policy.mlp_extractor.forward_actor(features)
+        mean = policy.action_net(latent)
+        log_std = policy.log_std.expand_as(mean)
+        return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, log_std], dim=-1)}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
         return self.policy.predict_values(batch[Columns.OBS]).squeeze(-1)
@@ -185,13 +209,17 @@ class RllibTraining(TrainingMonitor):
     ) -> None:
         super().__init__(training, folder, checkpoint)
         torch.set_num_threads(1)
-        self.runners, self._done = runners, self.began
+        self.runners = runners
+        self._done = self.began
         self.algorithm: PPO = make_config(training, runners, self._done).build_algo()
         if checkpoint is not None:
-            self.algorithm.restore_from_path(str((checkpoint / RLLIB).absolute()))
-        spaces = self.envs.single_observation_space, self.envs.single_action_space
+            own = (checkpoint / RLLIB).absolute()
+            self.algorithm.restore_from_path(str(own))
         self._network = new_network(
-            "PPO", training.hyperparameters.get("policy_kwargs") or {}, *spaces
+            "PPO",
+            training.hyperparameters.get("policy_kwargs") or {},
+            self.envs.single_observation_space,
+            self.envs.single_action_space,
         )
 
     def steps_done(self) -> int:
@@ -199,31 +227,31 @@ class RllibTraining(TrainingMonitor):
 
     def network(self) -> Any:
         """The learner's weights, in a network without Ray."""
-        state = self.algorithm.learner_group.get_weights([DEFAULT_MODULE_ID])[DEFAULT_MODULE_ID]
-        self._network.load_state_dict(
-            {name.removeprefix("policy."): torch.as_tensor(value) for name, value in state.items()}
-        )
+        modules = self.algorithm.learner_group.get_weights([DEFAULT_MODULE_ID])
+        state = {}
+        for name, value in modules[DEFAULT_MODULE_ID].items():
+            state[name.removeprefix("policy.")] = torch.as_tensor(value)
+        self._network.load_state_dict(state)
         return self._network
 
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
         def write(new: Path) -> None:
             save_agent(new, self.network(), None)
             if resumable:
-                self.algorithm.save_to_path(str((new / RLLIB).absolute()))
+                own = (new / RLLIB).absolute()
+                self.algorithm.save_to_path(str(own))
 
         replace_checkpoint(folder, config, write)
 
     def learn(self) -> None:
-        """Learn all that is left. Raises UserError, and the errors of Ray and PyTorch, after which
-        --resume goes on."""
-        self.begin(
-            {
-                **config_record(self.training, episodes_of(self.envs)),
-                "engine": RLLIB,
-                "runners": self.runners,
-            }
-        )
+        """Learn all that is left.
+
+        Raises UserError, and the errors of Ray and PyTorch, after which --resume goes on.
+        """
+        record = config_record(self.training, episodes_of(self.envs))
+        self.begin({**record, "engine": RLLIB, "runners": self.runners})
         while self._done < self.training.steps:
-            self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
+            results = self.algorithm.train()
+            self._done = int(results["num_env_steps_sampled_lifetime"])
             self.between_rollouts(ends=self._done >= self.training.steps)
         self.report()

@@ -42,32 +42,30 @@ class Sweep(Configuration):
 
     @property
     def folders(self) -> list[Path]:
-        """Folders of the configurations' runs. Raises ConfigurationError where two would share
-        one."""
+        """Folders of the configurations' runs.
+
+        Raises ConfigurationError where two would share one.
+        """
         folders = [Path(self.out).absolute() / Path(config).stem for config in self.configs]
-        if twice := [folder.name for folder in folders if folders.count(folder) > 1]:
-            raise ConfigurationError(
-                [
-                    Problem(
-                        ("configs",),
-                        f"has two files {twice[0]}.toml, whose runs would share a folder",
-                    )
-                ]
-            )
+        twice = [folder.name for folder in folders if folders.count(folder) > 1]
+        if twice:
+            text = f"has two files {twice[0]}.toml, whose runs would share a folder"
+            raise ConfigurationError([Problem(("configs",), text)])
         return folders
 
     def jobs(self) -> list["Job"]:
-        """Runs, seed by seed, so that all have come equally far. Raises ConfigurationError where
-        one cannot be trained."""
-        pairs = [
-            (folder, find_config(config))
-            for folder, config in zip(self.folders, self.configs, strict=True)
-        ]
-        every = ((seed, *pair) for seed in range(self.seeds) for pair in pairs)
-        return [
-            Job(read_training(file, self.set, seed=seed), folder / f"seed_{seed}")
-            for seed, folder, file in every
-        ]
+        """Runs, seed by seed, so that all have come equally far.
+
+        Raises ConfigurationError where one cannot be trained.
+        """
+        folders = self.folders
+        files = [find_config(config) for config in self.configs]
+        jobs = []
+        for seed in range(self.seeds):
+            for file, folder in zip(files, folders, strict=True):
+                training = read_training(file, self.set, seed=seed)
+                jobs.append(Job(training, folder / f"seed_{seed}"))
+        return jobs
 
 
 class Job(NamedTuple):
@@ -91,11 +89,8 @@ def run_job(job: Job) -> str | None:
 
     with into_log(job.folder / "train.log"):
         try:
-            train.train(
-                job.training,
-                job.folder,
-                train.checkpoint_to_resume(job.folder, job.training, resume=True),
-            )
+            checkpoint = train.checkpoint_to_resume(job.folder, job.training, resume=True)
+            train.train(job.training, job.folder, checkpoint)
         except Exception:
             return traceback.format_exc()
     return None

@@ -48,9 +48,20 @@ SB3 = "sb3"  # engine of a training whose record names none
 def checkpoint_to_resume(
     folder: Path, training: Training, resume: bool, engine: str = SB3
 ) -> Path | None:
-    """The checkpoint to go on from, if any. Raises FileExistsError, ValueError where the folder has
-    another training, or a damaged one."""
-    checkpoint, begun = find_checkpoint(folder / "last"), folder / CONFIG
+    """The checkpoint to go on from, if any.
+
+    Args:
+        folder: of the training.
+        training: its configuration now.
+        resume: whether it may go on.
+        engine: that trains.
+
+    Raises:
+        FileExistsError: the folder has a training, which should not go on.
+        ValueError: the folder has another training, or a damaged one.
+    """
+    checkpoint = find_checkpoint(folder / "last")
+    begun = folder / CONFIG
     if not resume and (begun.exists() or checkpoint is not None):
         raise FileExistsError(
             f"{folder} has a training already: give --resume to go on with it, or another folder"
@@ -59,33 +70,46 @@ def checkpoint_to_resume(
     if checkpoint is None and not begun.exists():
         return None
     record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
-    now = {
-        **training.model_dump(mode="json"),
-        "engine": engine,
-        "version": versions()["soft_tendon_env"],
-    }
-    before = {
-        "engine": SB3,
-        **record,
-        "version": record.get("record", {}).get("versions", {}).get("soft_tendon_env"),
-    }
-    if changed := [key for key in now if key != "steps" and now[key] != before.get(key)]:
+    _check_same(folder, training, engine, record)
+    return checkpoint
+
+
+def _check_same(folder: Path, training: Training, engine: str, record: dict[str, Any]) -> None:
+    """Raises ValueError where a record is of another training than this one."""
+    now = training.model_dump(mode="json")
+    now["engine"] = engine
+    now["version"] = versions()["soft_tendon_env"]
+    before = {"engine": SB3, **record}
+    recorded_versions = record.get("record", {}).get("versions", {})
+    before["version"] = recorded_versions.get("soft_tendon_env")
+    changed = [key for key in now if key != "steps" and now[key] != before.get(key)]
+    if changed:
         differences = "; ".join(
             f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed
         )
         raise ValueError(f"{folder} has another training, {differences}: only `steps` may change")
-    return checkpoint
 
 
 def train(
     training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None
 ) -> BaseAlgorithm:
-    """Train an agent for what is left of its steps. watch: gets every row of the learning curve,
-    and ends the training by what it raises.
+    """Train an agent for what is left of its steps.
 
-    Raises ValueError, OSError before it begins, and UserError.
+    Args:
+        training: its configuration.
+        folder: for what the run leaves.
+        checkpoint: to go on from; None: at the beginning.
+        watch: gets every row of the learning curve, and ends the training by what it raises.
+
+    Returns:
+        The agent.
+
+    Raises:
+        ValueError, OSError: before it begins.
+        UserError: weights became infinite or undefined, or a checkpoint cannot be written.
     """
-    model, callback = model_of(training, checkpoint), TrainingCallback(training, folder, checkpoint)
+    model = model_of(training, checkpoint)
+    callback = TrainingCallback(training, folder, checkpoint)
     callback.watch = watch
     learn(model, callback)
     return model
@@ -93,15 +117,17 @@ def train(
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
-    torch.set_num_threads(
-        1
-    )  # best where several trainings run side by side, and makes them repeatable
-    return make_model(training) if checkpoint is None else load_model(training, checkpoint)
+    # best where several trainings run side by side, and makes them repeatable
+    torch.set_num_threads(1)
+    if checkpoint is None:
+        return make_model(training)
+    return load_model(training, checkpoint)
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
     """Learn what is left. Raises UserError where weights become infinite or undefined."""
-    training, done = callback.training, model.num_timesteps
+    training = callback.training
+    done = model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
@@ -117,46 +143,43 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
 
 
 def make_training_env(training: Training) -> StableBaselinesVecEnv:
-    """Vector environment of a training. The first episode of every arm ends at another time, so
-    that every batch has beginnings, middles and ends of episodes. Raises ConfigurationError,
-    ValueError."""
+    """Vector environment of a training.
+
+    The first episode of every arm ends at another time, so that every batch has beginnings, middles
+    and ends of episodes. Raises ConfigurationError, ValueError.
+    """
     steps = training.episode_steps
     env = make_sb3_vec_env(
         IDS[training.task], training.arms, max_episode_steps=steps, threads=1, **training.options
     )
-    env.set_options(
-        [{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)]
-    )
+    lengths = [1 + steps * row // training.arms for row in range(training.arms)]
+    env.set_options([{"episode_steps": length} for length in lengths])
     return env
 
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
     network_kind(training.algorithm)  # raises where its agents could not act later
-    env, normalise, kind = (
-        make_training_env(training),
-        training.normalise,
-        training_class(training.algorithm),
-    )
-    given: dict[str, Any] = {**training.hyperparameters, "learning_rate": learning_rate(training)}
+    env = make_training_env(training)
+    arguments: dict[str, Any] = dict(training.hyperparameters)
+    arguments["learning_rate"] = learning_rate(training)
+    arguments["policy_kwargs"] = policy_arguments(arguments.get("policy_kwargs", {}))
     normalised = VecNormalize(
         env,
-        norm_obs=normalise.observations,
-        norm_reward=normalise.rewards,
-        gamma=given.get("gamma", 0.99),
+        norm_obs=training.normalise.observations,
+        norm_reward=training.normalise.rewards,
+        gamma=arguments.get("gamma", 0.99),
     )
-    policy = (
-        "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
-    )  # of tasks with goals
-    given["policy_kwargs"] = policy_arguments(given.get("policy_kwargs", {}))
+    has_goals = isinstance(env.observation_space, gym.spaces.Dict)
+    policy = "MultiInputPolicy" if has_goals else "MlpPolicy"
+    kind = training_class(training.algorithm)
     try:
-        if (settings := getattr(kind, "settings_class", None)) is not None:
-            names = [field.name for field in dataclasses.fields(settings) if field.name in given]
-            given["settings"] = settings(**{name: given.pop(name) for name in names})
-        model: BaseAlgorithm = kind(policy, normalised, seed=training.seed, device="cpu", **given)
-    except (
-        Exception
-    ) as error:  # however Stable-Baselines3 and PyTorch end on hyperparameters that they cannot use
+        _gather_settings(kind, arguments)
+        model: BaseAlgorithm = kind(
+            policy, normalised, seed=training.seed, device="cpu", **arguments
+        )
+    # however Stable-Baselines3 and PyTorch end on hyperparameters that they cannot use
+    except Exception as error:
         raise ValueError(
             f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}"
         ) from error
@@ -164,18 +187,38 @@ def make_model(training: Training) -> BaseAlgorithm:
     return model
 
 
+def _gather_settings(kind: Any, arguments: dict[str, Any]) -> None:
+    """Puts the settings among the arguments of one of the package's own algorithms into one."""
+    settings_class = getattr(kind, "settings_class", None)
+    if settings_class is None:
+        return
+    settings = {}
+    for field in dataclasses.fields(settings_class):
+        if field.name in arguments:
+            settings[field.name] = arguments.pop(field.name)
+    arguments["settings"] = settings_class(**settings)
+
+
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
-    """Agent of a checkpoint, with all that it needs to learn on. Loading runs what is in its files.
-    Raises ValueError, OSError."""
-    midst, rate = pickle.loads((checkpoint / ENVIRONMENT).read_bytes()), learning_rate(training)
+    """Agent of a checkpoint, with all that it needs to learn on.
+
+    Loading runs what is in its files. Raises ValueError, OSError.
+    """
+    midst = pickle.loads((checkpoint / ENVIRONMENT).read_bytes())
     statistics = VecNormalize.load(str(checkpoint / PICKLED), midst["env"])
-    kept = {"learning_rate": rate, "lr_schedule": rate}
-    model: BaseAlgorithm = training_class(training.algorithm).load(
-        checkpoint / MODEL, env=statistics, device="cpu", custom_objects=kept
+    rate = learning_rate(training)
+    kind = training_class(training.algorithm)
+    model: BaseAlgorithm = kind.load(
+        checkpoint / MODEL,
+        env=statistics,
+        device="cpu",
+        custom_objects={"learning_rate": rate, "lr_schedule": rate},
     )
-    if hasattr(model, "load_replay_buffer"):
-        whole = {"truncate_last_traj": False} if isinstance(model, OffPolicyAlgorithm) else {}
-        model.load_replay_buffer(checkpoint / BUFFER, **whole)
+    buffer = checkpoint / BUFFER
+    if isinstance(model, OffPolicyAlgorithm):
+        model.load_replay_buffer(buffer, truncate_last_traj=False)
+    elif hasattr(model, "load_replay_buffer"):
+        model.load_replay_buffer(buffer)
     restore(model, midst)
     return model
 
@@ -185,8 +228,11 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
     if isinstance(training.learning_rate, float):
         return training.learning_rate
     first, last, *kind = training.learning_rate
-    return (
-        (lambda remains: last * (first / last) ** remains)
-        if kind
-        else lambda remains: last + (first - last) * remains
-    )
+
+    def geometric(remains: float) -> float:
+        return last * (first / last) ** remains
+
+    def straight(remains: float) -> float:
+        return last + (first - last) * remains
+
+    return geometric if kind else straight

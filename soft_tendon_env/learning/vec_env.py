@@ -45,24 +45,23 @@ class StableBaselinesVecEnv(VecEnv):
                 "env should be made with autoreset_mode='same_step', not"
                 f" {env.autoreset_mode.name.lower()!r}"
             )
-        self.env, self.spec, self._born = env, env.spec, time.time()
-        self._returns, self._lengths = (
-            np.zeros(env.num_envs),
-            np.zeros(env.num_envs, dtype=np.int64),
-        )
+        self.env = env
+        self.spec = env.spec
+        self._born = time.time()
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
         """New episodes of all rows, with the seeds that `seed` has set, once, and the options of
         `reset` from `set_options`, likewise."""
-        options = {
-            key: [of_row.get(key) for of_row in self._options]
-            for key in set().union(*self._options)
-        }
+        keys = set().union(*self._options)
+        options = {key: [of_row.get(key) for of_row in self._options] for key in keys}
         observation, _ = self.env.reset(seed=self._seeds, options=options)
         self._reset_seeds()
         self._reset_options()
-        self._returns[:], self._lengths[:] = 0.0, 0
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
         return observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -72,42 +71,41 @@ class StableBaselinesVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """One control period: observations, rewards (rows,) float32, dones (rows,) and infos."""
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
-        done, late = terminated | truncated, truncated & ~terminated
+        done = terminated | truncated
+        late = truncated & ~terminated
         infos = _of_all_rows(info, {"TimeLimit.truncated": late})
         self._returns += reward
         self._lengths += 1
         for row in np.flatnonzero(done).tolist():
-            infos[row] = {
-                **_of_row(info["final_info"], row),
-                "TimeLimit.truncated": bool(late[row]),
-            }
-            infos[row]["terminal_observation"] = info["final_obs"][row]
-            total, length = float(self._returns[row]), int(self._lengths[row])
-            infos[row]["episode"] = {
-                "r": round(total, 6),
-                "l": length,
-                "t": round(time.time() - self._born, 6),
-            }
-            self._returns[row], self._lengths[row] = 0.0, 0
+            last = _of_row(info["final_info"], row)
+            last["TimeLimit.truncated"] = bool(late[row])
+            last["terminal_observation"] = info["final_obs"][row]
+            last["episode"] = self._end_episode(row)
+            infos[row] = last
         return observation, reward.astype(np.float32), done, infos
+
+    def _end_episode(self, row: int) -> dict[str, float]:
+        """Return, length and time of a row's episode that has ended, as Monitor has them."""
+        total = float(self._returns[row])
+        length = int(self._lengths[row])
+        seconds = time.time() - self._born
+        self._returns[row] = 0.0
+        self._lengths[row] = 0
+        return {"r": round(total, 6), "l": length, "t": round(seconds, 6)}
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute of the environment, which the rows share, for each of `indices`; spaces are
         those of one row."""
-        value = getattr(
-            self.env,
-            (
-                f"single_{attr_name}"
-                if attr_name in ("observation_space", "action_space")
-                else attr_name
-            ),
-        )
+        is_space = attr_name in ("observation_space", "action_space")
+        name = f"single_{attr_name}" if is_space else attr_name
+        value = getattr(self.env, name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the environment. Raises ValueError unless `indices` are all rows,
         since they share it."""
-        if {*self._get_indices(indices)} != {*range(self.num_envs)}:
+        all_rows = set(range(self.num_envs))
+        if set(self._get_indices(indices)) != all_rows:
             raise ValueError(
                 f"indices should be None: the rows share {attr_name!r}, it cannot be set for some"
             )
@@ -126,10 +124,8 @@ class StableBaselinesVecEnv(VecEnv):
             raise ValueError(
                 f"{method_name!r} acts on all rows at once: it cannot be called by env_method"
             )
-        return [
-            getattr(self.env, method_name)(*method_args, **method_kwargs)
-            for _ in self._get_indices(indices)
-        ]
+        method = getattr(self.env, method_name)
+        return [method(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
@@ -164,24 +160,27 @@ def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
 
 
 def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """Dictionaries of plain values, quickly and without regard to masks: `step_wait` replaces those
-    of rows that have ended."""
-    columns = {name: value for name, value in info.items() if _is_value(name)} | more
+    """Dictionaries of plain values, quickly and without regard to masks.
+
+    `step_wait` replaces those of rows that have ended.
+    """
+    columns = {name: value for name, value in info.items() if _is_value(name)}
+    columns |= more
     names = tuple(columns)
-    return [
-        dict(zip(names, values, strict=True))
-        for values in zip(*(value.tolist() for value in columns.values()), strict=True)
-    ]
+    lists = [column.tolist() for column in columns.values()]
+    return [dict(zip(names, values, strict=True)) for values in zip(*lists, strict=True)]
 
 
 def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
     """Info of a row, as plain values."""
-    return {
-        name: value[row : row + 1].tolist()[0]
-        for name, value in info.items()
-        if _is_value(name) and info[f"_{name}"][row]
-    }
+    values = {}
+    for name, column in info.items():
+        if _is_value(name) and info[f"_{name}"][row]:
+            plain = column[row : row + 1].tolist()
+            values[name] = plain[0]
+    return values
 
 
 def _is_value(name: str) -> bool:
+    """Whether a key of info has values of rows rather than a mask or what is no number."""
     return not name.startswith("_") and name not in ("drawn", "final_obs", "final_info")

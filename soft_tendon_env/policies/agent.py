@@ -39,80 +39,83 @@ from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
 OLD_WEIGHTS = "weights.pt"  # tensors of agents up to version 0.3
-# name of the best agent that ships for a task, as agents.toml in the folder of them all has it
 IN_REPOSITORY = "but in agents/trained of the repository: clone it and run the same command there"
 """Where the agents are that a wheel lacks, and what to do."""
-
 AGENT = "agent"
-ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
+"""Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
+ARM = ("scene", "fidelity", "control_period", "tension_limits")
+"""Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
-SAME = (*INTERFACE[1:], "control_period")  # options that should be those of the training
+SAME = ("preview", "history", "sensors", "action", "tension_rate", "control_period")
+"""Options that should be those of the training; observations are compared by their layout."""
 OF_TRAINING = (
-    *(
-        "arms",
-        "checkpoint_every",
-        "checkpoint_seconds",
-        "engine",
-        "evaluated",
-        "evaluation",
-        "hindsight",
-        "learning_rate",
-        "record",
-    ),
-    *("runners", "seconds", "seconds_learned", "seed", "start_from", "steps", "threads"),
+    "arms",
+    "checkpoint_every",
+    "checkpoint_seconds",
+    "engine",
+    "evaluated",
+    "evaluation",
+    "hindsight",
+    "learning_rate",
+    "record",
+    "runners",
+    "seconds",
+    "seconds_learned",
+    "seed",
+    "start_from",
+    "steps",
+    "threads",
 )
 """Keys of config.json that concern the training alone: an agent acts as it does whatever they
 say."""
+PHYSICS = ("segments", "tendons", "base", "effects")
+"""Tables of a scene that define the physical arm, as opposed to how it is computed."""
+OF_COORDINATES = {"coordinates", "rates", "target_coordinates"}
+"""Observation groups whose meaning depends on the strain parametrisation."""
 
-EnvironmentOptions = Annotated[
-    dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)
-]
+
+def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Plain options of an environment as they are. Raises ConfigurationError."""
+    Options.parse(options, "options")
+    return options
+
+
+EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(_checked_options)]
 """Options of an environment as plain tables."""
-PHYSICS = (
-    "segments",
-    "tendons",
-    "base",
-    "effects",
-)  # tables of a scene that define the physical arm, as opposed to how it is computed
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are
-    left out. None: not known."""
+    """Configuration of a trained agent, config.json, as far as it acts.
+
+    Keys of OF_TRAINING are left out. None: not known.
+    """
 
     algorithm: str  # name of the algorithm that trained it
-    hyperparameters: dict[str, Any] = Field(
-        default={}
-    )  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
+    # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
+    hyperparameters: dict[str, Any] = Field(default={})
     task: str | None = None  # name of the task that it was trained on
-    options: EnvironmentOptions = Field(
-        default={}, validate_default=True
-    )  # of the environment that it was trained in
-    layout: dict[str, int] | None = (
-        None  # groups of its observation in their order, with their sizes
-    )
-    strain: dict[str, Any] | None = (
-        # parametrisation that its arm had, which says what coordinates are; by default that of
-        # options
-        None
-    )
-    integral_time: Positive | None = (
-        None  # [s] of integral action around it, see integral.py; None: none
-    )
-    normalise: dict[str, Any] = Field(
-        default={}
-    )  # {"observations": true} where it sees observations through its statistics
+    # of the environment that it was trained in
+    options: EnvironmentOptions = Field(default={}, validate_default=True)
+    # groups of its observation in their order, with their sizes
+    layout: dict[str, int] | None = None
+    # parametrisation that its arm had, which says what coordinates are; by default that of options
+    strain: dict[str, Any] | None = None
+    # [s] of integral action around it, see integral.py; None: none
+    integral_time: Positive | None = None
+    # {"observations": true} where it sees observations through its statistics
+    normalise: dict[str, Any] = Field(default={})
     steps_done: int | None = Field(default=None, ge=0)  # of its training
     files: dict[str, str] = Field(default={})  # SHA-256 of the files that belong together, by name
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """The configuration of a plain table. Raises ConfigurationError, also for keys that it does
-        not know."""
-        return super().parse(
-            {key: value for key, value in values.items() if key not in OF_TRAINING}, source
-        )
+        """The configuration of a plain table.
+
+        Raises ConfigurationError, also for keys that it does not know.
+        """
+        acting = {key: value for key, value in values.items() if key not in OF_TRAINING}
+        return super().parse(acting, source)
 
     @field_validator("options")
     @classmethod
@@ -122,7 +125,8 @@ class AgentConfig(Configuration):
     @field_validator("algorithm")
     @classmethod
     def _is_known(cls, algorithm: str) -> str:
-        if algorithm not in (names := sorted([*ALGORITHMS, *OF_PACKAGE])):
+        names = sorted([*ALGORITHMS, *OF_PACKAGE])
+        if algorithm not in names:
             raise ValueError(f"should be an algorithm: {not_among(algorithm, names)}")
         return algorithm
 
@@ -145,12 +149,11 @@ def is_shipped(name: str) -> bool:
 
 def is_agent(name: str) -> bool:
     """True for the name of an agent: of one that ships, or the folder of one."""
-    return (
-        is_shipped(name)
-        or (Path(name) / WEIGHTS).is_file()
-        or (Path(name) / CONFIG).is_file()
-        and not (Path(name) / "best").is_dir()
-    )
+    folder = Path(name)
+    if is_shipped(name) or (folder / WEIGHTS).is_file():
+        return True
+    is_training = (folder / "best").is_dir()
+    return (folder / CONFIG).is_file() and not is_training
 
 
 def trained_folder() -> Path:
@@ -172,9 +175,8 @@ def shipped_as(name: str, task: str) -> str:
     """
     table = _agents_table()
     folder_name = str(table.get(task)) if name == AGENT else name
-    of_task = [
-        known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()
-    ]
+    folder = trained_folder()
+    of_task = [known for known in shipped() if (folder / known / task / WEIGHTS).is_file()]
     if folder_name in of_task:
         return folder_name
     text = f"the agent {name!r} does not ship for {task}; what does: {', '.join(of_task) or 'none'}"
@@ -184,8 +186,10 @@ def shipped_as(name: str, task: str) -> str:
 
 
 def lacks_seeds(name: str, task: str) -> bool:
-    """Whether an agent that ships was trained with several seeds, of which only one is here, as in
-    a wheel. Raises ValueError, FileNotFoundError as `shipped_as`."""
+    """Whether an agent that ships was trained with several seeds, of which only one is here.
+
+    That is so in a wheel. Raises ValueError, FileNotFoundError as `shipped_as`.
+    """
     if not is_shipped(name):
         return False
     folder_name = shipped_as(name, task)
@@ -196,9 +200,13 @@ def lacks_seeds(name: str, task: str) -> bool:
 
 
 def find_agent(name: str, task: str) -> Path:
-    """Folder of an agent by its name: one of `shipped` for the task, or a folder. Raises
-    ValueError, FileNotFoundError."""
-    folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
+    """Folder of an agent by its name: one of `shipped` for the task, or a folder.
+
+    Raises ValueError, FileNotFoundError.
+    """
+    folder = Path(name)
+    if is_shipped(name):
+        folder = trained_folder() / shipped_as(name, task) / task
     if not (folder / WEIGHTS).is_file():
         text = f"{name}: there is no file {folder / WEIGHTS}"
         if (folder / OLD_WEIGHTS).is_file():
@@ -220,11 +228,14 @@ class TrainingWarning(UserWarning):
 
 
 class NetworkPolicy:
-    """Policy network, or another object with Stable-Baselines3's `predict`, that sees observations
-    normalised by the statistics of its training."""
+    """Policy network that sees observations normalised by the statistics of its training.
+
+    The network may be another object with Stable-Baselines3's `predict`.
+    """
 
     def __init__(self, model: Any, normalise: Callable[[Any], Any] | None = None) -> None:
-        self.network, self.normalise = model, normalise
+        self.network = model
+        self.normalise = normalise
 
     def predict(
         self,
@@ -238,33 +249,39 @@ class NetworkPolicy:
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
-    """Trained agent as a policy for an environment like its own, single or vector; nothing is
-    unpickled.
+    """Trained agent as a policy for an environment like its own, single or vector.
 
-    name: of an agent that ships for the environment's task, or an agent's folder. other_effects:
-    whether the arm may have effects that it was not trained with. Warns (TrainingWarning) of
-    another task or preset than in its training. Raises TypeError for environments of other
-    packages, ValueError, also for another arm or control period, OSError, ModuleNotFoundError.
+    Nothing is unpickled.
+
+    Args:
+        name: of an agent that ships for the environment's task, or an agent's folder.
+        env: the environment.
+        other_effects: whether the arm may have effects that it was not trained with.
+
+    Raises:
+        TypeError: the environment is of another package.
+        ValueError: the files were damaged, or are of another arm or control period.
+        OSError: a file cannot be read.
+
+    Warns:
+        TrainingWarning: the task or preset is another than in its training.
     """
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
-    check_digests(
-        folder,
-        {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files},
-        folder / CONFIG,
-    )
+    files = {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}
+    check_digests(folder, files, folder / CONFIG)
     _check_agent(name, config, episodes, other_effects)
-    rows = isinstance(env, gym.vector.VectorEnv)
-    spaces = (
-        (env.single_observation_space, env.single_action_space)
-        if rows
-        else (env.observation_space, env.action_space)
-    )
-    network = load_network(folder, config, *spaces)
+    if isinstance(env, gym.vector.VectorEnv):
+        observations: gym.Space[Any] = env.single_observation_space
+        actions: gym.Space[Any] = env.single_action_space
+    else:
+        observations = env.observation_space
+        actions = env.action_space
+    network = load_network(folder, config, observations, actions)
     normalization = None
     if (folder / STATISTICS).exists():
-        normalization = read_normalization(folder / STATISTICS, spaces[0])
+        normalization = read_normalization(folder / STATISTICS, observations)
     elif config.normalise.get("observations"):
         raise FileNotFoundError(
             f"{folder} should have {STATISTICS}: the agent sees observations through it, and would"
@@ -276,14 +293,17 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
 def load_network(
     folder: Path, config: AgentConfig, observations: gym.Space[Any], actions: gym.Space[Any]
 ) -> PolicyNetwork:
-    """Policy network of the agent in a folder, for the spaces of an environment. Raises ValueError,
-    OSError."""
+    """Policy network of the agent in a folder, for the spaces of an environment.
+
+    Raises ValueError, OSError.
+    """
     arrays = read_weights(folder / WEIGHTS)
     arguments = dict(config.hyperparameters.get("policy_kwargs") or {})
     if config.hyperparameters.get("use_sde"):
         arguments["use_sde"] = True
     try:
-        architecture = read_architecture(network_kind(config.algorithm), arguments)
+        kind = network_kind(config.algorithm)
+        architecture = read_architecture(kind, arguments)
         return build_network(architecture, arrays, observations, actions)
     except (TypeError, ValueError) as error:
         raise ValueError(
@@ -293,9 +313,13 @@ def load_network(
 
 
 def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Policy:
-    """Policy of an agent in its environment, with integral action for an integral_time [s]. Raises
-    ValueError as IntegralPolicy does."""
-    return agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
+    """Policy of an agent in its environment, with integral action for an integral_time [s].
+
+    Raises ValueError as IntegralPolicy does.
+    """
+    if integral_time is None:
+        return agent
+    return IntegralPolicy(agent, env, integral_time)
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
@@ -310,131 +334,171 @@ def save_agent(folder: Path, network: Any, normalization: Normalization | None) 
     Raises:
         OSError: the folder cannot be written.
     """
-    np.savez_compressed(folder / WEIGHTS, allow_pickle=False, **acting_arrays(network.state_dict()))
+    arrays = acting_arrays(network.state_dict())
+    np.savez_compressed(folder / WEIGHTS, allow_pickle=False, **arrays)
     if normalization is not None:
         save_normalization(folder / STATISTICS, normalization)
 
 
 def strain_of(scene: Scene) -> dict[str, Any]:
+    """Strain parametrisation of a scene as a plain table."""
     return scene.strain.model_dump(mode="json", exclude_none=True)
 
 
 def layout_of(episodes: Episodes) -> dict[str, int]:
+    """Groups of an observation in their order, with their sizes."""
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
 def disturbances(options: Options) -> set[str]:
-    """Names of effects that a training draws from nothing on, or from the least that there is: an
-    arm has them or not."""
-    found, scene = dict[str, bool](), given_scene(options.scene)
+    """Names of effects that a training draws from nothing on, or from the least that there is.
+
+    An arm has them or not.
+    """
+    scene = given_scene(options.scene)
+    is_disturbance: dict[str, bool] = {}
     for drawn in options.randomize.ranges(scene):
         for key, value in zip(drawn.keys, drawn.values, strict=True):
             table, name, number, *_ = key.split(".")
             if table == "effects":
-                effect = getattr(
-                    scene.effects, name
-                )  # None: it is there where its number is drawn alone
-                others = effect and any(
-                    np.any(getattr(effect, strength))
-                    for strength in effect.strengths
-                    if strength != number
-                )
-                found[name] = (
-                    found.get(name, True) and value in (0.0, drawn.least) and not others
-                )  # still water is there without a current
-    return {name for name, holds in found.items() if holds}
+                begins = value in (0.0, drawn.least)
+                alone = not _has_other_strength(getattr(scene.effects, name), number)
+                # still water is there without a current
+                before = is_disturbance.get(name, True)
+                is_disturbance[name] = before and begins and alone
+    return {name for name, holds in is_disturbance.items() if holds}
+
+
+def _has_other_strength(effect: Any, number: str) -> bool:
+    """Whether an effect acts by another number than this one; None: it is not there."""
+    if effect is None:
+        return False  # it is there where its number is drawn alone
+    others = [strength for strength in effect.strengths if strength != number]
+    return any(np.any(getattr(effect, strength)) for strength in others)
 
 
 def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a training with the arm alone: without what it draws, and changes of the scene by
-    which there are disturbances."""
-    scene, names = options.get("scene"), disturbances(Options.parse(options, "options"))
+    """Options of a training with the arm alone.
+
+    They are without what it draws, and changes of the scene by which there are disturbances.
+    """
+    scene = options.get("scene")
+    names = disturbances(Options.parse(options, "options"))
+    arm = {**options, "randomize": {}}
     if not isinstance(scene, Mapping) or "segments" in scene:
-        return {**options, "randomize": {}}
-    left = {
-        key: value
-        for key, value in scene.items()
-        if not (key.startswith("effects.") and key.split(".")[1] in names)
-    }
-    return {
-        **options,
-        "randomize": {},
-        "scene": left["scene"] if left.keys() == {"scene"} else left,
-    }
+        return arm
+    left = {}
+    for key, value in scene.items():
+        is_disturbance = key.startswith("effects.") and key.split(".")[1] in names
+        if not is_disturbance:
+            left[key] = value
+    arm["scene"] = left["scene"] if left.keys() == {"scene"} else left
+    return arm
 
 
 def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
     """Physical arm of a scene by the names of PHYSICS, without effects of these names."""
     effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in names}
-    return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
+    tables = {key: getattr(scene, key) for key in PHYSICS}
+    return {**tables, "effects": effects}
 
 
 def _as_written(options: Options) -> Scene:
-    """The scene of options with the strain, quadrature and integrator that it has, so that no trial
-    of the arm is needed."""
+    """The scene of options with the strain, quadrature and integrator that it has.
+
+    No trial of the arm is needed then.
+    """
     return resolved_scene(options.model_copy(update={"fidelity": AS_SCENE}))
 
 
 def _is_of(options: Options, scene: Scene) -> bool:
-    """Whether a scene is that of options but for its name: the same physical arm, and then the same
-    at their fidelity."""
+    """Whether a scene is that of options but for its name.
+
+    It is of the same physical arm, and then the same at their fidelity.
+    """
     if _physics(_as_written(options), set()) != _physics(scene, set()):
         return False
     return resolved_scene(options).replace({"name": scene.name}) == scene
 
 
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
-    """Raises ValueError where an agent was trained on another arm, with another control period, or
-    with another meaning of observations or actions. other_effects: those of the arm may be others.
-    Warns (TrainingWarning) of another task, or arm as it is computed."""
-    now, scene, layout, trained = (
-        episodes.options,
-        episodes.model.scene,
-        layout_of(episodes),
-        Options(**config.options),
-    )
-    before, names = _as_written(trained), disturbances(trained)
-    there, known = _physics(scene, names), _physics(before, names)
+    """Compares an environment with that of an agent's training.
+
+    Args:
+        name: of the agent.
+        config: its configuration.
+        episodes: of the environment.
+        other_effects: whether those of the arm may be others.
+
+    Raises:
+        ValueError: the agent was trained on another arm, with another control period, or with
+            another meaning of observations or actions.
+
+    Warns:
+        TrainingWarning: the task is another, or the arm as it is computed.
+    """
+    trained = Options(**config.options)
+    _check_arm(name, trained, episodes.model.scene, other_effects)
+    _check_interface(name, config, trained, episodes)
+    if not other_effects:
+        _warn_of_changes(name, config, trained, episodes)
+
+
+def _check_arm(name: str, trained: Options, scene: Scene, other_effects: bool) -> None:
+    """Raises ValueError where an agent was trained on another physical arm."""
+    before = _as_written(trained)
+    names = disturbances(trained)
+    arm = _physics(scene, names)
+    trained_arm = _physics(before, names)
     for key in PHYSICS:
-        if known[key] != there[key] and not (other_effects and key == "effects"):
-            text = (
-                f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this"
-                f" environment's ({scene.name!r})"
-            )
-            raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
-    groups = [
-        ", ".join(f"{group} ({size})" for group, size in of.items())
-        for of in (config.layout or layout, layout)
-    ]
-    values = {
-        "observation": (groups[0], groups[1]),
-        **{key: (getattr(trained, key), getattr(now, key)) for key in SAME},
-    }
-    if {"coordinates", "rates", "target_coordinates"} & layout.keys():
-        values["strain"] = (config.strain or strain_of(resolved_scene(trained)), strain_of(scene))
-    for key, (one, other) in values.items():
-        if one != other:
+        may_differ = other_effects and key == "effects"
+        if trained_arm[key] != arm[key] and not may_differ:
             raise ValueError(
-                f"{name} was trained with {key} = {one!r}, this environment has {other!r}"
+                f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this"
+                f" environment's ({scene.name!r}): an arm that differs from it is what `randomize`"
+                " is for"
             )
-    same = any(
-        _is_of(options, scene) for options in (trained, Options(**undisturbed(config.options)))
-    )
-    soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
-    soft |= {
-        key: (getattr(trained, key), getattr(now, key))
-        for key in ARM
-        if key != "control_period" and not same
+
+
+def _check_interface(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
+    """Raises ValueError where observations or actions mean something else than in a training."""
+    layout = layout_of(episodes)
+    values: dict[str, tuple[Any, Any]] = {
+        "observation": (_group_names(config.layout or layout), _group_names(layout))
     }
-    if not other_effects and (
-        other := [
-            f"{key} = {one!r}, judged with {two!r}"
-            for key, (one, two) in soft.items()
-            if one != two
-        ]
-    ):
+    for key in SAME:
+        values[key] = (getattr(trained, key), getattr(episodes.options, key))
+    if OF_COORDINATES & layout.keys():
+        strain = config.strain or strain_of(resolved_scene(trained))
+        values["strain"] = (strain, strain_of(episodes.model.scene))
+    for key, (before, now) in values.items():
+        if before != now:
+            raise ValueError(
+                f"{name} was trained with {key} = {before!r}, this environment has {now!r}"
+            )
+
+
+def _group_names(layout: Mapping[str, int]) -> str:
+    """Groups of a layout with their sizes, as words."""
+    return ", ".join(f"{group} ({size})" for group, size in layout.items())
+
+
+def _warn_of_changes(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
+    """Warns of another task, or another arm as it is computed, than in an agent's training."""
+    task = episodes.task.name
+    values: dict[str, tuple[Any, Any]] = {"task": (config.task or task, task)}
+    arms = (trained, Options(**undisturbed(config.options)))
+    if not any(_is_of(options, episodes.model.scene) for options in arms):
+        for key in ARM:
+            if key != "control_period":
+                values[key] = (getattr(trained, key), getattr(episodes.options, key))
+    changes = []
+    for key, (before, now) in values.items():
+        if before != now:
+            changes.append(f"{key} = {before!r}, judged with {now!r}")
+    if changes:
         text = (
-            f"{name}: trained with {'; '.join(other)}. policy_options() has the options of its"
+            f"{name}: trained with {'; '.join(changes)}. policy_options() has the options of its"
             " training"
         )
-        warnings.warn(text, TrainingWarning, stacklevel=5)
+        warnings.warn(text, TrainingWarning, stacklevel=6)

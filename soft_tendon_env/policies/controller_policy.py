@@ -47,9 +47,8 @@ class RowMemory(NamedTuple):
     command: Array  # (n_a,) given for that: the same, or displacements [m]
     estimate: protocol.Estimate | None
     periods: int  # that the episode has lasted
-    sent: tuple[
-        Array, ...
-    ]  # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
+    # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
+    sent: tuple[Array, ...]
 
 
 def observation_options(
@@ -60,28 +59,30 @@ def observation_options(
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
-    """Options of an environment of this task ("TipPose", ...) under which a controller sees what it
-    needs, and gives tensions. Raises ValueError.
+    """Options of an environment under which a controller sees what it needs, and gives tensions.
 
-    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of
-    REGIMES, what a Kalman filter observes, by default "sensors". latency: known input delay [s]
-    that the controller compensates, see `make_policy`.
+    Args:
+        controller: of CONTROLLERS, or an entry like those there.
+        task: "TipPose", ...
+        period: of control [s].
+        latency: known input delay [s] that the controller compensates, see `make_policy`.
+        estimator: of ESTIMATORS, which finds the coordinates; None: they are observed.
+        regime: of REGIMES, what a Kalman filter observes, by default "sensors".
+
+    Raises:
+        ValueError: a name is not known.
     """
-    finds, reference = (
-        _among("estimator", estimator, ESTIMATORS),
-        _among("task", task, TASKS).measured_reference,
-    )
-    ahead = _periods_ahead(
-        _among("controller", controller, CONTROLLERS.get(task, {})), latency, period, finds
-    )
-    options: dict[str, Any] = {
-        "action": "tension",
-        "preview": [period * k for k in range(1, ahead + 1)],
-    }
+    estimator_entry = _among("estimator", estimator, ESTIMATORS)
+    reference = _among("task", task, TASKS).measured_reference
+    entry = _among("controller", controller, CONTROLLERS.get(task, {}))
+    ahead = _periods_ahead(entry, latency, period, estimator_entry)
+    preview = [period * k for k in range(1, ahead + 1)]
+    options: dict[str, Any] = {"action": "tension", "preview": preview}
     if estimator is None and regime is None:
         return options
-    told = _among("regime", regime or "sensors", REGIMES)
-    return {**options, "observation": (*told.measured, *reference), "sensors": told.sensors or ()}
+    sensors = _among("regime", regime or "sensors", REGIMES)
+    observation = (*sensors.measured, *reference)
+    return {**options, "observation": observation, "sensors": sensors.sensors or ()}
 
 
 def make_policy(
@@ -92,115 +93,145 @@ def make_policy(
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
 ) -> "ControllerPolicy":
-    """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy, for an environment made with
-    `observation_options`.
+    """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy.
 
-    model: the assumed model, by default the environment's own before randomisation. Where
-    coordinates are observed, it should have the same. estimator: of ESTIMATORS, finds the
-    coordinates from the other observations and the known noise of the sensors; None: they are
-    observed. uncertainty: process noise and first uncertainty of a Kalman filter. latency: known
-    input delay [s], which the controller compensates (Smith predictor), by default that of the
-    actuators in its model; with estimator="adaptive" the first estimate of it. Raises TypeError,
-    ValueError; ConfigurationError where the environment does not show what the controller needs.
+    Args:
+        controller: of CONTROLLERS, or an entry like those there.
+        env: environment made with `observation_options`.
+        model: the assumed model, by default the environment's own before randomisation. Where
+            coordinates are observed, it should have the same.
+        latency: known input delay [s], which the controller compensates (Smith predictor), by
+            default that of the actuators in its model; with estimator="adaptive" the first estimate
+            of it.
+        estimator: of ESTIMATORS, finds the coordinates from the other observations and the known
+            noise of the sensors; None: they are observed.
+        uncertainty: process noise and first uncertainty of a Kalman filter.
+
+    Raises:
+        TypeError: the environment is of another package.
+        ValueError: a name is not known, or the model does not fit.
+        ConfigurationError: the environment does not show what the controller needs.
     """
-    finds = _among("estimator", estimator, ESTIMATORS)
-    episodes, model = episodes_of(env), episodes_of(env).model if model is None else model
-    if (differs := model.coordinate_count != episodes.model.coordinate_count) and (
-        finds is None or episodes.task.shapes
-    ):
-        there = (
-            f"{model.coordinate_count} coordinates where the environment's has"
-            f" {episodes.model.coordinate_count}"
-        )
+    estimator_entry: EstimatorEntry | None = _among("estimator", estimator, ESTIMATORS)
+    episodes = episodes_of(env)
+    if model is None:
+        model = episodes.model
+    differs = model.coordinate_count != episodes.model.coordinate_count
+    if differs and (estimator_entry is None or episodes.task.shapes):
         raise ValueError(
-            f"the controller's model has {there}, which are observed: it should have the same"
-            " strain parametrisation"
+            f"the controller's model has {model.coordinate_count} coordinates where the"
+            f" environment's has {episodes.model.coordinate_count}, which are observed: it should"
+            " have the same strain parametrisation"
         )
     believed, delay = _under_tensions(model)
-    late = checked_number(
-        "latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0"
-    )
+    if latency is None:
+        latency = delay
+    late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
     entry: Entry = _among("controller", controller, CONTROLLERS.get(episodes.task.name, {}))
-    _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
-    greatest = late if finds is None else finds.greatest_latency or late
+    ahead = _periods_ahead(entry, late, episodes.period, estimator_entry)
+    _check_preview(entry, episodes, ahead)
+    greatest = late
+    if estimator_entry is not None and estimator_entry.greatest_latency:
+        greatest = estimator_entry.greatest_latency
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    seen = tuple(
-        field
-        for group, field in PARAMETERS.items()
-        if group in episodes.layout.slices and field in protocol.Measurement._fields
+    made = None
+    if estimator_entry is not None:
+        setting = _setting(episodes, late, uncertainty)
+        made = estimator_entry.make(believed, setting)
+    law = entry.make(believed, episodes.limits.copy(), episodes.period)
+    return ControllerPolicy(law, env, model if differs else None, made, predictor)
+
+
+def _setting(episodes: Episodes, latency: float, uncertainty: Uncertainty) -> Setting:
+    """What an estimator knows of the environment; latency: of commands [s]."""
+    measured = []
+    for group, field in PARAMETERS.items():
+        is_measured = field in protocol.Measurement._fields
+        if is_measured and group in episodes.layout.slices:
+            measured.append(field)
+    return Setting(
+        episodes.period,
+        episodes.start_tension.copy(),
+        tuple(measured),
+        episodes.sensors.copy(),
+        episodes.options.randomize.noise,
+        latency,
+        uncertainty,
     )
-    noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
-    setting = Setting(
-        episodes.period, starts, seen, episodes.sensors.copy(), noise, late, uncertainty
-    )
-    found = None if finds is None else finds.make(believed, setting)
-    decides = entry.make(believed, episodes.limits.copy(), episodes.period)
-    return ControllerPolicy(decides, env, model if differs else None, found, predictor)
 
 
 def _under_tensions(model: Model) -> tuple[Model, float]:
-    """Model of the same arm whose commands are tensions that arrive at once, and the delay of its
-    actuators [s]."""
+    """Model of the same arm whose commands are tensions that arrive at once.
+
+    Returns:
+        The model, and the delay of the actuators [s] that it leaves out.
+    """
     effects = model.scene.effects
-    changes: dict[str, Any] = {
-        f"effects.{name}": None
-        for name, effect in effects.chosen().items()
-        if effect.command_unit != "N"
-    }
-    if delay := 0.0 if effects.actuators is None else effects.actuators.delay:
+    changes: dict[str, Any] = {}
+    for name, effect in effects.chosen().items():
+        if effect.command_unit != "N":
+            changes[f"effects.{name}"] = None
+    delay = 0.0 if effects.actuators is None else effects.actuators.delay
+    if delay:
         changes["effects.actuators.delay"] = 0.0
-    return build_model(model.scene.replace(changes)) if changes else model, delay
+    if changes:
+        model = build_model(model.scene.replace(changes))
+    return model, delay
 
 
 def _periods_ahead(
-    entry: Entry, latency: float, period: float, finds: EstimatorEntry | None
+    entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None
 ) -> int:
-    """Control periods ahead of now for which a controller should be told the target, so that it
-    makes up for a latency [s] too."""
-    late, rest = whole_periods((finds and finds.greatest_latency) or latency, period)
+    """Control periods ahead of now for which a controller should be told the target.
+
+    They make up for a latency [s] too, or for the greatest that the estimator finds.
+    """
+    greatest = latency
+    if estimator is not None and estimator.greatest_latency:
+        greatest = estimator.greatest_latency
+    late, rest = whole_periods(greatest, period)
     return entry.looks_ahead + late + (rest > 0.0)
 
 
 def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
-    """Raises ConfigurationError where a target that moves is not told for as long as a controller
-    looks ahead; one that plans for more than two periods needs every period of it, since it follows
-    the kinks of a target that goes straight between the times of a preview."""
-    told, needed = episodes.ahead, episodes.period * np.arange(1, periods + 1)
-    missed = np.abs(told[:, None] - needed).min(axis=0) > SAME * needed
+    """Raises ConfigurationError where a target that moves is not told for long enough.
+
+    A controller that plans for more than two periods needs every period of it, since it follows the
+    kinks of a target that goes straight between the times of a preview.
+    """
+    if episodes.task.goal is not None:
+        return
+    times = episodes.ahead
+    needed = episodes.period * np.arange(1, periods + 1)
     if entry.looks_ahead <= LOOKS_AHEAD:
-        missed = needed > told[-1] * (1.0 + SAME)
-    if episodes.task.goal is None and missed.any():
+        missed = needed > times[-1] * (1.0 + SAME)
+    else:
+        distances = np.abs(times[:, None] - needed)
+        missed = distances.min(axis=0) > SAME * needed
+    if missed.any():
         text = (
-            f"tells the target at {shown(told[1:].tolist())} s, and it is needed at every control"
-            f" period up to {needed[-1]:.3g} s"
+            f"tells the target at {shown(times[1:].tolist())} s, and it is needed at every control"
+            f" period up to {needed[-1]:.3g} s: make the environment with observation_options()"
         )
-        raise ConfigurationError(
-            [Problem(("preview",), f"{text}: make the environment with observation_options()")],
-            "environment",
-        )
+        raise ConfigurationError([Problem(("preview",), text)], "environment")
 
 
 def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
-    """Entry of a table by its name; a controller's entry itself, or None, as it is. Raises
-    ValueError."""
+    """Entry of a table by its name; a controller's entry itself, or None, as it is.
+
+    Raises ValueError.
+    """
     if chosen is None or isinstance(chosen, Entry):
         return chosen
     if not isinstance(chosen, str) or chosen not in valid:
-        known = (not_registered if kind in ("controller", "task") else not_among)(
-            str(chosen), valid
-        )
-        raise ValueError(f"{kind} is {shown(chosen)}: {known}")
+        # users add to those two
+        describe = not_registered if kind in ("controller", "task") else not_among
+        raise ValueError(f"{kind} is {shown(chosen)}: {describe(str(chosen), valid)}")
     return valid[chosen]
 
 
 class ControllerPolicy:
-    """Controller behind Stable-Baselines3's `predict`, for one row or many.
-
-    model: which knows what commands make tensions, by default the environment's. estimator: finds
-    the coordinates; None: they are observed. predictor: of where the arm will be when commands
-    arrive; None: they arrive at once. Raises TypeError for environments of other packages,
-    ConfigurationError where the observation lacks what the controller needs.
-    """
+    """Controller behind Stable-Baselines3's `predict`, for one row or many."""
 
     def __init__(
         self,
@@ -210,48 +241,64 @@ class ControllerPolicy:
         estimator: protocol.Estimator | None = None,
         predictor: SmithPredictor | None = None,
     ) -> None:
-        self.controller, self.estimator, self.predictor = controller, estimator, predictor
-        of = episodes_of(env)
-        self.layout, self._actions, self._ahead, self._period = (
-            of.layout,
-            of.actions,
-            of.ahead.copy(),
-            of.period,
-        )
-        self._start, self._start_command, self._model = (
-            of.start_tension.copy(),
-            of.start_command.copy(),
-            model or of.model,
-        )
-        self._zeros = (
-            of.observed.rest._asdict()
-        )  # of lengths and strains, which are observed as differences
-        self._waiting = max(0 if part is None else part.history for part in (estimator, predictor))
-        effects, name = self._model.scene.effects, type(controller).__name__
-        pulled = (
-            None
-            if effects.command_unit == "N"
-            else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
-        )
-        self._lost, self._simulation = (
-            LostState(name),
-            None if pulled is None else Simulation(pulled),
-        )  # of the arm under tensions
-        groups, needed = of.layout.slices, [*TIP]
-        state = ("q", "q_dot") if estimator is None else estimator.needs
+        """A controller's policy for an environment.
+
+        Args:
+            controller: what acts.
+            env: its environment.
+            model: which knows what commands make tensions, by default the environment's.
+            estimator: finds the coordinates; None: they are observed.
+            predictor: of where the arm will be when commands arrive; None: they arrive at once.
+
+        Raises:
+            TypeError: the environment is of another package.
+            ConfigurationError: the observation lacks what the controller needs.
+        """
+        self.controller = controller
+        self.estimator = estimator
+        self.predictor = predictor
+        episodes = episodes_of(env)
+        self.layout = episodes.layout
+        self._actions = episodes.actions
+        self._ahead = episodes.ahead.copy()
+        self._period = episodes.period
+        self._start = episodes.start_tension.copy()
+        self._start_command = episodes.start_command.copy()
+        self._model = model or episodes.model
+        # of lengths and strains, which are observed as differences
+        self._zeros = episodes.observed.rest._asdict()
+        self._waiting = 0  # tensions that are remembered
+        for part in (estimator, predictor):
+            if part is not None:
+                self._waiting = max(self._waiting, part.history)
+        self._lost = LostState(type(controller).__name__)
+        self._simulation: Simulation | None = None  # of the arm under tensions
+        effects = self._model.scene.effects
+        if effects.command_unit != "N":
+            pulled = build_model(self._model.scene.replace({"effects": effects.on_arm()}))
+            self._simulation = Simulation(pulled)
+        self._check(episodes)
+
+    def _check(self, episodes: Episodes) -> None:
+        """Raises ConfigurationError where the observation lacks something."""
+        groups = episodes.layout.slices
+        state = ("q", "q_dot") if self.estimator is None else self.estimator.needs
+        needed = [*TIP]
         needed += [group for group, field in PARAMETERS.items() if field in state]
-        needed += [] if "wanted_coordinates" in groups else of.task.reference
-        problems = list[Problem]()
-        if missing := [group for group in needed if group not in groups]:
+        if "wanted_coordinates" not in groups:
+            needed += episodes.task.reference
+        missing = [group for group in needed if group not in groups]
+        problems = []
+        if missing:
             text = (
-                f"lacks {', '.join(missing)}, which {name} needs: make it with"
-                " observation_options()"
+                f"lacks {', '.join(missing)}, which {type(self.controller).__name__} needs: make"
+                " it with observation_options()"
             )
             problems.append(Problem(("observation",), text))
-        if (np.diff(of.ahead) <= 0.0).any():
+        if (np.diff(episodes.ahead) <= 0.0).any():
             text = (
-                f"is {of.ahead[1:].tolist()} s: it should be times that increase by at least a"
-                " control period"
+                f"is {episodes.ahead[1:].tolist()} s: it should be times that increase by at least"
+                " a control period"
             )
             problems.append(Problem(("preview",), text))
         if problems:
@@ -264,33 +311,31 @@ class ControllerPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
-        """Actions (n_a,) for one observation, (rows, n_a) for many, and the state to give back with
-        the next ones.
+        """Actions for one observation or many, and the state to give back with the next ones.
 
-        state: what the last call returned, None at the beginning of episodes; a UserWarning says
-        where it is never given back. episode_start (rows,) bool: rows that forget. `deterministic`
-        is not used: controllers always are.
+        Args:
+            observation: of the environment, or rows of them.
+            state: what the last call returned, None at the beginning of episodes; a UserWarning
+                says where it is never given back.
+            episode_start: (rows,) bool, rows that forget.
+            deterministic: is not used: controllers always are.
+
+        Returns:
+            Actions (n_a,), or (rows, n_a) for many, and the state.
         """
         self._lost.notice(state is None and not np.any(episode_start))
-        flat = observation["observation"] if isinstance(observation, dict) else observation
+        flat = observation
+        goal = None
+        if isinstance(observation, dict):
+            flat = observation["observation"]
+            goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64)
         values = self.layout.values(np.atleast_2d(flat))
-        goal = (
-            np.atleast_2d(observation["desired_goal"]).astype(np.float64)
-            if isinstance(observation, dict)
-            else None
-        )
-        memories: list[RowMemory | None] = (
-            [None] * len(values["tip_position"]) if state is None else list(state)
-        )
-        if episode_start is not None:
-            memories = [
-                None if begins else memory
-                for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)
-            ]
+        memories = _memories(len(values["tip_position"]), state, episode_start)
         poses = _tip_poses(values)
         targets = _target_poses(values, poses)
-        actions, after = [], []
-        for row, kept in enumerate(memories):
+        actions = []
+        after = []
+        for row, memory in enumerate(memories):
             groups = {name: value[row] for name, value in values.items()}
             target = protocol.Reference(
                 ahead=self._ahead if goal is None else np.zeros(1),
@@ -298,86 +343,100 @@ class ControllerPolicy:
                 tip_position=None if goal is None else goal[row : row + 1],
                 q=_target_coordinates(groups, len(self._ahead)),
             )
-            action, memory = self._decide(
-                groups, poses[row], target, self._fresh(groups) if kept is None else kept
-            )
+            before = self._fresh(groups) if memory is None else memory
+            action, next_memory = self._decide(groups, poses[row], target, before)
             actions.append(action)
-            after.append(memory)
-        return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
+            after.append(next_memory)
+        if np.ndim(flat) == 1:
+            return actions[0], tuple(after)
+        return np.stack(actions), tuple(after)
 
     def _decide(
         self, groups: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory
     ) -> tuple[Any, RowMemory]:
-        """Action (n_a,) and memory of a row from its observation by group, its measured pose (4, 4)
-        and the reference."""
+        """Action (n_a,) and memory of a row.
+
+        Args:
+            groups: its observation by group.
+            pose: measured (4, 4).
+            target: what the controller is to follow.
+            memory: from the last call.
+        """
         time = memory.periods * self._period
-        # without an estimator the environment observes both
-        coordinates: Any = groups.get("coordinates")
-        rates: Any = groups.get("rates")
-        estimate = protocol.Estimate(coordinates, rates)
-        if self.estimator is not None:
-            fields = {
-                name: groups[group]
-                for group, name in PARAMETERS.items()
-                if name in self.estimator.needs
-            }
-            fields |= {
-                name: fields[name].reshape(-1, 6)
-                for name in {"strain", "strain_rate"} & fields.keys()
-            }
-            fields |= {
-                name: fields[name] + zero for name, zero in self._zeros.items() if name in fields
-            }
-            sent = np.array(memory.sent).reshape(-1, self._start.size)
-            estimate = self.estimator.estimate(
-                protocol.Measurement(pose, sent, time, **fields), memory.estimate
-            )
-        q, q_dot, tip = (
+        estimate = self._estimate(groups, pose, time, memory)
+        now = protocol.ControllerInput(
             estimate.q,
             estimate.q_dot,
             pose if estimate.tip_pose is None else estimate.tip_pose,
-        )
-        now = protocol.ControllerInput(
-            q, q_dot, tip, memory.tension, target, time, estimate.input_error
+            memory.tension,
+            target,
+            time,
+            estimate.input_error,
         )
         if self.predictor is not None:
             now = self.predictor.predict(now, memory.sent, estimate.latency)
-        decision = self.controller.act(
-            now, None if memory.decision is None else memory.decision.memory
+        of_controller = None if memory.decision is None else memory.decision.memory
+        decision = self.controller.act(now, of_controller)
+        action, asked, command = self._command(
+            decision.tension, estimate.q, estimate.q_dot, memory.command
         )
-        action, asked, command = self._command(decision.tension, q, q_dot, memory.command)
-        return action, RowMemory(
-            decision,
-            asked,
-            command,
-            estimate,
-            memory.periods + 1,
-            (*memory.sent[1:], asked)[: self._waiting],
-        )
+        sent = (*memory.sent[1:], asked)[: self._waiting]
+        periods = memory.periods + 1
+        return action, RowMemory(decision, asked, command, estimate, periods, sent)
+
+    def _estimate(
+        self, groups: dict[str, Array], pose: Array, time: float, memory: RowMemory
+    ) -> protocol.Estimate:
+        """Coordinates and rates of a row, which the environment observes without an estimator."""
+        if self.estimator is None:
+            coordinates: Any = groups.get("coordinates")
+            rates: Any = groups.get("rates")
+            return protocol.Estimate(coordinates, rates)
+        fields = {}
+        for group, name in PARAMETERS.items():
+            if name not in self.estimator.needs:
+                continue
+            value = groups[group]
+            if name in ("strain", "strain_rate"):
+                value = value.reshape(-1, 6)
+            if name in self._zeros:
+                value = value + self._zeros[name]
+            fields[name] = value
+        sent = np.array(memory.sent).reshape(-1, self._start.size)
+        measurement = protocol.Measurement(pose, sent, time, **fields)
+        return self.estimator.estimate(measurement, memory.estimate)
 
     def _fresh(self, groups: dict[str, Array]) -> RowMemory:
-        """The memory of a row whose episode begins: under the command that is observed, or else
-        that of rest."""
-        start, command = self._start, self._start_command
-        if not np.allclose(
-            seen := groups.get("command", command),
-            command,
-            0.0,
-            SAME_COMMAND * np.abs(self._actions.greatest),
-        ):
-            command, start = seen, seen if self._simulation is None else start
-        return RowMemory(None, start, command, None, 0, (start,) * self._waiting)
+        """The memory of a row whose episode begins.
+
+        It is under the command that is observed, or else that of rest.
+        """
+        start = self._start
+        command = self._start_command
+        observed = groups.get("command", command)
+        round_off = SAME_COMMAND * np.abs(self._actions.greatest)
+        if not np.allclose(observed, command, 0.0, round_off):
+            command = observed
+            if self._simulation is None:
+                start = observed
+        sent = (start,) * self._waiting
+        return RowMemory(None, start, command, None, 0, sent)
 
     def _command(
         self, tension: Array, q: Array, q_dot: Array, before: Array
     ) -> tuple[NDArray[np.float32], Array, Array]:
-        """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the
-        tensions that it asks for, and its command.
+        """The action that asks for tensions, the tensions that it asks for, and its command.
 
         Displacements are those that have these tensions where the arm would be under them at the
         end of the period.
+
+        Args:
+            tension: (n_a,) [N].
+            q: coordinates (n,).
+            q_dot: their rates (n,).
+            before: the last command (n_a,).
         """
-        wanted, scale = tension, self._actions
+        command = tension
         if self._simulation is not None:
             try:
                 self._simulation.reset(q, q_dot)
@@ -385,43 +444,69 @@ class ControllerPolicy:
                 q = self._simulation.state.q
             except protocol.FAILURES:
                 pass  # from where it is, then
-            wanted = self._model.command(tension, q)
-        action = scale.action(wanted, before).astype(np.float32)
-        command = scale.command(action.astype(np.float64), before)
-        return action, command if self._simulation is None else tension, command
+            command = self._model.command(tension, q)
+        action = self._actions.action(command, before).astype(np.float32)
+        # as the action says it in single precision
+        sent = self._actions.command(action.astype(np.float64), before)
+        asked = sent if self._simulation is None else tension
+        return action, asked, sent
+
+
+def _memories(
+    rows: int, state: tuple[RowMemory, ...] | None, episode_start: Any
+) -> list[RowMemory | None]:
+    """Memories of rows, None of those whose episode begins."""
+    memories: list[RowMemory | None] = [None] * rows if state is None else list(state)
+    if episode_start is None:
+        return memories
+    starts = np.atleast_1d(episode_start)
+    return [None if begins else memory for begins, memory in zip(starts, memories, strict=True)]
 
 
 def _tip_poses(values: dict[str, Array]) -> Array:
-    """Measured poses (rows, 4, 4), the rotation's columns made orthonormal again after their
-    rounding."""
-    x, y = np.split(values["tip_rotation"], 2, axis=1)
-    x = x / np.linalg.norm(x, axis=1, keepdims=True)
-    y = y - (x * y).sum(axis=1, keepdims=True) * x
-    y = y / np.linalg.norm(y, axis=1, keepdims=True)
+    """Measured poses (rows, 4, 4).
+
+    The rotation's columns are made orthonormal again after their rounding.
+    """
+    x_rounded, y_rounded = np.split(values["tip_rotation"], 2, axis=1)
+    x = _unit(x_rounded)
+    along = (x * y_rounded).sum(axis=1, keepdims=True)
+    y = _unit(y_rounded - along * x)
+    z = np.cross(x, y)
     pose = np.tile(np.eye(4), (len(x), 1, 1))
-    pose[:, :3, :3] = np.stack([x, y, np.cross(x, y)], axis=2)
+    pose[:, :3, :3] = np.stack([x, y, z], axis=2)
     pose[:, :3, 3] = values["tip_position"]
     return pose
+
+
+def _unit(vectors: Array) -> Array:
+    """Vectors (rows, 3) of length 1."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _target_poses(values: dict[str, Array], poses: Array) -> Array | None:
     """Target poses (rows, 1 + previews, 4, 4), or None where the observation has none."""
     if "target_error" not in values:
         return None
-    errors = np.concatenate(
-        [values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1
-    ).reshape(len(poses), -1, 6)
-    out = np.empty((*errors.shape[:2], 4, 4))
-    move_poses(poses, errors, out)
-    return out
+    rows = len(poses)
+    preview = values.get("preview", np.empty((rows, 0)))
+    entries = np.concatenate([values["target_error"], preview], axis=1)
+    errors = entries.reshape(rows, -1, 6)
+    targets = np.empty((*errors.shape[:2], 4, 4))
+    move_poses(poses, errors, targets)
+    return targets
 
 
 def _target_coordinates(groups: dict[str, Array], samples: int) -> Array | None:
-    """Coordinates (samples, n) of the target of one row now and at each preview time, or None where
-    the observation has none."""
+    """Coordinates (samples, n) of the target of one row, now and at each preview time.
+
+    None where the observation has none.
+    """
     if "wanted_coordinates" in groups:
         return groups["wanted_coordinates"].reshape(samples, -1)
     if "target_coordinates" not in groups:
         return None
-    ahead = groups.get("coordinate_preview", np.empty(0)).reshape(-1, groups["coordinates"].size)
-    return groups["coordinates"] + np.vstack([groups["target_coordinates"], ahead])
+    coordinates = groups["coordinates"]
+    ways_ahead = groups.get("coordinate_preview", np.empty(0))
+    ahead = ways_ahead.reshape(-1, coordinates.size)
+    return coordinates + np.vstack([groups["target_coordinates"], ahead])

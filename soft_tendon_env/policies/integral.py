@@ -21,44 +21,61 @@ move with it."""
 GOAL_UNIT = 0.1
 """Unit of ways to goals, as a share of the rod's length; ways in observations have units already,
 poses this one and half a radian."""
-# error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)
 NEAR = 0.8
+"""Error in these units beyond which an arm is on its way, and nothing is integrated
+(anti-windup)."""
 MOST = 0.1
 """Largest integral in these units: more than what agents leave of errors, and little where the arm
 cannot reach its target at all."""
 
 
 class IntegralMemory(NamedTuple):
+    """What integral action remembers from one control period to the next."""
+
     policy: Any
     integral: Array  # (rows, m) in units of the ways
 
 
-class IntegralPolicy:
-    """A policy that sees its target moved by the integral of the error: of the tip's pose, of its
-    position as a goal, or of the shape.
+class _Way(NamedTuple):
+    """Columns of an observation that say how far a target is."""
 
-    integral_time: [s] in which a constant error is added once. Raises ValueError where the
-    environment's observation has no way to the target, or the integral is quicker than its control
-    period.
+    now: slice
+    ahead: slice  # at each preview time, which move with it
+
+
+class IntegralPolicy:
+    """A policy that sees its target moved by the integral of the error.
+
+    The error is that of the tip's pose, of its position as a goal, or of the shape.
     """
 
     def __init__(self, policy: Policy, env: Any, integral_time: float) -> None:
+        """Integral action around a policy.
+
+        Args:
+            policy: what acts.
+            env: its environment.
+            integral_time: [s] in which a constant error is added once.
+
+        Raises:
+            ValueError: the environment's observation has no way to the target, or the integral is
+                quicker than its control period.
+        """
         episodes = episodes_of(env)
-        checked_number(
-            "integral_time",
-            integral_time,
-            episodes.period,
-            f"at least a control period, {episodes.period:g} s",
-        )
-        groups = episodes.layout.slices
-        self.policy, self.share = policy, episodes.period / integral_time
+        period = episodes.period
+        allowed = f"at least a control period, {period:g} s"
+        checked_number("integral_time", integral_time, period, allowed)
+        self.policy = policy
+        self.share = period / integral_time
         self.goal_unit = GOAL_UNIT * episodes.model.length
-        self.ways = [
-            (groups[now], groups.get(ahead or "", slice(0, 0)))
-            for now, ahead in WAYS.items()
-            if now in groups
-        ]
-        if not self.ways and episodes.task.goal is None:
+        groups = episodes.layout.slices
+        nothing = slice(0, 0)
+        self._ways: list[_Way] = []
+        for now, ahead in WAYS.items():
+            if now in groups:
+                preview = nothing if ahead is None else groups.get(ahead, nothing)
+                self._ways.append(_Way(groups[now], preview))
+        if not self._ways and episodes.task.goal is None:
             raise ValueError(
                 f"integral_time needs an observation with one of {', '.join(WAYS)}; it has"
                 f" {', '.join(groups)}"
@@ -72,45 +89,51 @@ class IntegralPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, IntegralMemory]:
-        """The policy's actions for one observation or many, and the state to give back; see
-        ControllerPolicy.predict."""
+        """The policy's actions for one observation or many, and the state to give back.
+
+        Arguments are those of `ControllerPolicy.predict`.
+        """
         self._lost.notice(state is None and not np.any(episode_start))
-        way = self._way(observation)
-        integral = np.zeros_like(way) if state is None else state.integral
+        way = self.way_to_target(observation)
+        integral = np.zeros_like(way)
+        memory = None
+        if state is not None:
+            integral = state.integral
+            memory = state.policy
         if episode_start is not None:
-            integral = np.where(np.atleast_1d(episode_start)[:, None], 0.0, integral)
-        near = (np.abs(way) <= NEAR).all(axis=1, keepdims=True)
-        integral = np.clip(integral + self.share * np.where(near, way, 0.0), -MOST, MOST)
-        seen, kept = (
-            self._move_target(observation, integral),
-            None if state is None else state.policy,
-        )
-        action, kept = self.policy.predict(seen, kept, episode_start, deterministic)
-        return action, IntegralMemory(kept, integral)
+            begins = np.atleast_1d(episode_start)
+            integral = np.where(begins[:, None], 0.0, integral)
+        is_near = (np.abs(way) <= NEAR).all(axis=1, keepdims=True)
+        grown = integral + self.share * np.where(is_near, way, 0.0)
+        integral = np.clip(grown, -MOST, MOST)
+        seen = self.move_target(observation, integral)
+        action, memory = self.policy.predict(seen, memory, episode_start, deterministic)
+        return action, IntegralMemory(memory, integral)
 
-    def _way(self, observation: Any) -> Array:
-        """To the target, in its units (rows, m)."""
+    def way_to_target(self, observation: Any) -> Array:
+        """Ways (rows, m) from the arm to its target in their units, of one observation or many."""
         if isinstance(observation, dict):
-            way = np.atleast_2d(observation["desired_goal"]) - np.atleast_2d(
-                observation["achieved_goal"]
-            )
-            return np.asarray(way / self.goal_unit, dtype=np.float64)
+            goal = np.atleast_2d(observation["desired_goal"])
+            tip = np.atleast_2d(observation["achieved_goal"])
+            return np.asarray((goal - tip) / self.goal_unit, dtype=np.float64)
         rows = np.atleast_2d(observation)
-        return np.concatenate([rows[:, now] for now, _ in self.ways], axis=1, dtype=np.float64)
+        parts = [rows[:, way.now] for way in self._ways]
+        return np.concatenate(parts, axis=1, dtype=np.float64)
 
-    def _move_target(self, observation: Any, integral: Array) -> Any:
-        """The observation, its target moved by integrals (rows, m)."""
+    def move_target(self, observation: Any, integral: Array) -> Any:
+        """A copy of one observation or many with the target moved by integrals (rows, m)."""
         if isinstance(observation, dict):
             goal = observation["desired_goal"]
-            return {
-                **observation,
-                "desired_goal": (
-                    (goal + (self.goal_unit * integral).reshape(goal.shape)).astype(np.float32)
-                ),
-            }
-        moved, first = np.array(np.atleast_2d(observation)), 0
-        for now, ahead in self.ways:
-            part = integral[:, first : (first := first + now.stop - now.start)]
-            moved[:, now] += part
-            moved[:, ahead] += np.tile(part, (ahead.stop - ahead.start) // part.shape[1])
+            shift = (self.goal_unit * integral).reshape(goal.shape)
+            moved_goal = (goal + shift).astype(np.float32)
+            return {**observation, "desired_goal": moved_goal}
+        moved = np.array(np.atleast_2d(observation))
+        first = 0
+        for way in self._ways:
+            width = way.now.stop - way.now.start
+            part = integral[:, first : first + width]
+            first += width
+            moved[:, way.now] += part
+            times = (way.ahead.stop - way.ahead.start) // width
+            moved[:, way.ahead] += np.tile(part, times)
         return moved.reshape(np.shape(observation))

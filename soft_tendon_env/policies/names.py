@@ -76,77 +76,100 @@ class PolicyName:
 
     @staticmethod
     def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:
-        """The policy that a name means: the first of the three that fits. Raises ValueError that
-        says what names there are."""
-        path, controllers = Path(text), CONTROLLERS.get(task, {})
+        """The policy that a name means: the first of the three that fits.
+
+        Raises ValueError that says what names there are.
+        """
+        path = Path(text)
         if is_agent(text):
             return Agent(text, task)
         if path.suffix == ".toml" and path.is_file():
-            tuned = TunedController.parse(read_toml(path), text)
-            named = PolicyName.parse(tuned.policy, task)
-            if not isinstance(named, Controller):
-                raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
-            return named.with_parameters(tuned.parameters, text)
-        estimator, prefix = next(
-            ((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)),
-            (None, ""),
-        )
-        controller, mark, belief = text.removeprefix(prefix).partition("@")
-        if controller in controllers:
+            return _tuned_controller(text, task)
+        estimator, prefix = _estimator_of(text)
+        method, mark, belief = text.removeprefix(prefix).partition("@")
+        if method in CONTROLLERS.get(task, {}):
+            if not mark:
+                return Controller(text, task, method, estimator, None)
             try:
-                return Controller(
-                    text,
-                    task,
-                    controller,
-                    estimator,
-                    checked_fidelity(belief) and belief if mark else None,
-                )
+                checked_fidelity(belief)
             except ValueError as error:
                 raise ValueError(f"policy is {text!r}: what stands behind '@' {error}") from error
+            return Controller(text, task, method, estimator, belief)
         module, colon, name = text.partition(":")
         if colon and not prefix:
             return UserPolicy(text, task, module, name)
-        if known := USUAL_NAMES.get(controller.lower()):
-            raise ValueError(
-                f"policy is {text!r}: it should be {prefix + known[0]!r}, this package's {known[1]}"
-            )
-        wanted = f"a controller of {task}; {not_registered(controller, controllers)}"
-        if prefix:
-            raise ValueError(
-                f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}"
-            )
-        if path.suffix == ".zip":
-            raise ValueError(f"policy is {text!r}: {ZIP.format(path=text)}")
-        agents = (
-            f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which"
-            " ship, module:name"
-        )
-        raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
+        raise ValueError(f"policy is {text!r}{_what_it_should_be(text, task, prefix, method)}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Options of an environment in which the policy sees what it needs: its own, and those
-        given. Raises ValueError, OSError."""
+        """Options of an environment in which the policy sees what it needs: its own, and others.
+
+        given: those that are set. Raises ValueError, OSError.
+        """
         raise NotImplementedError
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options. Raises ValueError, OSError,
-        ModuleNotFoundError.
+        """The policy for an environment with its options.
 
-        scene: of a controller's assumed model, by default the environment's, at the fidelity that
-        the name says, if it says one. other_effects: whether the arm may have effects that an agent
-        was not trained with.
+        Args:
+            env: the environment.
+            scene: of a controller's assumed model, by default the environment's, at the fidelity
+                that the name says, if it says one.
+            other_effects: whether the arm may have effects that an agent was not trained with.
+
+        Raises ValueError, OSError, ModuleNotFoundError.
         """
         raise NotImplementedError
 
     def fingerprint(self) -> Any:
-        """Plain values that tell it from others: its name, and digests of its files. Raises
-        ValueError, OSError."""
+        """Plain values that tell it from others: its name, and digests of its files.
+
+        Raises ValueError, OSError.
+        """
         return self.text
 
 
+def _tuned_controller(text: str, task: str) -> "Controller":
+    """The controller that a file of parameters has. Raises ValueError."""
+    tuned = TunedController.parse(read_toml(Path(text)), text)
+    named = PolicyName.parse(tuned.policy, task)
+    if not isinstance(named, Controller):
+        raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
+    return named.with_parameters(tuned.parameters, text)
+
+
+def _estimator_of(text: str) -> tuple[str | None, str]:
+    """Name of the estimator that a policy's name begins with, and its prefix; None, "" without."""
+    for name, entry in ESTIMATORS.items():
+        if text.startswith(entry.prefix):
+            return name, entry.prefix
+    return None, ""
+
+
+def _what_it_should_be(text: str, task: str, prefix: str, method: str) -> str:
+    """End of the message on a name that no policy has: what it should be."""
+    usual = USUAL_NAMES.get(method.lower())
+    if usual is not None:
+        controller, words = usual
+        return f": it should be {prefix + controller!r}, this package's {words}"
+    controllers = CONTROLLERS.get(task, {})
+    expected = f"a controller of {task}; {not_registered(method, controllers)}"
+    if prefix:
+        return f": what stands behind {prefix!r} should be {expected}"
+    path = Path(text)
+    if path.suffix == ".zip":
+        return f": {ZIP.format(path=text)}"
+    agents = (
+        f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which"
+        " ship, module:name"
+    )
+    return f", no policy: it should be {agents}, or {expected}"
+
+
 class TunedController(Configuration):
-    """A controller's name and parameters (see `Controller.defaults`), as `soft-tendon tune` writes
-    them."""
+    """A controller's name and parameters, as `soft-tendon tune` writes them.
+
+    See `Controller.defaults`.
+    """
 
     policy: str
     parameters: dict[str, int | float]
@@ -154,9 +177,12 @@ class TunedController(Configuration):
 
 @dataclass(frozen=True)
 class Controller(PolicyName):
-    """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where
-    an extended Kalman filter finds them; adaptive:NAME, where it finds the latency of commands too.
-    NAME@FIDELITY assumes a model of another fidelity than the arm's."""
+    """A controller of the catalogue.
+
+    NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds
+    them; adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY assumes a model
+    of another fidelity than the arm's.
+    """
 
     name: str
     estimator: str | None
@@ -166,8 +192,10 @@ class Controller(PolicyName):
     def with_parameters(
         self, parameters: Mapping[str, float], text: str | None = None
     ) -> "Controller":
-        """The controller with other parameters, and another name. Raises ValueError for parameters
-        that it has not."""
+        """The controller with other parameters, and another name.
+
+        Raises ValueError for parameters that it has not.
+        """
         for name in parameters.keys() - self.defaults.keys():
             raise ValueError(
                 f"parameters has {name!r}, which {self.text} has not:"
@@ -177,60 +205,54 @@ class Controller(PolicyName):
 
     @property
     def defaults(self) -> dict[str, float]:
-        """Parameters where nothing is tuned: of the catalogue's entry, and behind "estimator." of
-        the Kalman filter's Uncertainty."""
-        filtered = (
-            USUAL._asdict()
-            if self.estimator is not None and ESTIMATORS[self.estimator].filters
-            else {}
-        )
-        return {
-            **CONTROLLERS[self.task][self.name].parameters,
-            **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()},
-        }
+        """Parameters where nothing is tuned.
+
+        They are of the catalogue's entry, and behind "estimator." of the Kalman filter's
+        Uncertainty.
+        """
+        defaults = dict(CONTROLLERS[self.task][self.name].parameters)
+        if self.estimator is not None and ESTIMATORS[self.estimator].filters:
+            for name, value in USUAL._asdict().items():
+                defaults[f"{ESTIMATOR}{name}"] = value
+        return defaults
 
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        numbers = {
-            name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)
-        }
-        return (
-            CONTROLLERS[self.task][self.name].with_parameters(numbers)
-            if numbers
-            else CONTROLLERS[self.task][self.name]
-        )
+        entry = CONTROLLERS[self.task][self.name]
+        numbers = {}
+        for name, value in self.parameters.items():
+            if not name.startswith(ESTIMATOR):
+                numbers[name] = value
+        return entry.with_parameters(numbers) if numbers else entry
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
         options = Options.parse(dict(given), "options")
         actuators = given_scene(options.scene).effects.actuators
         late = 0.0 if actuators is None else actuators.delay
-        return {
-            **observation_options(
-                self.entry, self.task, options.control_period, late, self.estimator, regime
-            ),
-            **given,
-        }
+        own = observation_options(
+            self.entry,
+            self.task,
+            options.control_period,
+            late,
+            self.estimator,
+            regime,
+        )
+        return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        changed = {
-            name.removeprefix(ESTIMATOR): value
-            for name, value in self.parameters.items()
-            if name.startswith(ESTIMATOR)
-        }
-        is_same = self.belief is None and scene is None
-        believed = (
-            None
-            if is_same
-            else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
-        )
+        changes = {}
+        for name, value in self.parameters.items():
+            if name.startswith(ESTIMATOR):
+                changes[name.removeprefix(ESTIMATOR)] = value
+        model = None
+        if self.belief is not None or scene is not None:
+            believed = scene or episodes_of(env).model.scene
+            model = build_model(believed, self.belief or AS_SCENE)
+        uncertainty = USUAL._replace(**changes)
         return make_policy(
-            self.entry,
-            env,
-            believed,
-            estimator=self.estimator,
-            uncertainty=USUAL._replace(**changed),
+            self.entry, env, model, estimator=self.estimator, uncertainty=uncertainty
         )
 
     def fingerprint(self) -> Any:
@@ -239,8 +261,10 @@ class Controller(PolicyName):
 
 @dataclass(frozen=True)
 class Agent(PolicyName):
-    """A trained agent: the name of one that ships for the task, "agent" for the best of them, or
-    its folder."""
+    """A trained agent: the name of one that ships for the task, or its folder.
+
+    "agent" stands for the best of them.
+    """
 
     @property
     def config(self) -> AgentConfig:
@@ -250,19 +274,15 @@ class Agent(PolicyName):
     @property
     def arm(self) -> dict[str, Any]:
         """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
-        return Options.parse(undisturbed(self.config.options), "options").model_dump(
-            mode="json", include=set(ARM)
-        )
+        options = Options.parse(undisturbed(self.config.options), "options")
+        return options.model_dump(mode="json", include=set(ARM))
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            **{
-                key: value
-                for key, value in undisturbed(self.config.options).items()
-                if key in (*ARM, *INTERFACE)
-            },
-            **given,
-        }
+        own = {}
+        for key, value in undisturbed(self.config.options).items():
+            if key in (*ARM, *INTERFACE):
+                own[key] = value
+        return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
@@ -273,8 +293,9 @@ class Agent(PolicyName):
 
 @dataclass(frozen=True)
 class UserPolicy(PolicyName):
-    """A user's policy, module:name: a callable that gets a `policy_environment` and returns an
-    object with Stable-Baselines3's `predict`.
+    """A user's policy, module:name.
+
+    A callable gets a `policy_environment` and returns an object with Stable-Baselines3's `predict`.
 
     Its attribute `options`, if it has one, says what it observes and how its actions are read:
     those of INTERFACE.
@@ -285,8 +306,10 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
+        """What makes the policy. Raises ValueError where there is no such thing."""
         try:
-            made: Callable[..., Any] = getattr(importlib.import_module(self.module), self.name)
+            module = importlib.import_module(self.module)
+            made: Callable[..., Any] = getattr(module, self.name)
         except (ImportError, AttributeError, ValueError) as error:
             raise ValueError(
                 f"policy is {self.text!r}: it should be module:name of what makes a policy; {error}"
@@ -295,7 +318,8 @@ class UserPolicy(PolicyName):
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         options = getattr(self.maker, "options", {})
-        if other := [str(name) for name in options if name not in INTERFACE]:
+        other = [str(name) for name in options if name not in INTERFACE]
+        if other:
             raise ValueError(
                 f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set"
                 f" {', '.join(INTERFACE)} alone"
@@ -311,14 +335,12 @@ class UserPolicy(PolicyName):
                 f" {shown(made)}"
             )
         for key in ("observation_space", "action_space"):
-            known, there = (
-                getattr(made, key, None),
-                [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)],
-            )
-            if isinstance(known, gym.Space) and known not in there:
+            space = getattr(made, key, None)
+            spaces = [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)]
+            if isinstance(space, gym.Space) and space not in spaces:
                 raise ValueError(
-                    f"policy is {self.text!r}, made for the {key} {known}: the environment's is"
-                    f" {there[0]}"
+                    f"policy is {self.text!r}, made for the {key} {space}: the environment's is"
+                    f" {spaces[0]}"
                 )
         return made
 
@@ -328,25 +350,29 @@ class UserPolicy(PolicyName):
 
 
 def policy_environment(env: Any, scene: Scene | None = None) -> Any:
-    """Environment with the spaces, control period and limits of another, single or vector, that
-    shares nothing with it.
+    """Environment with the spaces, control period and limits of another, single or vector.
 
-    Its arm is the scene, or that of the environment, without what `randomize` draws but noise; its
-    targets are the task's usual ones.
+    It shares nothing with it. Its arm is the scene, or that of the environment, without what
+    `randomize` draws but noise; its targets are the task's usual ones.
     """
     episodes = episodes_of(env)
-    options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
+    names = (*ARM, *INTERFACE, "threshold")
+    options = {name: getattr(episodes.options, name) for name in names}
     options["randomize"] = {"noise": episodes.options.randomize.noise}
     if scene is not None:
-        options |= {"scene": scene, "fidelity": AS_SCENE}
+        options["scene"] = scene
+        options["fidelity"] = AS_SCENE
+    id = IDS[episodes.task.name]
     if isinstance(env, gym.Env):
-        return gym.make(IDS[episodes.task.name], **options)
-    return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
+        return gym.make(id, **options)
+    return gym.make_vec(id, num_envs=episodes.size, threads=1, **options)
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of an environment in which a policy sees what it needs: its own, and those given.
-    Raises ValueError, OSError."""
+
+    Raises ValueError, OSError.
+    """
     return PolicyName.parse(name, task).options(given)
 
 

@@ -22,7 +22,9 @@ BOX = ""  # the key of the only part of an observation that is no dictionary
 
 
 class Moments(NamedTuple):
-    mean: Array  # (n,) of a part of the observations
+    """Running statistics of a part of the observations."""
+
+    mean: Array  # (n,)
     variance: Array  # (n,)
 
 
@@ -35,14 +37,16 @@ class Normalization:
     epsilon: float  # added to variances
 
     def __call__(self, observation: Any) -> Any:
-        """The normalised observation, of one row or many; parts without statistics pass as they
-        are."""
+        """The normalised observation, of one row or many.
+
+        Parts without statistics pass as they are.
+        """
         if not isinstance(observation, Mapping):
             return self._normalise(observation, self.moments[BOX])
-        return {
-            key: self._normalise(part, self.moments[key]) if key in self.moments else part
-            for key, part in observation.items()
-        }
+        parts = dict(observation)
+        for key in self.moments.keys() & parts.keys():
+            parts[key] = self._normalise(parts[key], self.moments[key])
+        return parts
 
     def _normalise(self, values: Any, moments: Moments) -> Any:
         scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
@@ -50,29 +54,31 @@ class Normalization:
 
 
 def normalization_of(statistics: Any) -> Normalization | None:
-    """Normalisation of a VecNormalize of Stable-Baselines3; None where it leaves observations as
-    they are."""
+    """Normalisation of a VecNormalize of Stable-Baselines3.
+
+    None where it leaves observations as they are.
+    """
     if not statistics.norm_obs:
         return None
-    parts = (
-        statistics.obs_rms if isinstance(statistics.obs_rms, dict) else {BOX: statistics.obs_rms}
-    )
+    parts = statistics.obs_rms
+    if not isinstance(parts, dict):
+        parts = {BOX: parts}
     keys = statistics.norm_obs_keys or [BOX]
-    return Normalization(
-        {key: Moments(parts[key].mean, parts[key].var) for key in keys},
-        statistics.clip_obs,
-        statistics.epsilon,
-    )
+    moments = {key: Moments(parts[key].mean, parts[key].var) for key in keys}
+    return Normalization(moments, statistics.clip_obs, statistics.epsilon)
+
+
+def _array_name(key: str, field: str) -> str:
+    """Name of an array in a file: its field, with "KEY." before it for the parts of a Dict."""
+    return f"{key}.{field}" if key else field
 
 
 def save_normalization(path: Path, normalization: Normalization) -> None:
-    """Write `mean`, `variance` (with "KEY." before them for the parts of a Dict), `clip` and
-    `epsilon`. Raises OSError."""
-    arrays = {
-        f"{key}.{name}" if key else name: value
-        for key, of in normalization.moments.items()
-        for name, value in of._asdict().items()
-    }
+    """Write `mean` and `variance` of every part, `clip` and `epsilon`. Raises OSError."""
+    arrays = {}
+    for key, moments in normalization.moments.items():
+        for field, value in moments._asdict().items():
+            arrays[_array_name(key, field)] = value
     np.savez(
         path,
         allow_pickle=False,
@@ -83,48 +89,63 @@ def save_normalization(path: Path, normalization: Normalization) -> None:
 
 
 def read_normalization(path: Path, space: gym.Space[Any]) -> Normalization:
-    """Read what `save_normalization` wrote, for observations of a space, without unpickling. Raises
-    ValueError, FileNotFoundError."""
+    """Read what `save_normalization` wrote, without unpickling.
+
+    Args:
+        path: of the file.
+        space: of the observations.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it was damaged, or is of other observations.
+    """
     arrays = read_arrays(path, "arrays of mean, variance, clip and epsilon")
     try:
-        finite = all(
+        is_finite = all(
             array.dtype == np.float64 and np.isfinite(array).all() for array in arrays.values()
         )
-        clip, epsilon = float(arrays.pop("clip")), float(arrays.pop("epsilon"))
-        keys = [
-            name.removesuffix("mean").removesuffix(".")
-            for name in arrays
-            if name.rpartition(".")[2] == "mean"
-        ]
-        moments = {
-            key: Moments(
-                *(arrays.pop(f"{key}.{name}" if key else name) for name in Moments._fields)
-            )
-            for key in keys
-        }
+        clip = float(arrays.pop("clip"))
+        epsilon = float(arrays.pop("epsilon"))
+        moments = _take_moments(arrays)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(
             f"{path} is no .npz file of mean, variance, clip and epsilon, or was damaged:"
             f" {first_line(error)}"
         ) from error
-    alike = all(
-        of.mean.shape == of.variance.shape and (of.variance >= 0.0).all() for of in moments.values()
-    )
-    if arrays or not (moments and finite and alike and clip > 0.0 and epsilon >= 0.0):
+    is_sound = bool(moments) and is_finite and clip > 0.0 and epsilon >= 0.0
+    for part in moments.values():
+        is_sound &= part.mean.shape == part.variance.shape
+        is_sound &= bool((part.variance >= 0.0).all())
+    if arrays or not is_sound:
         text = (
             "finite numbers of type float64, as many variances of at least 0 as means, clip above 0"
         )
         raise ValueError(f"{path} should have mean, variance, clip and epsilon alone: {text}")
-    shapes = {key: of.mean.shape for key, of in moments.items()}
-    wanted = {
-        key: part.shape
-        for key, part in (
-            space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
-        ).items()
-    }
-    if shapes != wanted:
+    _check_shapes(path, moments, space)
+    return Normalization(moments, clip, epsilon)
+
+
+def _take_moments(arrays: dict[str, Array]) -> dict[str, Moments]:
+    """Takes the moments of all parts out of named arrays. Raises KeyError."""
+    keys = []
+    for name in arrays:
+        key, _, field = name.rpartition(".")
+        if field == "mean":
+            keys.append(key)
+    moments = {}
+    for key in keys:
+        values = [arrays.pop(_array_name(key, field)) for field in Moments._fields]
+        moments[key] = Moments(*values)
+    return moments
+
+
+def _check_shapes(path: Path, moments: Mapping[str, Moments], space: gym.Space[Any]) -> None:
+    """Raises ValueError where moments are of other observations than those of a space."""
+    spaces = space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
+    shapes = {key: part.mean.shape for key, part in moments.items()}
+    expected = {key: part.shape for key, part in spaces.items()}
+    if shapes != expected:
         raise ValueError(
             f"{path} is of observations {shapes.get(BOX, shapes)}, this environment has"
-            f" {wanted.get(BOX, wanted)}"
+            f" {expected.get(BOX, expected)}"
         )
-    return Normalization(moments, clip, epsilon)
