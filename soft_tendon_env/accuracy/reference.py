@@ -154,7 +154,7 @@ class Rung:
     def _projection(self) -> Array:
         """Pseudo-inverse (n, points 6) of the fields: coordinates whose strain is nearest."""
         count = self.model.coordinate_count
-        packed = make_workspace(self.model.arm).Phi
+        packed = make_workspace(self.model.arm).strain.Phi
         packed = packed.reshape(count, -1)
         fields = self.model.grid.unpacked(packed)
         fields = fields.reshape(count, -1)
