@@ -14,7 +14,7 @@ from soft_tendon_env.envs.targets import TargetSamples
 
 
 class _Arms(NamedTuple):
-    """What observation groups read of arms, as tensors."""
+    """Arms as observation groups read them, of tensors."""
 
     rows: ArmTensors
     reading: ArmTensors

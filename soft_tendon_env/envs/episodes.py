@@ -69,7 +69,7 @@ class Beginning(NamedTuple):
 
 @dataclass
 class LastPeriod:
-    """What rows were asked for in their last control period, and what acted: (rows, n_a) each.
+    """Commands and actions of rows in their last control period, (rows, n_a) each.
 
     Arrays are replaced and never written to: observations and recordings keep them.
     """
@@ -628,7 +628,7 @@ class Episodes:
         return np.minimum(np.maximum(position.astype(np.float32), -bound), bound)
 
     def _seen(self, measured: Reading | Measured, error: Array) -> Observed:
-        """What observation groups are computed from."""
+        """Quantities that observation groups are computed from, with these errors (rows, m, 6)."""
         return Observed(
             self.arms,
             measured,

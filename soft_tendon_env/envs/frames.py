@@ -83,7 +83,7 @@ class RowRenderer:
         """Nothing is to be shown any more."""
 
     def _picture(self, row: int) -> Picture:
-        """What is to be drawn of a row."""
+        """Picture of a row that is to be drawn."""
         episodes = self._episodes
         time = episodes.step_count[row] * episodes.period
         title = [f"t = {time:.2f} s"]

@@ -213,7 +213,7 @@ class StaticCourse(ShapeCourse):
         return np.interp(np.arange(count) / PER_KNOT, knot_numbers, knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
-        """What loads add to the response to the tensions, as a function of time.
+        """Coordinates that loads add to the response to tensions, as a function of time.
 
         Its second argument is the order of the derivative. Raises NoEquilibrium.
         """
