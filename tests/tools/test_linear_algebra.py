@@ -1,0 +1,74 @@
+"""Threads of linear algebra: one within the context, as many as before after it."""
+
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from soft_tendon_env.policies.network import PolicyNetwork
+from soft_tendon_env.tools import linear_algebra
+from soft_tendon_env.tools.linear_algebra import one_thread
+
+
+def counts():
+    """Numbers of threads of the libraries of linear algebra."""
+    return {entry["num_threads"] for entry in threadpool_info() if entry["user_api"] == "blas"}
+
+
+@pytest.fixture
+def two_threads():
+    linear_algebra._libraries.cache_clear()  # other tests may have loaded some since
+    with threadpool_limits(2, user_api="blas"):
+        if counts() != {2}:
+            pytest.skip("this machine's linear algebra has one thread")
+        yield
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_products_have_one_thread_within_and_as_many_as_before_after_it():
+    with one_thread():
+        assert counts() == {1}
+        with one_thread():
+            assert counts() == {1}
+        assert counts() == {1}
+    assert counts() == {2}
+    with pytest.raises(ArithmeticError), one_thread():
+        raise ArithmeticError
+    assert counts() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_another_thread_neither_waits_nor_restores_what_the_first_has_set():
+    seen = []
+
+    def use():
+        with one_thread():
+            seen.append(counts())
+
+    other = threading.Thread(target=use)
+    with one_thread():
+        other.start()
+        other.join()
+        assert seen == [{1}] and counts() == {1}
+    assert counts() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_policy_networks_act_with_one_thread():
+    box = gym.spaces.Box(-1.0, 1.0, (3,), np.float32)
+    seen = []
+
+    class Actor:
+        gates = None
+        squashes = False
+
+        def __call__(self, plain, memory):
+            seen.append(counts())
+            return plain, memory
+
+    network = PolicyNetwork(Actor(), box, box)
+    action, _ = network.predict(np.array([0.5, 2.0, -3.0], np.float32))
+    np.testing.assert_array_equal(action, np.array([0.5, 1.0, -1.0], np.float32))
+    assert seen == [{1}] and counts() == {2}
