@@ -114,14 +114,15 @@ class Teacher:
         """
         episodes = self.episodes
         actuation = episodes.actuation
+        period = episodes.period
         rows = range(episodes.size)
         late = np.array([actuation.delay(row) for row in rows])
         sent = np.stack([actuation.sent(row) for row in rows])
-        longest = late.max() / episodes.period - ROUND_OFF
-        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(longest)))
+        longest = np.ceil(late.max() / period - ROUND_OFF)
+        target = episodes.target_ahead(LOOKS_AHEAD + int(longest))
         arrival = self._predict_arrival(sent, late)
-        periods = np.arange(target.tip_pose.shape[1], dtype=np.float64)
-        ahead = episodes.period * periods
+        times = target.tip_pose.shape[1]
+        ahead = period * np.arange(times, dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in rows:
             reference = self._reference(row, target, ahead - late[row])
@@ -190,8 +191,9 @@ class Teacher:
         is_predicted = (late > 0.0) & (predicted.outcome.status == OK)
 
         def choose(arrived: Array, now: Array) -> Array:
-            rows = is_predicted.reshape(-1, *[1] * (now.ndim - 1))
-            return np.where(rows, arrived, now)
+            chosen = now.copy()
+            chosen[is_predicted] = arrived[is_predicted]
+            return chosen
 
         return Arrival(
             choose(predicted.rows.q, arms.rows.q),
@@ -282,8 +284,11 @@ class DAgger(ActorAlgorithm):
         return min(end for end in ends if end > done)
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
-        """Act until control period `end` of `periods`, while the teacher says what it would do;
-        False where the callback ends it."""
+        """Act until control period `end` of `periods`, while the teacher says what it would do.
+
+        Returns:
+            False where the callback ends it.
+        """
         env: Any = self.env
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):

@@ -104,8 +104,9 @@ class PolicyNetwork:
 
 
 def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
-    """Entries (rows, n) of one observation or many of a Box or a Dict of them, in the order of
-    keys, as float32, and whether they are many.
+    """Entries (rows, n) of one observation or many, as float32, and whether they are many.
+
+    Those of a Dict are in the order of its keys.
 
     Raises:
         ValueError: a shape is not the space's, or that of rows of it.
