@@ -228,7 +228,8 @@ class APG(ActorAlgorithm):
         except np.linalg.LinAlgError:  # a row at a configuration without derivatives
             return math.inf
         weights = self.policy.parameters()
-        norm = float(torch.nn.utils.clip_grad_norm_(weights, self.settings.max_grad_norm))
+        most = self.settings.max_grad_norm
+        norm = float(torch.nn.utils.clip_grad_norm_(weights, most))
         if math.isfinite(norm):
             optimizer.step()
         return norm
@@ -240,7 +241,8 @@ class APG(ActorAlgorithm):
 
         What the ended ones had as return is kept.
         """
-        self._returns += trajectories.reward.sum(0).numpy()
+        rewards = trajectories.reward.sum(0)
+        self._returns += rewards.numpy()
         self._lengths += self.settings.n_steps
         diverged = trajectories.diverged.any(0).numpy()
         over = rows.timed_out | diverged | all_rows
@@ -277,7 +279,8 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
             key: normalised(value, statistics, moments[key]) for key, value in observation.items()
         }
     mean = torch.as_tensor(moments.mean)
-    deviation = torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
+    variance = moments.var + statistics.epsilon
+    deviation = torch.as_tensor(np.sqrt(variance))
     most = statistics.clip_obs
     scaled = (observation - mean) / deviation
     return torch.clamp(scaled, -most, most).to(observation.dtype)

@@ -280,8 +280,11 @@ class DAgger(ActorAlgorithm):
     def _end_of_round(self, done: int, periods: int) -> int:
         """Control period at which the round ends that the period `done` of `periods` is in."""
         rounds = self.settings.rounds
-        ends = [_divided_up(number * periods, rounds) for number in range(1, rounds + 1)]
-        return min(end for end in ends if end > done)
+        for number in range(1, rounds + 1):
+            end = _divided_up(number * periods, rounds)
+            if end > done:
+                return end
+        raise AssertionError("a training learns no part after its last period")
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
         """Act until control period `end` of `periods`, while the teacher says what it would do.
@@ -353,7 +356,8 @@ class DAgger(ActorAlgorithm):
             return np.concatenate(observations), together
         joined = {}
         for key in observations[0]:
-            joined[key] = np.concatenate([observation[key] for observation in observations])
+            parts = [observation[key] for observation in observations]
+            joined[key] = np.concatenate(parts)
         return joined, together
 
     def _regress(

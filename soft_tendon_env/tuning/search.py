@@ -115,16 +115,21 @@ class Search(Configuration, ABC):
         """Cost [m] of a policy over the tuning seeds, under one condition."""
         steps = episode_steps(seconds, skip, options)
         seeds = SEEDS["tuning"][: self.episodes]
-        made = gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)
+        made = gym.make_vec(
+            IDS[task],
+            num_envs=self.episodes,
+            max_episode_steps=steps,
+            **options,
+        )
         with closing(made) as envs:
             scores = evaluate_rows(make(envs), envs, seeds, skip)
         return tracking_cost(scores)
 
 
 class ControllerSearch(Search):
-    """Search for parameters of a controller: its cost is the geometric mean over all settings in
-    all information regimes.
+    """Search for parameters of a controller.
 
+    Its cost is the geometric mean over all settings in all information regimes.
     Parameters are the keyword arguments of its class, and those of control.kalman.Uncertainty with
     "estimator." before them.
     """
@@ -164,9 +169,10 @@ class ControllerSearch(Search):
         mean = np.nan
         for setting, regime in product(self.settings, self.regimes or (None,)):
             options = SETTINGS[setting].options(self._options(name, regime))
-            costs.append(self.play(make, self.task, options, self.seconds, self.skip))
-            # geometric, since costs of settings differ by orders of magnitude
-            mean = float(np.exp(np.mean(np.log(costs))))
+            cost = self.play(make, self.task, options, self.seconds, self.skip)
+            costs.append(cost)
+            logarithm = np.mean(np.log(costs))
+            mean = float(np.exp(logarithm))
             report(mean)
         return mean
 
