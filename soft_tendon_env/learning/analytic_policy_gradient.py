@@ -119,6 +119,7 @@ class TrackingCost:
         for square in self._squares:
             squares.append(square(trajectories, settings.position_scale, settings.angle_scale))
         total = torch.stack(squares).sum(0)
+        # Cauchy's loss, and a distance whose gradient does not fade far off
         near = 0.5 * total.log1p()
         far = (1.0 + total).sqrt()
         tracking = (near + settings.far_weight * far).mean()
@@ -180,6 +181,7 @@ class APG(ActorAlgorithm):
             return mean
 
         trajectories = rollout(rows, mean_action, self.settings.n_steps)
+        # no gradient goes from one window into the one before
         self._memory = self._memory.detach()
         update_statistics(self.get_vec_normalize_env(), observations)
         cost = self._cost(trajectories, memories)
@@ -192,6 +194,7 @@ class APG(ActorAlgorithm):
             if not callback.on_step():
                 return False
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        # of which row a gradient is not finite is not known
         self._begin_ended(rows, trajectories, all_rows=not math.isfinite(norm))
         callback.on_rollout_end()
         return True

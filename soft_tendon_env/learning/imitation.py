@@ -303,6 +303,7 @@ class DAgger(ActorAlgorithm):
             self.num_timesteps += self.n_envs
             self._update_info_buffer(infos, ended)
             draws = self.generator.random(ended.sum())
+            # who leads an episode leads it to its end
             self._leads[ended] = draws < self._lead_share(done + 1, periods)
             callback.update_locals(locals())
             if not callback.on_step():
@@ -333,6 +334,7 @@ class DAgger(ActorAlgorithm):
         observations, answers = self._joined()
         actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
         first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        # the first layer sees features of one scale, by weights that give the same values
         with torch.no_grad():
             tensors, _ = policy.obs_to_tensor(observations)
             features = policy.extract_features(tensors, policy.pi_features_extractor)
@@ -342,6 +344,7 @@ class DAgger(ActorAlgorithm):
             first.bias.add_(first.weight @ mean)
             first.weight.mul_(deviation)
         losses = self._regress(actor, features, answers, rate)
+        # and back: the policy itself sees features as they are
         with torch.no_grad():
             first.weight.div_(deviation)
             first.bias.sub_(first.weight @ mean)

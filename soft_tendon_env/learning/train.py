@@ -218,6 +218,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
         custom_objects={"learning_rate": rate, "lr_schedule": rate},
     )
     buffer = checkpoint / BUFFER
+    # arms go on in the midst of their episodes, which are not cut off in the buffer then
     if isinstance(model, OffPolicyAlgorithm):
         model.load_replay_buffer(buffer, truncate_last_traj=False)
     elif hasattr(model, "load_replay_buffer"):
