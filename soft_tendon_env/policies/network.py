@@ -1,5 +1,6 @@
 """Policy network in NumPy: the mean action of a trained agent, without PyTorch."""
 
+from contextlib import nullcontext
 from typing import Any
 
 import gymnasium as gym
@@ -13,12 +14,15 @@ from soft_tendon_env.tools.types import Single
 NONE = np.float32(0.0)  # constants in single precision, so that actions stay in it
 HALF = np.float32(0.5)
 ONE = np.float32(1.0)
+MOST_ROWS = 256
+"""Rows up to which products have one thread. Where two cores were shared with other work, several
+threads took 3 to 16 times as long for 16 to 256 rows, and no longer for one."""
 
 
 class PolicyNetwork:
     """Policy network in NumPy with Stable-Baselines3's `predict`, for one observation or many.
 
-    Its products have one thread, see `tools.linear_algebra`.
+    Products of a few rows have one thread, see `tools.linear_algebra`.
 
     Attributes:
         actor: layers from observations to mean actions.
@@ -74,7 +78,8 @@ class PolicyNetwork:
 
     def _act(self, plain: Single, memory: Single) -> tuple[Single, Single]:
         """Actions (rows, n_a) within the action space, and the next memory (rows, size)."""
-        with one_thread():
+        is_few = 1 < len(plain) <= MOST_ROWS
+        with one_thread() if is_few else nullcontext():
             mean, memory = self.actor(plain, memory)
         return self._bounded(mean), memory
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from soft_tendon_env.policies.network import PolicyNetwork
+from soft_tendon_env.policies.network import MOST_ROWS, PolicyNetwork
 from soft_tendon_env.tools import linear_algebra
 from soft_tendon_env.tools.linear_algebra import one_thread
 
@@ -56,7 +56,8 @@ def test_another_thread_neither_waits_nor_restores_what_the_first_has_set():
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_policy_networks_act_with_one_thread():
+@pytest.mark.parametrize("rows, threads", [(1, 2), (2, 1), (MOST_ROWS, 1), (MOST_ROWS + 1, 2)])
+def test_policy_networks_act_on_a_few_rows_with_one_thread(rows, threads):
     box = gym.spaces.Box(-1.0, 1.0, (3,), np.float32)
     seen = []
 
@@ -69,6 +70,7 @@ def test_policy_networks_act_with_one_thread():
             return plain, memory
 
     network = PolicyNetwork(Actor(), box, box)
-    action, _ = network.predict(np.array([0.5, 2.0, -3.0], np.float32))
-    np.testing.assert_array_equal(action, np.array([0.5, 1.0, -1.0], np.float32))
-    assert seen == [{1}] and counts() == {2}
+    observations = np.tile(np.array([0.5, 2.0, -3.0], np.float32), (rows, 1))
+    actions, _ = network.predict(observations)
+    np.testing.assert_array_equal(actions, np.clip(observations, -1.0, 1.0))
+    assert seen == [{threads}] and counts() == {2}
