@@ -362,12 +362,14 @@ def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chai
 
 def _branch(scene: Scene, tendon: Tendon, passage: _Passage) -> tuple[Array, Array]:
     """Position (3,) [m] of a tendon in the frame of the rod, and the way [m] along its tangent."""
-    (offset,), (slope,) = tendon_offset(scene, tendon, passage.place)
-    (strain,) = stress_free_strain(scene, np.array([passage.place]))
+    place = np.array([passage.place])
+    (offset,), (slope,) = tendon_offset(scene, tendon, place)
+    (strain,) = stress_free_strain(scene, place)
     curvature = strain[:3]
     stretch = strain[3:]
     site = np.array([0.0, *offset])
-    tangent = np.cross(curvature, site) + stretch + [0.0, *slope]
+    rotation = np.cross(curvature, site)
+    tangent = rotation + stretch + [0.0, *slope]
     ahead = passage.length / passage.share * tangent
     return site, ahead
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium as gym
 import torch
+from torch import Tensor
 
 from soft_tendon_env.policies.layers import (
     Activation,
@@ -41,34 +42,45 @@ class TensorNetwork(torch.nn.Module):
             self.gain = tensor_layer(actor.gains.gain)
 
     def forward(
-        self, observation: torch.Tensor | Mapping[str, torch.Tensor], memory: torch.Tensor | None
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        self, observation: Tensor | Mapping[str, Tensor], memory: Tensor | None
+    ) -> tuple[Tensor, Tensor | None]:
         """Actions (rows, n_a) before the bounds of the action space, and the next memory.
 
         Args:
             observation: rows (rows, n), or a table of them.
             memory: (rows, size), None where there is none.
         """
-        if isinstance(observation, Mapping):
-            plain = torch.cat([observation[key] for key in self._keys], dim=1)
-        else:
-            plain = observation
+        plain = self._flatten(observation)
         seen = self._finer(plain)
         if memory is not None:
-            before = torch.cat([seen, memory], dim=1)
-            share = torch.sigmoid(self.gate(before))
-            recalled = torch.cat([seen, share * memory], dim=1)
-            candidate = torch.tanh(self.candidate(recalled))
-            memory = memory + share * (candidate - memory)
+            # the action follows what is remembered now, this period's observation included
+            memory = self._remember(seen, memory)
             seen = torch.cat([seen, memory], dim=1)
         latent = self.body(seen)
         mean = self.head(latent)
         if self._posture is not None:
             away = self._finer(plain[:, self._posture :])
             mean = mean + self.gain(latent * self.way(away))
-        return (torch.tanh(mean) if self._squashes else mean), memory
+        if self._squashes:
+            mean = torch.tanh(mean)
+        return mean, memory
 
-    def _finer(self, values: torch.Tensor) -> torch.Tensor:
+    def _flatten(self, observation: Tensor | Mapping[str, Tensor]) -> Tensor:
+        """Entries (rows, n) of an observation, those of a table in the order of its keys."""
+        if not isinstance(observation, Mapping):
+            return observation
+        parts = [observation[key] for key in self._keys]
+        return torch.cat(parts, dim=1)
+
+    def _remember(self, seen: Tensor, memory: Tensor) -> Tensor:
+        """Next memory (rows, size)."""
+        before = torch.cat([seen, memory], dim=1)
+        share = torch.sigmoid(self.gate(before))
+        recalled = torch.cat([seen, share * memory], dim=1)
+        candidate = torch.tanh(self.candidate(recalled))
+        return memory + share * (candidate - memory)
+
+    def _finer(self, values: Tensor) -> Tensor:
         if not self._fine:
             return values
         fine = torch.tanh(self._fine * values)
@@ -85,7 +97,7 @@ class TensorRenormalisation(torch.nn.Module):
         self.scale = torch.as_tensor(layer.scale)
         self.bias = torch.as_tensor(layer.bias)
 
-    def forward(self, values: torch.Tensor) -> torch.Tensor:
+    def forward(self, values: Tensor) -> Tensor:
         return self.scale * ((values - self.mean) / self.deviation) + self.bias
 
 

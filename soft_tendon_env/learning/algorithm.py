@@ -74,8 +74,10 @@ class ActorAlgorithm(BaseAlgorithm):
 
     @abstractmethod
     def _prepare(self) -> None:
-        """Prepare to learn on the environment that is set. Raises TypeError, ValueError where the
-        algorithm cannot."""
+        """Prepare to learn on the environment that is set.
+
+        Raises TypeError, ValueError where the algorithm cannot.
+        """
 
     @abstractmethod
     def _learn_part(self, callback: BaseCallback) -> bool:

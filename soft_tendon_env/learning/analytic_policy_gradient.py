@@ -119,6 +119,7 @@ class TrackingCost:
         for square in self._squares:
             squares.append(square(trajectories, settings.position_scale, settings.angle_scale))
         total = torch.stack(squares).sum(0)
+        # Cauchy's loss, and a distance whose gradient does not fade far off
         near = 0.5 * total.log1p()
         far = (1.0 + total).sqrt()
         tracking = (near + settings.far_weight * far).mean()
@@ -180,6 +181,7 @@ class APG(ActorAlgorithm):
             return mean
 
         trajectories = rollout(rows, mean_action, self.settings.n_steps)
+        # no gradient goes from one window into the one before
         self._memory = self._memory.detach()
         update_statistics(self.get_vec_normalize_env(), observations)
         cost = self._cost(trajectories, memories)
@@ -192,6 +194,7 @@ class APG(ActorAlgorithm):
             if not callback.on_step():
                 return False
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        # of which row a gradient is not finite is not known
         self._begin_ended(rows, trajectories, all_rows=not math.isfinite(norm))
         callback.on_rollout_end()
         return True
@@ -228,7 +231,8 @@ class APG(ActorAlgorithm):
         except np.linalg.LinAlgError:  # a row at a configuration without derivatives
             return math.inf
         weights = self.policy.parameters()
-        norm = float(torch.nn.utils.clip_grad_norm_(weights, self.settings.max_grad_norm))
+        most = self.settings.max_grad_norm
+        norm = float(torch.nn.utils.clip_grad_norm_(weights, most))
         if math.isfinite(norm):
             optimizer.step()
         return norm
@@ -240,7 +244,8 @@ class APG(ActorAlgorithm):
 
         What the ended ones had as return is kept.
         """
-        self._returns += trajectories.reward.sum(0).numpy()
+        rewards = trajectories.reward.sum(0)
+        self._returns += rewards.numpy()
         self._lengths += self.settings.n_steps
         diverged = trajectories.diverged.any(0).numpy()
         over = rows.timed_out | diverged | all_rows
@@ -277,7 +282,8 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
             key: normalised(value, statistics, moments[key]) for key, value in observation.items()
         }
     mean = torch.as_tensor(moments.mean)
-    deviation = torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
+    variance = moments.var + statistics.epsilon
+    deviation = torch.as_tensor(np.sqrt(variance))
     most = statistics.clip_obs
     scaled = (observation - mean) / deviation
     return torch.clamp(scaled, -most, most).to(observation.dtype)

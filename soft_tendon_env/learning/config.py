@@ -32,17 +32,22 @@ Rate = Annotated[float, Field(ge=1e-12, le=1)]
 
 
 class Normalisation(Configuration):
-    """Running normalisation by VecNormalize of Stable-Baselines3. By default observations keep the
-    scales of the environment: under running statistics an oscillating arm changes the observations
-    of all others."""
+    """Running normalisation by VecNormalize of Stable-Baselines3.
+
+    By default observations keep the scales of the environment: under running statistics an
+    oscillating arm changes the observations of all others.
+    """
 
     observations: bool = False
     rewards: bool = True
 
 
 class Evaluation(Configuration):
-    """Validation and checkpoint after every so many steps, without exploration, on the first
-    `episodes` validation seeds, on arms as in training; errors count from `skip` [s] on."""
+    """Validation and checkpoint after every so many steps, without exploration.
+
+    It is on the first `episodes` validation seeds, on arms as in training; errors count from `skip`
+    [s] on.
+    """
 
     every: int = Field(default=100_000, ge=1)
     episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))

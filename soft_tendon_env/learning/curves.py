@@ -107,7 +107,9 @@ def curve_table(all_curves: list[Curves], key: str) -> str:
 def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
     """Row of one configuration; factor: of the unit in which the error is shown."""
     last = [rows[-1] for rows in curves.rows]
-    seconds = np.mean([row["seconds"] for row in last])
+    steps = last[0]["steps"]
+    seconds = [row["seconds"] for row in last]
+    minutes = float(np.mean(seconds)) / 60.0
     values = [factor * row[key] for row in last]
     middle = number(float(interquartile_mean(values)))
     low, high = [number(float(bound)) for bound in bootstrap_interval(values)]
@@ -117,8 +119,8 @@ def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
     return (
         curves.name,
         str(len(last)),
-        f"{last[0]['steps']:.0f}",
-        number(float(seconds) / 60.0),
+        f"{steps:.0f}",
+        number(minutes),
         f"{middle} [{low}, {high}] / {mean} / {tail}{flag}",
     )
 

@@ -114,14 +114,15 @@ class Teacher:
         """
         episodes = self.episodes
         actuation = episodes.actuation
+        period = episodes.period
         rows = range(episodes.size)
         late = np.array([actuation.delay(row) for row in rows])
         sent = np.stack([actuation.sent(row) for row in rows])
-        longest = late.max() / episodes.period - ROUND_OFF
-        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(longest)))
+        longest = np.ceil(late.max() / period - ROUND_OFF)
+        target = episodes.target_ahead(LOOKS_AHEAD + int(longest))
         arrival = self._predict_arrival(sent, late)
-        periods = np.arange(target.tip_pose.shape[1], dtype=np.float64)
-        ahead = episodes.period * periods
+        times = target.tip_pose.shape[1]
+        ahead = period * np.arange(times, dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in rows:
             reference = self._reference(row, target, ahead - late[row])
@@ -190,8 +191,9 @@ class Teacher:
         is_predicted = (late > 0.0) & (predicted.outcome.status == OK)
 
         def choose(arrived: Array, now: Array) -> Array:
-            rows = is_predicted.reshape(-1, *[1] * (now.ndim - 1))
-            return np.where(rows, arrived, now)
+            chosen = now.copy()
+            chosen[is_predicted] = arrived[is_predicted]
+            return chosen
 
         return Arrival(
             choose(predicted.rows.q, arms.rows.q),
@@ -278,12 +280,18 @@ class DAgger(ActorAlgorithm):
     def _end_of_round(self, done: int, periods: int) -> int:
         """Control period at which the round ends that the period `done` of `periods` is in."""
         rounds = self.settings.rounds
-        ends = [_divided_up(number * periods, rounds) for number in range(1, rounds + 1)]
-        return min(end for end in ends if end > done)
+        for number in range(1, rounds + 1):
+            end = _divided_up(number * periods, rounds)
+            if end > done:
+                return end
+        raise AssertionError("a training learns no part after its last period")
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
-        """Act until control period `end` of `periods`, while the teacher says what it would do;
-        False where the callback ends it."""
+        """Act until control period `end` of `periods`, while the teacher says what it would do.
+
+        Returns:
+            False where the callback ends it.
+        """
         env: Any = self.env
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):
@@ -295,6 +303,7 @@ class DAgger(ActorAlgorithm):
             self.num_timesteps += self.n_envs
             self._update_info_buffer(infos, ended)
             draws = self.generator.random(ended.sum())
+            # who leads an episode leads it to its end
             self._leads[ended] = draws < self._lead_share(done + 1, periods)
             callback.update_locals(locals())
             if not callback.on_step():
@@ -325,6 +334,7 @@ class DAgger(ActorAlgorithm):
         observations, answers = self._joined()
         actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
         first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        # the first layer sees features of one scale, by weights that give the same values
         with torch.no_grad():
             tensors, _ = policy.obs_to_tensor(observations)
             features = policy.extract_features(tensors, policy.pi_features_extractor)
@@ -334,6 +344,7 @@ class DAgger(ActorAlgorithm):
             first.bias.add_(first.weight @ mean)
             first.weight.mul_(deviation)
         losses = self._regress(actor, features, answers, rate)
+        # and back: the policy itself sees features as they are
         with torch.no_grad():
             first.weight.div_(deviation)
             first.bias.sub_(first.weight @ mean)
@@ -348,7 +359,8 @@ class DAgger(ActorAlgorithm):
             return np.concatenate(observations), together
         joined = {}
         for key in observations[0]:
-            joined[key] = np.concatenate([observation[key] for observation in observations])
+            parts = [observation[key] for observation in observations]
+            joined[key] = np.concatenate(parts)
         return joined, together
 
     def _regress(

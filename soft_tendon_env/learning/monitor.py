@@ -161,6 +161,7 @@ class TrainingMonitor(ABC):
             self._best = quality(row)
             config = {**self._config, "steps_done": self.steps_done(), "evaluated": row}
             self.save(self.folder / "best", config, False)
+        # the time of validations is no time of learning
         self._untimed += self._seconds() - row["seconds"]
         if self.watch is not None:
             self.watch(row)
@@ -182,6 +183,7 @@ class TrainingMonitor(ABC):
             "return": summary.mean_return,
             "diverged": summary.diverged,
             "cost": tracking_cost(scores),
+            # geometric: a few episodes that go wrong do not hide the others
             "typical": float(np.exp(np.log(rms).mean())) if rms else np.nan,
         }
         if summary.reached is not None:

@@ -131,13 +131,16 @@ class RecurrentPolicy(ActorCriticPolicy):
         seen, many = self.obs_to_tensor(observation)
         memory = self._read_memory(state, _rows(seen))
         if episode_start is not None:
-            goes_on = ~np.atleast_1d(episode_start).astype(bool)
-            memory = memory * torch.as_tensor(goes_on)[:, None]
+            begins = np.atleast_1d(episode_start).astype(bool)
+            goes_on = torch.as_tensor(~begins)
+            memory = memory * goes_on[:, None]
         with torch.no_grad():
             mean, memory = self.act(seen, memory)
         bounds: Any = self.action_space
         action = np.clip(mean.numpy(), bounds.low, bounds.high)
-        return action if many else action[0], memory.numpy()
+        if not many:
+            action = action[0]
+        return action, memory.numpy()
 
     def _read_memory(self, state: Any, rows: int) -> Tensor:
         """The memory (rows, size) of a state, zeros for None."""

@@ -201,8 +201,10 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
 
 
 class RllibTraining(TrainingMonitor):
-    """Training with RLlib, on this machine or a cluster. Raises ValueError, OSError before it
-    begins."""
+    """Training with RLlib, on this machine or a cluster.
+
+    Raises ValueError, OSError before it begins.
+    """
 
     def __init__(
         self, training: Training, folder: Path, runners: int, checkpoint: Path | None

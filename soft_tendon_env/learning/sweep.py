@@ -46,11 +46,12 @@ class Sweep(Configuration):
 
         Raises ConfigurationError where two would share one.
         """
-        folders = [Path(self.out).absolute() / Path(config).stem for config in self.configs]
-        twice = [folder.name for folder in folders if folders.count(folder) > 1]
-        if twice:
-            text = f"has two files {twice[0]}.toml, whose runs would share a folder"
-            raise ConfigurationError([Problem(("configs",), text)])
+        out = Path(self.out).absolute()
+        folders = [out / Path(config).stem for config in self.configs]
+        for folder in folders:
+            if folders.count(folder) > 1:
+                text = f"has two files {folder.name}.toml, whose runs would share a folder"
+                raise ConfigurationError([Problem(("configs",), text)])
         return folders
 
     def jobs(self) -> list["Job"]:

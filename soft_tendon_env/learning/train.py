@@ -152,8 +152,11 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
     env = make_sb3_vec_env(
         IDS[training.task], training.arms, max_episode_steps=steps, threads=1, **training.options
     )
-    lengths = [1 + steps * row // training.arms for row in range(training.arms)]
-    env.set_options([{"episode_steps": length} for length in lengths])
+    options = []
+    for row in range(training.arms):
+        length = 1 + steps * row // training.arms
+        options.append({"episode_steps": length})
+    env.set_options(options)
     return env
 
 
@@ -215,6 +218,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
         custom_objects={"learning_rate": rate, "lr_schedule": rate},
     )
     buffer = checkpoint / BUFFER
+    # arms go on in the midst of their episodes, which are not cut off in the buffer then
     if isinstance(model, OffPolicyAlgorithm):
         model.load_replay_buffer(buffer, truncate_last_traj=False)
     elif hasattr(model, "load_replay_buffer"):

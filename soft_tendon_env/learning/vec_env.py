@@ -24,17 +24,19 @@ from soft_tendon_env.envs.environments import TendonRodVectorEnv
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """Rows of an environment as a VecEnv of Stable-Baselines3; row i is the single environment
-    under DummyVecEnv with Monitor, bit for bit.
+    """Rows of an environment as a VecEnv of Stable-Baselines3.
 
+    Row i is the single environment under DummyVecEnv with Monitor, bit for bit.
     An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats,
     with "TimeLimit.truncated" and, at the end of an episode, "terminal_observation" and "episode":
     return "r", length "l" and seconds "t" since this object was made.
     """
 
     def __init__(self, env: TendonRodVectorEnv) -> None:
-        """env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for other
-        environments."""
+        """Rows of an environment.
+
+        env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for others.
+        """
         if not isinstance(env, TendonRodVectorEnv):
             raise TypeError(
                 "env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids,"
@@ -53,8 +55,11 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """New episodes of all rows, with the seeds that `seed` has set, once, and the options of
-        `reset` from `set_options`, likewise."""
+        """New episodes of all rows.
+
+        They have the seeds that `seed` has set, once, and the options of `reset` from
+        `set_options`, likewise.
+        """
         keys = set().union(*self._options)
         options = {key: [of_row.get(key) for of_row in self._options] for key in keys}
         observation, _ = self.env.reset(seed=self._seeds, options=options)
@@ -73,6 +78,7 @@ class StableBaselinesVecEnv(VecEnv):
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
         late = truncated & ~terminated
+        # quicker for all rows than to look which have ended
         infos = _of_all_rows(info, {"TimeLimit.truncated": late})
         self._returns += reward
         self._lengths += 1
@@ -94,16 +100,20 @@ class StableBaselinesVecEnv(VecEnv):
         return {"r": round(total, 6), "l": length, "t": round(seconds, 6)}
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the environment, which the rows share, for each of `indices`; spaces are
-        those of one row."""
+        """An attribute of the environment, which the rows share, for each of `indices`.
+
+        Spaces are those of one row.
+        """
         is_space = attr_name in ("observation_space", "action_space")
         name = f"single_{attr_name}" if is_space else attr_name
         value = getattr(self.env, name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the environment. Raises ValueError unless `indices` are all rows,
-        since they share it."""
+        """Set an attribute of the environment.
+
+        Raises ValueError unless `indices` are all rows, since they share it.
+        """
         all_rows = set(range(self.num_envs))
         if set(self._get_indices(indices)) != all_rows:
             raise ValueError(
@@ -118,8 +128,10 @@ class StableBaselinesVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Results of a method of the environment, called once for each of `indices`. Raises
-        ValueError for those of all rows at once."""
+        """Results of a method of the environment, called once for each of `indices`.
+
+        Raises ValueError for methods of all rows at once.
+        """
         if method_name in ("reset", "step", "set_target", "render", "close", "close_extras"):
             raise ValueError(
                 f"{method_name!r} acts on all rows at once: it cannot be called by env_method"
@@ -143,15 +155,22 @@ class StableBaselinesVecEnv(VecEnv):
 
 
 def make_sb3_vec_env(id: str, num_envs: int, **options: Any) -> StableBaselinesVecEnv:
-    """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`:
-    `max_episode_steps`, `fidelity`, `target`, ..."""
+    """Environment with many rows for Stable-Baselines3.
+
+    Args:
+        id: of the environment.
+        num_envs: number of rows.
+        options: as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ...
+    """
     env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
     return StableBaselinesVecEnv(env)
 
 
 def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
-    """Vector environment of the arms within wrappers of Stable-Baselines3. Raises TypeError for
-    others than this package's."""
+    """Vector environment of the arms within wrappers of Stable-Baselines3.
+
+    Raises TypeError for others than this package's.
+    """
     while isinstance(env, VecEnvWrapper):
         env = env.venv
     if not isinstance(env, StableBaselinesVecEnv):

@@ -27,8 +27,10 @@ Algorithm = TypeVar("Algorithm", bound=type)
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
-    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's
-    `BaseAlgorithm`, by its class's name."""
+    """Class decorator: train with an algorithm of your own, by its class's name.
+
+    It is a subclass of Stable-Baselines3's `BaseAlgorithm`.
+    """
     ALGORITHMS[algorithm.__name__] = algorithm
     return algorithm
 

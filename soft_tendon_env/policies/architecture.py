@@ -81,7 +81,8 @@ def read_architecture(kind: Kind, arguments: Mapping[str, Any]) -> Architecture:
             " an object with `predict`, as module:name"
         )
     known = {*ACTING[kind], *OF_TRAINING, EXTRACTOR}
-    if unknown := sorted(arguments.keys() - known):
+    unknown = sorted(arguments.keys() - known)
+    if unknown:
         raise ValueError(f"policies of {kind} have no argument {', '.join(unknown)}")
     hidden = hidden_units(kind, arguments.get("net_arch"))
     is_on_policy = kind in ("PPO", "APG")

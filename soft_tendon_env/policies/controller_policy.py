@@ -76,13 +76,13 @@ def observation_options(
     reference = _among("task", task, TASKS).measured_reference
     entry = _among("controller", controller, CONTROLLERS.get(task, {}))
     ahead = _periods_ahead(entry, latency, period, estimator_entry)
-    preview = [period * k for k in range(1, ahead + 1)]
-    options: dict[str, Any] = {"action": "tension", "preview": preview}
-    if estimator is None and regime is None:
-        return options
-    sensors = _among("regime", regime or "sensors", REGIMES)
-    observation = (*sensors.measured, *reference)
-    return {**options, "observation": observation, "sensors": sensors.sensors or ()}
+    options: dict[str, Any] = {"action": "tension"}
+    options["preview"] = [period * k for k in range(1, ahead + 1)]
+    if estimator is not None or regime is not None:
+        sensors = _among("regime", regime or "sensors", REGIMES)
+        options["observation"] = (*sensors.measured, *reference)
+        options["sensors"] = sensors.sensors or ()
+    return options
 
 
 def make_policy(
@@ -223,11 +223,12 @@ def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
     """
     if chosen is None or isinstance(chosen, Entry):
         return chosen
-    if not isinstance(chosen, str) or chosen not in valid:
-        # users add to those two
-        describe = not_registered if kind in ("controller", "task") else not_among
-        raise ValueError(f"{kind} is {shown(chosen)}: {describe(str(chosen), valid)}")
-    return valid[chosen]
+    if isinstance(chosen, str) and chosen in valid:
+        return valid[chosen]
+    # users add to those two
+    describe = not_registered if kind in ("controller", "task") else not_among
+    known = describe(str(chosen), valid)
+    raise ValueError(f"{kind} is {shown(chosen)}: {known}")
 
 
 class ControllerPolicy:

@@ -115,7 +115,8 @@ class IntegralPolicy:
         if isinstance(observation, dict):
             goal = np.atleast_2d(observation["desired_goal"])
             tip = np.atleast_2d(observation["achieved_goal"])
-            return np.asarray((goal - tip) / self.goal_unit, dtype=np.float64)
+            in_units = (goal - tip) / self.goal_unit
+            return np.asarray(in_units, dtype=np.float64)
         rows = np.atleast_2d(observation)
         parts = [rows[:, way.now] for way in self._ways]
         return np.concatenate(parts, axis=1, dtype=np.float64)

@@ -31,8 +31,10 @@ class Activation(NamedTuple):
 
 
 class Renormalisation(NamedTuple):
-    """Batch renormalisation with running statistics: S. Ioffe, Batch renormalization, NeurIPS 2017,
-    as CrossQ acts by it."""
+    """Batch renormalisation with running statistics, as CrossQ acts by it.
+
+    S. Ioffe, Batch renormalization, NeurIPS 2017.
+    """
 
     mean: Single  # (n,)
     deviation: Single  # (n,)
@@ -88,8 +90,10 @@ class Gates:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Part of the action that vanishes where the arm rests at its target: latent values times a
-    linear map of all entries but those of posture."""
+    """Part of the action that vanishes where the arm rests at its target.
+
+    It is latent values times a linear map of all entries but those of posture.
+    """
 
     posture: int  # number of first entries that are left out
     way: Linear
@@ -120,8 +124,12 @@ class Actor:
     fine: float = 0.0
 
     def __call__(self, plain: Single, memory: Single) -> tuple[Single, Single]:
-        """Mean actions (rows, n_a) before bounds and squashing, and the next memory, of entries of
-        observations (rows, n) and the memory (rows, size)."""
+        """Mean actions (rows, n_a) before bounds and squashing, and the next memory.
+
+        Args:
+            plain: entries of observations (rows, n).
+            memory: (rows, size).
+        """
         seen = self._finer(plain)
         if self.gates is not None:
             # the action follows what is remembered now, this period's observation included

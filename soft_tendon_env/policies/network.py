@@ -1,5 +1,6 @@
 """Policy network in NumPy: the mean action of a trained agent, without PyTorch."""
 
+from contextlib import nullcontext
 from typing import Any
 
 import gymnasium as gym
@@ -7,15 +8,21 @@ import numpy as np
 
 from soft_tendon_env.policies.layers import Actor
 from soft_tendon_env.policies.protocol import LostState
+from soft_tendon_env.tools.linear_algebra import one_thread
 from soft_tendon_env.tools.types import Single
 
 NONE = np.float32(0.0)  # constants in single precision, so that actions stay in it
 HALF = np.float32(0.5)
 ONE = np.float32(1.0)
+MOST_ROWS = 256
+"""Rows up to which products have one thread. Where two cores were shared with other work, several
+threads took 3 to 16 times as long for 16 to 256 rows, and no longer for one."""
 
 
 class PolicyNetwork:
     """Policy network in NumPy with Stable-Baselines3's `predict`, for one observation or many.
+
+    Products of a few rows have one thread, see `tools.linear_algebra`.
 
     Attributes:
         actor: layers from observations to mean actions.
@@ -58,16 +65,23 @@ class PolicyNetwork:
         plain, many = flatten(observation, self.observations)
         if not self.memory:
             nothing = plain[:, :0]
-            mean, _ = self.actor(plain, nothing)
-            return self._bounded(mean, many), state
+            action, _ = self._act(plain, nothing)
+            return (action if many else action[0]), state
         is_first = bool(np.any(episode_start))
         self._lost.notice(state is None and not is_first)
         memory = self._read_memory(state, len(plain))
         if is_first:
             begins = np.atleast_1d(episode_start).astype(bool)
             memory = np.where(begins[:, None], NONE, memory)
-        mean, memory = self.actor(plain, memory)
-        return self._bounded(mean, many), memory
+        action, memory = self._act(plain, memory)
+        return (action if many else action[0]), memory
+
+    def _act(self, plain: Single, memory: Single) -> tuple[Single, Single]:
+        """Actions (rows, n_a) within the action space, and the next memory (rows, size)."""
+        is_few = 1 < len(plain) <= MOST_ROWS
+        with one_thread() if is_few else nullcontext():
+            mean, memory = self.actor(plain, memory)
+        return self._bounded(mean), memory
 
     def _read_memory(self, state: Any, rows: int) -> Single:
         """The memory (rows, size) of a state, zeros for None."""
@@ -83,22 +97,21 @@ class PolicyNetwork:
             )
         return memory
 
-    def _bounded(self, mean: Single, many: bool) -> Single:
-        """Actions (rows, n_a) within the action space, (n_a,) of a single row."""
+    def _bounded(self, mean: Single) -> Single:
+        """Actions (rows, n_a) within the action space."""
         low, high = self._bounds
         if self.actor.squashes:
             share = HALF * (np.tanh(mean) + ONE)
-            action = low + share * (high - low)
-        else:
-            # for one row quicker than clip
-            above = np.maximum(mean, low)
-            action = np.minimum(above, high)
-        return action if many else action[0]
+            return low + share * (high - low)
+        # for one row quicker than clip
+        above = np.maximum(mean, low)
+        return np.minimum(above, high)
 
 
 def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
-    """Entries (rows, n) of one observation or many of a Box or a Dict of them, in the order of
-    keys, as float32, and whether they are many.
+    """Entries (rows, n) of one observation or many, as float32, and whether they are many.
+
+    Those of a Dict are in the order of its keys.
 
     Raises:
         ValueError: a shape is not the space's, or that of rows of it.
@@ -121,8 +134,7 @@ def _rows(name: str, values: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
     is_one = array.shape == shape
     if is_one:
         return array.reshape(1, -1), False
-    of_row = array.shape[1:]
-    if of_row != shape:
+    if array.shape[1:] != shape:
         raise ValueError(f"{name} has the shape {array.shape}: it should be {shape}, or rows of it")
     count = len(array)
     return array.reshape(count, -1), True

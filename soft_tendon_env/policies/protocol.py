@@ -9,8 +9,10 @@ actions alone hardly makes as many."""
 
 
 class Policy(Protocol):
-    """Stable-Baselines3's interface: observation and state go in, action and the next state come
-    out."""
+    """Stable-Baselines3's interface.
+
+    Observation and state go in, action and the next state come out.
+    """
 
     def predict(
         self,
@@ -23,11 +25,14 @@ class Policy(Protocol):
 
 
 class LostState:
-    """Warns, once, where calls of `predict` neither give the state back nor say that an episode
-    starts. owner: what forgets everything."""
+    """Warns, once, where calls of `predict` neither give a state back nor say that episodes start.
+
+    owner: what forgets everything.
+    """
 
     def __init__(self, owner: str) -> None:
-        self._owner, self._calls = owner, 0  # in a row
+        self._owner = owner
+        self._calls = 0  # in a row
 
     def notice(self, lost: bool) -> None:
         self._calls = self._calls + 1 if lost else 0

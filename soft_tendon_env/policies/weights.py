@@ -107,8 +107,10 @@ def _box(space: gym.Space[Any]) -> gym.spaces.Box:
 
 
 class _Loader:
-    """Layers of an architecture out of arrays, each of which is taken once, of the shape that is
-    needed. Methods raise ValueError."""
+    """Layers of an architecture out of arrays, each of which is taken once.
+
+    Methods raise ValueError where an array is missing or has another shape.
+    """
 
     def __init__(
         self, architecture: Architecture, arrays: Mapping[str, Single], inputs: int, outputs: int

@@ -42,9 +42,9 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.types import NotNegative, Positive
 
-Report = Callable[
-    [float], None
-]  # takes the cost [m] of a trial so far; raises optuna.TrialPruned where it is not worth going on
+Report = Callable[[float], None]
+"""Takes the cost [m] of a trial so far; raises optuna.TrialPruned where it is not worth going
+on."""
 
 
 class Parameter(Configuration):
@@ -74,30 +74,31 @@ class Parameter(Configuration):
         if self.choices:
             choices = [json.dumps(choice) for choice in self.choices]
             return json.loads(trial.suggest_categorical(name, choices))
-        if isinstance(self.low, int) and isinstance(self.high, int):
-            return trial.suggest_int(name, self.low, self.high, log=self.log)
-        assert self.low is not None and self.high is not None  # a range has both, see _is_a_range
-        return trial.suggest_float(name, self.low, self.high, log=self.log)
+        low = self.low
+        high = self.high
+        assert low is not None and high is not None  # a range has both, see _is_a_range
+        if isinstance(low, int) and isinstance(high, int):
+            return trial.suggest_int(name, low, high, log=self.log)
+        return trial.suggest_float(name, low, high, log=self.log)
 
 
 class Search(Configuration, ABC):
     """Hyperparameter search."""
 
     trials: int = Field(default=20, ge=1)  # of the study, of all machines that share it together
-    seed: int = Field(
-        default=0, ge=0, lt=2**31
-    )  # of the sampler (tree-structured Parzen estimator)
-    search: dict[str, Parameter] = Field(
-        min_length=1
-    )  # by name of a parameter {low, high, log} or {choices}
-    episodes: int = Field(
-        default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"])
-    )  # tuning seeds that are played in every condition
+    # of the sampler (tree-structured Parzen estimator)
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    # by name of a parameter {low, high, log} or {choices}
+    search: dict[str, Parameter] = Field(min_length=1)
+    # tuning seeds that are played in every condition
+    episodes: int = Field(default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"]))
 
     @abstractmethod
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
-        """Mean cost [m] of values over the tuning seeds. folder: for what is learned. Raises
-        ValueError, UserError."""
+        """Mean cost [m] of values over the tuning seeds.
+
+        folder: for what is learned. Raises ValueError, UserError.
+        """
 
     @abstractmethod
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,18 +114,22 @@ class Search(Configuration, ABC):
     ) -> float:
         """Cost [m] of a policy over the tuning seeds, under one condition."""
         steps = episode_steps(seconds, skip, options)
-        with closing(
-            gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)
-        ) as envs:
-            return tracking_cost(
-                evaluate_rows(make(envs), envs, SEEDS["tuning"][: self.episodes], skip)
-            )
+        seeds = SEEDS["tuning"][: self.episodes]
+        made = gym.make_vec(
+            IDS[task],
+            num_envs=self.episodes,
+            max_episode_steps=steps,
+            **options,
+        )
+        with closing(made) as envs:
+            scores = evaluate_rows(make(envs), envs, seeds, skip)
+        return tracking_cost(scores)
 
 
 class ControllerSearch(Search):
-    """Search for parameters of a controller: its cost is the geometric mean over all settings in
-    all information regimes.
+    """Search for parameters of a controller.
 
+    Its cost is the geometric mean over all settings in all information regimes.
     Parameters are the keyword arguments of its class, and those of control.kalman.Uncertainty with
     "estimator." before them.
     """
@@ -133,86 +138,71 @@ class ControllerSearch(Search):
     task: TaskName = "TipPose"
     # what is observed, with noise; none: what the controller needs, exactly
     regimes: RegimeNames = ()
-    settings: SettingNames = (
-        NOMINAL,
-    )  # of the benchmark, in which it is played; the model of the controller knows nothing of them
+    # of the benchmark, in which it is played; the model of the controller knows nothing of them
+    settings: SettingNames = (NOMINAL,)
     seconds: Positive = 3.0  # length of an episode
     skip: NotNegative = 1.0  # [s] from which on errors count
-    options: EnvironmentOptions = Field(
-        default={}
-    )  # of the environment; `randomize` says how arms differ from the controller's model
+    # of the environment; `randomize` says how arms differ from the controller's model
+    options: EnvironmentOptions = Field(default={})
 
     @model_validator(mode="after")
     def _fits(self) -> "ControllerSearch":
         known = self._controller({}).defaults
         for key in self.search.keys() - known.keys():
-            raise ConfigurationError(
-                [
-                    Problem(
-                        ("search", key),
-                        f"is no parameter of {self.policy}: {not_among(key, known)}",
-                    )
-                ]
-            )
+            text = f"is no parameter of {self.policy}: {not_among(key, known)}"
+            raise ConfigurationError([Problem(("search", key), text)])
         return self
 
     def _controller(self, values: Mapping[str, Any]) -> Controller:
         name = PolicyName.parse(self.policy, self.task)
         if not isinstance(name, Controller):
-            raise ConfigurationError(
-                [
-                    Problem(
-                        ("policy",),
-                        f"is {self.policy!r}: it should be a controller, others have no parameters",
-                    )
-                ]
-            )
+            text = f"is {self.policy!r}: it should be a controller, others have no parameters"
+            raise ConfigurationError([Problem(("policy",), text)])
         return name.with_parameters({**name.parameters, **values})
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
-        name, costs, scene = (
-            self._controller(values),
-            list[float](),
-            self.options.get("scene", "paper"),
-        )
-        make = partial(
-            name.load,
-            scene=believed_scene(name, scene if isinstance(scene, Mapping) else {"scene": scene}),
-        )
+        name = self._controller(values)
+        scene = self.options.get("scene", "paper")
+        changes = scene if isinstance(scene, Mapping) else {"scene": scene}
+        make = partial(name.load, scene=believed_scene(name, changes))
+        costs = []
+        mean = np.nan
         for setting, regime in product(self.settings, self.regimes or (None,)):
-            noise = {"noise": dict(REGIMES[regime].noise)} if regime else {}
-            given = {
-                **name.options(self.options, regime),
-                "randomize": {**noise, **self.options.get("randomize", {})},
-            }
-            costs.append(
-                self.play(
-                    make, self.task, SETTINGS[setting].options(given), self.seconds, self.skip
-                )
-            )
-            report(float(np.exp(np.mean(np.log(costs)))))
-        return float(np.exp(np.mean(np.log(costs))))
+            options = SETTINGS[setting].options(self._options(name, regime))
+            cost = self.play(make, self.task, options, self.seconds, self.skip)
+            costs.append(cost)
+            logarithm = np.mean(np.log(costs))
+            mean = float(np.exp(logarithm))
+            report(mean)
+        return mean
+
+    def _options(self, name: Controller, regime: str | None) -> dict[str, Any]:
+        """Options of the environment in an information regime; None: exact, what it needs."""
+        randomize: dict[str, Any] = {}
+        if regime is not None:
+            randomize["noise"] = dict(REGIMES[regime].noise)
+        randomize |= self.options.get("randomize", {})
+        return {**name.options(self.options, regime), "randomize": randomize}
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        return {"policy": self.policy, "parameters": dict(self._controller(values).parameters)}
+        parameters = self._controller(values).parameters
+        return {"policy": self.policy, "parameters": dict(parameters)}
 
 
 class TrainingSearch(Search):
     """Search for keys of a training by the best agent of a short one."""
 
     training: str  # name of a training that ships, or path of a TOML file
-    set: dict[str, Any] = Field(
-        default={}
-    )  # dotted keys of it that all trials change, such as steps = 60_000
+    # dotted keys of it that all trials change, such as steps = 60_000
+    set: dict[str, Any] = Field(default={})
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainingSearch":
         try:
             find_config(self.training)
         except ConfigurationError as error:
-            raise ConfigurationError(
-                Problem(("training",), text) for _, text in error.problems
-            ) from error
+            problems = [Problem(("training",), text) for _, text in error.problems]
+            raise ConfigurationError(problems) from error
         for name, parameter in self.search.items():
             for value in parameter.choices or (parameter.low, parameter.high):
                 Training.parse(self.file({name: value}), self.training)
@@ -222,17 +212,21 @@ class TrainingSearch(Search):
         from soft_tendon_env.learning import train
 
         training = Training.parse(self.file(values), self.training)
+
+        def watch(row: Mapping[str, float]) -> None:
+            first = next(name for name in row if name.endswith("_rms"))
+            report(row[first])
+
         try:
-            train.train(
-                training,
-                folder,
-                watch=lambda row: report(next(row[name] for name in row if name.endswith("_rms"))),
-            )
+            train.train(training, folder, watch=watch)
         finally:
             shutil.rmtree(folder / "last", ignore_errors=True)  # nothing goes on from it
-        make = partial(load_policy, str(folder / "best"))
         return self.play(
-            make, training.task, training.options, training.seconds, training.evaluation.skip
+            partial(load_policy, str(folder / "best")),
+            training.task,
+            training.options,
+            training.seconds,
+            training.evaluation.skip,
         )
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -244,10 +238,11 @@ class TrainingSearch(Search):
 def read_search(
     path: Path, changes: tuple[str, ...] = (), **more: Any
 ) -> ControllerSearch | TrainingSearch:
-    """The search of a file, with `changes` "key=value" and `more` keys. Raises ConfigurationError,
-    ValueError."""
+    """The search of a file, with `changes` "key=value" and `more` keys.
+
+    Raises ConfigurationError, ValueError.
+    """
     table = read_toml(path)
     override(table, parsed_changes(changes))
-    return (TrainingSearch if "training" in table else ControllerSearch).parse(
-        {**table, **more}, str(path)
-    )
+    kind = TrainingSearch if "training" in table else ControllerSearch
+    return kind.parse({**table, **more}, str(path))

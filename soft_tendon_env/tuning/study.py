@@ -22,21 +22,24 @@ DONE = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 
 
 def open_study(search: Search, folder: Path) -> optuna.Study:
-    """The study in a folder, which machines may share, made where it is not there. Raises
-    ValueError where it is of another search."""
+    """The study in a folder, which machines may share, made where it is not there.
+
+    Raises:
+        ValueError: it is of another search.
+    """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=1)
     storage = JournalStorage(JournalFileBackend(str(folder / "study.log")))
     study = optuna.create_study(
         storage=storage, study_name="study", load_if_exists=True, pruner=pruner
     )
-    begun, table = (
-        study.user_attrs.get("search"),
-        search.model_dump(mode="json", exclude={"trials"}),
-    )
+    begun = study.user_attrs.get("search")
+    table = search.model_dump(mode="json", exclude={"trials"})
     if begun is None:
         study.set_user_attr("search", table)
-    elif changed := [key for key in table if begun.get(key) != table[key]]:
+        return study
+    changed = [key for key in table if begun.get(key) != table[key]]
+    if changed:
         differences = "; ".join(
             f"{key} was {shown(begun.get(key))} and is {shown(table[key])}" for key in changed
         )
@@ -45,23 +48,27 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
 
 
 def run_trial(search: Search, folder: Path, _: int = 0) -> None:
-    """One more trial, unless there are as many as there should be; it has its values and its error
-    as attributes."""
+    """One more trial, unless there are as many as there should be.
+
+    It has its values and its error as attributes.
+    """
     study = open_study(search, folder)
     if len(study.get_trials(states=DONE)) >= search.trials:
         return
-    study.sampler = TPESampler(
-        seed=search.seed + len(study.trials), constant_liar=True
-    )  # none as another machine's
+    # none has the seed of another machine's
+    seed = search.seed + len(study.trials)
+    study.sampler = TPESampler(seed=seed, constant_liar=True)
 
     def cost(trial: optuna.Trial) -> float:
-        values = {name: parameter.suggest(trial, name) for name, parameter in search.search.items()}
+        values = {}
+        for name, parameter in search.search.items():
+            values[name] = parameter.suggest(trial, name)
         trial.set_user_attr("values", values)
-        reports = list[float]()
+        reports: list[float] = []
 
-        def report(found: float) -> None:
-            trial.report(found, len(reports))
-            reports.append(found)
+        def report(cost_so_far: float) -> None:
+            trial.report(cost_so_far, len(reports))
+            reports.append(cost_so_far)
             if trial.should_prune():
                 raise optuna.TrialPruned
 
@@ -77,41 +84,55 @@ def run_trial(search: Search, folder: Path, _: int = 0) -> None:
 
 
 def tune(search: Search, folder: Path, workers: int, cluster: str | None = None) -> FrozenTrial:
-    """The best trial, once those that are missing have been run: prints it, and writes trials.csv
-    and best.toml into the folder.
+    """The best trial, once those that are missing have been run.
 
-    Raises ValueError where the cluster cannot be reached, UserError where no trial was successful.
+    It is printed, and trials.csv and best.toml are written into the folder.
+
+    Args:
+        search: what is searched.
+        folder: of the study.
+        workers: trials side by side.
+        cluster: address of a Ray cluster that runs them; None: this machine does.
+
+    Raises:
+        ValueError: the cluster cannot be reached.
+        UserError: no trial was successful.
     """
     study = open_study(search, folder)
     missing = range(len(study.get_trials(states=DONE)), search.trials)
-    run_all(
-        partial(run_trial, search, folder), missing, workers, "study", unit="trial", cluster=cluster
-    )
-    trials, rows = study.get_trials(states=DONE), list[dict[str, object]]()
-    for trial in trials:
-        head = {"trial": trial.number, "state": trial.state.name.lower(), "cost": trial.value}
-        rows.append({**head, **trial.params, "error": trial.user_attrs.get("error")})
+    one_more = partial(run_trial, search, folder)
+    run_all(one_more, missing, workers, "study", unit="trial", cluster=cluster)
+    trials = study.get_trials(states=DONE)
+    rows = [_table_row(trial) for trial in trials]
     write_csv(folder / "trials.csv", rows)
-    complete, pruned = (
-        sum(trial.state is state for trial in trials)
-        for state in (TrialState.COMPLETE, TrialState.PRUNED)
-    )
+    complete = _count(trials, TrialState.COMPLETE)
+    pruned = _count(trials, TrialState.PRUNED)
     if not complete:
-        error = next(
-            (
-                f", the first: {trial.user_attrs['error']}"
-                for trial in trials
-                if "error" in trial.user_attrs
-            ),
-            "",
-        )
-        raise UserError(f"none of {len(trials)} trials was successful{error}")
+        errors = [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
+        first = f", the first: {errors[0]}" if errors else ""
+        raise UserError(f"none of {len(trials)} trials was successful{first}")
     best = study.best_trial
+    values = best.user_attrs["values"]
+    cost = 1e3 * (best.value or 0.0)
     print(f"{len(trials)} trials: {complete} complete, {pruned} pruned")
-    print(
-        f"best: trial {best.number}, {number(1e3 * (best.value or 0.0))} mm,"
-        f" {best.user_attrs['values']}"
-    )
-    (folder / "best.toml").write_text(tomli_w.dumps(search.file(best.user_attrs["values"])))
-    print(f"written: {folder / 'best.toml'}")
+    print(f"best: trial {best.number}, {number(cost)} mm, {values}")
+    path = folder / "best.toml"
+    path.write_text(tomli_w.dumps(search.file(values)))
+    print(f"written: {path}")
     return best
+
+
+def _table_row(trial: FrozenTrial) -> dict[str, object]:
+    """Row of a trial in trials.csv."""
+    return {
+        "trial": trial.number,
+        "state": trial.state.name.lower(),
+        "cost": trial.value,
+        **trial.params,
+        "error": trial.user_attrs.get("error"),
+    }
+
+
+def _count(trials: list[FrozenTrial], state: TrialState) -> int:
+    """Number of trials in a state."""
+    return sum(trial.state is state for trial in trials)
