@@ -81,7 +81,7 @@ def run(settings: Accuracy) -> None:
 
 
 def measure(model: Model, trial: Trial, fidelity: str, tolerance: float) -> dict[str, Any]:
-    """What a fidelity takes and what it reaches: tolerance and tip_error [m], cpu_time [s]."""
+    """Cost and error of a fidelity: tolerance and tip_error [m], cpu_time [s]."""
     return {
         "asked": fidelity,
         "tolerance": tolerance,

@@ -23,7 +23,7 @@ CONTROLLER_PACE = 0.2
 """Seconds of a core per second of an episode of the paper's arm under a controller, on an AMD
 EPYC."""
 AGENT_PACE = 0.05
-"""The same under an agent."""
+"""Seconds of a core per second of an episode under an agent, likewise."""
 
 
 class Arena(Benchmark):

@@ -50,11 +50,11 @@ COMMANDS: dict[str, str] = {
         " whose kernels it compiles"
     ),
 }
-"""What every command does, by its name."""
+"""Descriptions of the commands, by their names."""
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
 STOPPED = "stopped: the same command goes on from what is kept"
-"""What to say after Ctrl-C."""
+"""Message after Ctrl-C."""
 Run = TypeVar("Run", bound=Callable[[Sequence[str]], None])
 _own: dict[str, Callable[[Sequence[str]], None]] = {}
 """Functions of the commands that users register, by name."""

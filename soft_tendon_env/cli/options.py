@@ -197,7 +197,7 @@ def _option(kind: Any, several: bool, flag: str, text: str, default: str) -> Any
 
 
 def _metavar(kind: Any, several: bool) -> str | None:
-    """What stands for the value in the help of an option; None for a switch, which has none."""
+    """Placeholder of the value in the help of an option; None for a switch, which has none."""
     if kind is bool:
         return None
     if get_origin(kind) is Literal:

@@ -77,7 +77,7 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
 
 
 class SensorModel:
-    """What the sensors of an arm measure in a state of the filter.
+    """Expected measurements of the sensors of an arm in a state of the filter.
 
     Args:
         model: what the filter believes of the arm.

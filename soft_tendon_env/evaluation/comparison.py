@@ -67,7 +67,7 @@ def shared_arms(
 def _shared_arm(
     arms: Mapping[str, Mapping[str, Any]], options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What all of these arms, by agent, have beside the options. Raises ValueError where they
+    """Options that all of these arms, by agent, have beside the others. Raises ValueError where they
     differ in that."""
     if not arms:
         return {}

@@ -170,7 +170,7 @@ def _quaternion(rotation: Tensor) -> Tensor:
 
 
 class _ArmTensors(NamedTuple):
-    """What is measured of an arm, as tensors of one row: its state and its reading at once."""
+    """Measurements of an arm as tensors of one row: its state and its reading at once."""
 
     tip_pose: Tensor  # (1, 4, 4)
     tip_twist: Tensor  # (1, 6)
@@ -273,7 +273,7 @@ class _ControlPeriod(torch.nn.Module):
             self.outputs.append(f"next_{name}")
 
     def _first_states(self) -> Parts:
-        """What is remembered, by name, as zeros."""
+        """Zeros for all that is remembered, by name."""
         states = {
             "started": torch.zeros(1),
             "command": torch.zeros_like(self._start_command),
@@ -457,7 +457,7 @@ def _drop_unused_inputs(model: onnx.ModelProto) -> set[str]:
 
 
 def _metadata(episodes: Episodes, used: set[str]) -> dict[str, Any]:
-    """What the file says of its inputs and its command."""
+    """Metadata of the file on its inputs and its command."""
     actions = episodes.actuation.actions
     limits = np.c_[actions.least, actions.greatest]
     values = measurements(episodes)

@@ -40,7 +40,7 @@ HALVINGS = 40  # by which the scene's own bounds are sought, to 1e-12 of the dis
 
 
 class Quantity(Enum):
-    """What a parameter is a number of: the scene, or one quantity of the measurement."""
+    """Kinds of parameters: of the scene, or of one quantity of the measurement."""
 
     SCENE = auto()  # also the base's rotation
     BASE_POSITION = auto()

@@ -241,8 +241,11 @@ class Readings:
             raise NoHoldError(f"{recording.where}: {text}.") from error
 
     def _simulated(self, model: Model, command: Array, i: int) -> list[Array]:
-        """The same. Raises SimulationDiverged, NoHoldError or StrainLimitError without the
-        recording's name."""
+        """Readings of a motion or hold.
+
+        Raises:
+            SimulationDiverged, NoHoldError, StrainLimitError: without the recording's name.
+        """
         period = self.recordings[i].period
         if model.command_unit == "N":
             tension = command[0]

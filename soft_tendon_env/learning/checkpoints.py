@@ -31,7 +31,7 @@ MODEL = "model.zip"
 PICKLED = "vecnormalize.pkl"
 ENVIRONMENT = "environment.pkl"
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
-"""What of a model belongs to its environment."""
+"""Attributes of a model that belong to its environment."""
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:

@@ -134,7 +134,7 @@ class Teacher:
     def _row_input(
         self, row: int, arrival: Arrival, sent: Array, late: Array, reference: Reference
     ) -> ControllerInput:
-        """What the controller of a row knows when its command arrives."""
+        """Knowledge of the controller of a row when its command arrives."""
         clock = float(self.episodes.arms.rows.clock[row, 0])
         time = clock + late[row]
         last_tension = sent[row, -1]
@@ -213,7 +213,7 @@ class Teacher:
         return durations
 
     def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
-        """What the controller of a row is to follow at times (m,) [s] from now."""
+        """Reference of the controller of a row at times (m,) [s] from now."""
         episodes = self.episodes
         pose = target.tip_pose[row]
         if episodes.task.shapes:

@@ -167,7 +167,7 @@ class TrainingMonitor(ABC):
             self.watch(row)
 
     def _validate(self) -> dict[str, float]:
-        """What fixed validation episodes say of the agent, by column."""
+        """Scores of the agent on fixed validation episodes, by column."""
         agent = NetworkPolicy(self.network(), self.normalise)
         policy = acting_policy(agent, self.envs, self.training.integral_time)
         seeds = VALIDATION_SEEDS[: self.envs.num_envs]

@@ -55,7 +55,7 @@ class ContactFlags(Struct):
 
 
 class Collision(Struct):
-    """What the check for collisions reads and says."""
+    """Inputs and results of the check for collisions."""
 
     before_step: BeforeStep
     flags: ContactFlags

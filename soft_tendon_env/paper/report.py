@@ -18,7 +18,7 @@ REACH = (-0.4, 0.4)  # [m] sideways, in pictures
 
 
 class Claim(NamedTuple):
-    """What the paper says of a figure, and whether it holds."""
+    """Statement of the paper on a figure, and whether it holds."""
 
     figure: str
     paper: str  # what it says

@@ -40,7 +40,7 @@ from soft_tendon_env.tools.types import Positive
 CONFIG = "config.json"
 OLD_WEIGHTS = "weights.pt"  # tensors of agents up to version 0.3
 IN_REPOSITORY = "but in agents/trained of the repository: clone it and run the same command there"
-"""Where the agents are that a wheel lacks, and what to do."""
+"""Place of the agents that a wheel lacks, and what to do."""
 AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")

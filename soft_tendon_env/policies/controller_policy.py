@@ -143,7 +143,7 @@ def make_policy(
 
 
 def _setting(episodes: Episodes, latency: float, uncertainty: Uncertainty) -> Setting:
-    """What an estimator knows of the environment; latency: of commands [s]."""
+    """Values of the environment that an estimator knows; latency: of commands [s]."""
     measured = []
     for group, field in PARAMETERS.items():
         is_measured = field in protocol.Measurement._fields

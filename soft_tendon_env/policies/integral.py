@@ -30,7 +30,7 @@ cannot reach its target at all."""
 
 
 class IntegralMemory(NamedTuple):
-    """What integral action remembers from one control period to the next."""
+    """Memory of integral action from one control period to the next."""
 
     policy: Any
     integral: Array  # (rows, m) in units of the ways

@@ -306,7 +306,7 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
-        """What makes the policy. Raises ValueError where there is no such thing."""
+        """Callable that makes the policy. Raises ValueError where there is no such thing."""
         try:
             module = importlib.import_module(self.module)
             made: Callable[..., Any] = getattr(module, self.name)

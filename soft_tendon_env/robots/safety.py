@@ -274,7 +274,7 @@ class SafeRobot:
         return self._sent.copy() if sent is None else sent
 
     def _checked_answer(self, answer: Any) -> Array:
-        """What a robot says that it sent (n_a,). Raises ValueError for what cannot be."""
+        """Command (n_a,) that a robot says it sent. Raises ValueError for one that cannot be."""
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)

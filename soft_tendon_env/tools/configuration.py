@@ -292,7 +292,7 @@ def _key_of(table: type[Configuration], location: Key) -> Key:
 
 
 def _allowed(error: ErrorDetails) -> str:
-    """What would have been allowed, as the end of a sentence that begins with "it"."""
+    """Allowed values, as the end of a sentence that begins with "it"."""
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])

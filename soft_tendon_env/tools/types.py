@@ -85,7 +85,7 @@ Direction = Annotated[Triple, AfterValidator(_is_direction)]
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 """Metres by unit of length."""
 COMMANDS = {"N": "tension", "m": "displacement"}
-"""What is commanded by its unit; displacements are those by which actuators pull tendons in."""
+"""Names of commands by their unit; displacements are those by which actuators pull tendons in."""
 LENGTH = re.compile(rf"\s*([-+.\de]+)\s*({'|'.join(UNITS)})\s*")
 """Texts of a number and a unit of length."""
 

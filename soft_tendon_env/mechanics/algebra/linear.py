@@ -12,7 +12,7 @@ MOST_ONE_BY_ONE = 200  # solutions after those, before each of which one such un
 AT_LEAST = -1
 BETWEEN = 0
 AT_GREATEST = 1
-"""Where an unknown of solve_bounded() is: at its least, between its bounds, at its greatest."""
+"""Positions of an unknown of solve_bounded(): at its least, between its bounds, at its greatest."""
 
 
 @kernel
@@ -154,7 +154,7 @@ def solve_symmetric(a, x):
 
 @kernel
 def place_between(x, least, greatest):
-    """Where a number is: AT_LEAST or below, AT_GREATEST or above, or BETWEEN."""
+    """Position of a number: AT_LEAST or below, AT_GREATEST or above, or BETWEEN."""
     if x <= least:
         return AT_LEAST
     if x >= greatest:

@@ -133,7 +133,7 @@ class Struct:
 
 
 def _described(value: Any) -> str:
-    """What a field was given, for an error."""
+    """Description of the value that a field was given, for an error."""
     if not isinstance(value, np.ndarray):
         return repr(value)
     return f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"

@@ -76,7 +76,7 @@ class Progress(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What effects allow of the next step."""
+    """Limits that effects set to the next step."""
 
     longest: float  # [s]
     touching: bool  # the arm touches something, or is about to

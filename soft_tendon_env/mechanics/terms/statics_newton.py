@@ -44,7 +44,7 @@ RESOLUTION = 1e-15  # of the strain under the sum of all tensions, what rounding
 
 
 class Search(NamedTuple):
-    """What strain is sought, and how."""
+    """Strain that is sought, and the way to it."""
 
     part: float  # of the loads inside the strain
     tolerance: float  # of the scaled strain, for the last correction
