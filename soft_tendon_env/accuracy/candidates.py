@@ -60,8 +60,10 @@ def snapshots(scene: Scene, fields: PassiveFields, count: int) -> dict[str, Any]
     return {**rod, "passive": table}
 
 
-def strain_tables(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[str, Any]]:
-    """Strain tables that a trial goes through, fewest coordinates first.
+def strain_tables(
+    scene: Scene, fields: PassiveFields | None, least: int = 0
+) -> Iterator[dict[str, Any]]:
+    """Strain tables with `least` coordinates or more that a trial goes through, fewest first.
 
     A table is counted only when its turn may come, since that takes as long as to judge it: it has
     at least as many coordinates as fields, and more by the tensions that no field makes.
@@ -77,7 +79,8 @@ def strain_tables(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[s
         bound, is_exact, place = heapq.heappop(waiting)
         table = tables[place]
         if is_exact:
-            yield table
+            if bound >= least:
+                yield table
             continue
         changed = scene.replace({"strain": table})
         try:
@@ -114,15 +117,19 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
             if count <= len(fields.coefficients):
                 yield snapshots(scene, fields, count)
 
+    # a rod of one part has the same fields along the whole of it
+    part_orders = list(PART_ORDERS)
+    if breakpoints(scene.replace({"strain": rod | in_parts})).size == 2:
+        part_orders = [order for order in PART_ORDERS if order not in ROD_ORDERS]
+
     # moments of the soft strains, then of all, that is with forces
     angular = [strain for strain in ANGULAR if strain in free]
-    for strains in (angular, free):
-        if not strains:
-            continue
+    kinds = [free] if angular in ([], free) else [angular, free]
+    for strains in kinds:
         for order in ROD_ORDERS:
             moments = {"strains": strains, "order": order, "span": "rod"}
             yield rod | {"passive": [moments]}
-        for order in PART_ORDERS:
+        for order in part_orders:
             moments = {"strains": strains, "order": order, "span": "piece"}
             yield rod | {"passive": [moments]} | in_parts
 

@@ -22,6 +22,7 @@ from soft_tendon_env.accuracy.reference import (
     ReferenceMotion,
     distance,
     reference_motions,
+    start_at_rest,
     tip_path,
 )
 from soft_tendon_env.accuracy.settling import settle
@@ -54,6 +55,8 @@ STOCKY = {
     "segments.0.radius": 0.025,
     "effects.tip_load.force": [0.0, 3.0, -4.0],
 }
+STANDS = {"effects.gravity.acceleration": [-9.81, 0.0, 0.0]}
+"""Own weight upon the arm; from a Young's modulus of 1.45 MPa on it stands."""
 TWO = {"segments.0.length": 0.25, "tendons.0.end": 0.11, "segments.0.curvature": [0.0, 4.0, 2.0]}
 
 
@@ -128,7 +131,7 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     (path,) = cache.glob("*.json")
 
     other = choice._replace(coordinates=99)
-    monkeypatch.setattr(module, "search", lambda scene, asked: other)
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: other)
     assert choose(ARM, PRESETS["fast"]) == choice
     path.write_bytes(path.read_bytes()[:-9])  # damaged
     assert choose(ARM, PRESETS["fast"]).coordinates == 99
@@ -145,7 +148,7 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
     """In their directions: each is tried up to REACH times its size."""
     tried = []
 
-    def made(scene, asked):
+    def made(scene, asked, least):
         tried.append(scene)
         greatest = load_cases(scene, REACH, 0)[1]
         return chosen_under(greatest.model_dump(mode="json"), coordinates=len(tried))
@@ -206,13 +209,119 @@ def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
             self.left_out = left_out if reach > 1.0 else 0
             tried.append(reach)
 
-    def best(trial, asked, progress):
+    def best(trial, asked, progress, least):
         return chosen_under({}, 3, error if trial.reach > 1.0 else 0.004)
 
     monkeypatch.setattr(module, "Trial", FakeTrial)
     monkeypatch.setattr(module, "best_choice", best)
     assert module.search(ARM, PRESETS["fast"]).error == 0.004
     assert tried == reached
+
+
+def standing(young_modulus):
+    """The arm that ships, with this Young's modulus [Pa], upright under its weight."""
+    return SHIPPED.replace({**STANDS, "segments.0.young_modulus": young_modulus})
+
+
+def test_a_column_that_falls_to_any_side_begins_no_motion(monkeypatch):
+    """Refinements that began where the coarser one fell would agree, and models fall elsewhere."""
+    monkeypatch.setattr(module, "SECONDS", 0.1)
+    buckled = standing(1.3e6)
+    ladder = Ladder(buckled, 1e-3)
+    coarse, fine = ladder.rung(0), ladder.rung(1)
+    assert ladder.buckles and coarse.slack_rest is None and fine.slack_rest is None
+    np.testing.assert_array_equal(fine.start.q, start_at_rest(fine.model).q)
+
+    trial = Trial(buckled, 1e-2)
+    assert (trial.missing, trial.not_unique, trial.inputs) == (1, 3, 20)
+    assert len(trial.tests) == 16
+    assert all(test.reference.is_equilibrium for test in trial.tests)
+
+
+def test_larger_loads_that_buckle_a_column_are_left_at_once(monkeypatch):
+    monkeypatch.setattr(module, "refine_once", None)
+    stands = standing(1.6e6)
+    trial = Trial(stands, 1e-2, REACH)
+    assert trial.left_out == 1 and trial.tests == []
+    own, greatest = (Ladder(stands.replace({"effects": case}), 1e-3) for case in trial.cases[:2])
+    assert greatest.buckles and not own.buckles and own.rung(1).slack_rest is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("young_modulus, most", [(2e5, 21), (1.3e6, 9), (1.6e6, 12)])
+def test_a_column_near_its_buckling_load_gets_few_coordinates(young_modulus, most):
+    choice = module.search(standing(young_modulus), PRESETS["fast"])
+    assert choice.coordinates <= most and choice.error <= PRESETS["fast"].share / module.MARGIN
+    assert choice.left_out == (0 if young_modulus == 1.6e6 else 4)
+
+
+@pytest.mark.parametrize("is_dropped, coordinates", [(True, [3, 7, 3]), (False, [3, 7])])
+def test_what_an_input_ruled_out_is_judged_again_without_it(monkeypatch, is_dropped, coordinates):
+    """If it turns out to be not unique."""
+    monkeypatch.setattr(module, "USUAL", ())
+    trial = Trial(ARM, 1e-2)
+    doubtful = trial.tests[0]
+    judged = []
+
+    def judge(trial, settled, table, is_bounded):
+        model = trial.model(settled.with_strain(trial.scene, table))
+        judged.append(model.coordinate_count)
+        near = model.coordinate_count > 3 or doubtful not in trial.tests
+        if len(judged) == 2 and is_dropped:
+            trial.tests.remove(doubtful)
+            trial.not_unique += 1
+        return settled._replace(coordinates=model.coordinate_count, error=0.001 if near else np.inf)
+
+    monkeypatch.setattr(module, "judged", judge)
+    monkeypatch.setattr(module, "known_fields", lambda scene: None)
+    choice = module.best_choice(trial, PRESETS["fast"], Progress("arm", shown=False))
+    assert judged == coordinates and choice.coordinates == judged[-1]
+    assert choice.not_unique == is_dropped
+
+
+@pytest.mark.parametrize(
+    "left_out, tried",
+    [
+        (0, [("fine", 0)]),
+        (3, [("fine", 0), ("standard", 0), ("fast", 0), ("fine", 12)]),
+    ],
+)
+def test_a_preset_that_left_out_inputs_has_no_fewer_coordinates_than_coarser_ones(
+    monkeypatch, left_out, tried
+):
+    names = {asked: name for name, asked in PRESETS.items()}
+    counts = {"fast": 6, "standard": 12, "fine": 9}
+    calls = []
+
+    def chosen(scene, asked, least=0):
+        calls.append((names[asked], least))
+        count = max(counts[names[asked]], least)
+        return chosen_under({}, count)._replace(not_unique=left_out)
+
+    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", chosen)
+    at_fidelity(ARM, "fine")
+    assert calls == tried
+
+
+def test_no_table_is_judged_twice():
+    """A rod of one part has the same fields over it and over each part."""
+    seen = []
+    for table in strain_tables(ARM, None):
+        modes = table.get("passive", table.get("modes"))
+        seen.append((table["type"], [(mode["strains"], mode["order"]) for mode in modes]))
+    assert all(seen.count(fields) == 1 for fields in seen)
+    spans = [
+        mode["span"]
+        for table in strain_tables(ARM.replace(TWO), None)
+        for mode in table.get("passive", ())
+        if mode["order"] == 2
+    ]
+    assert sorted(spans) == ["piece", "piece", "rod", "rod"]
+    counts = [
+        build_model(ARM.replace({"strain": table})).coordinate_count
+        for table in strain_tables(ARM, None, least=20)
+    ]
+    assert min(counts) >= 20 and counts == sorted(counts)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +360,7 @@ def test_another_arm_or_accuracy_is_another_trial(change, same):
 def test_where_nothing_reaches_it_a_preset_warns_and_a_length_is_refused(monkeypatch):
     loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
     best = chosen_under(loads, 3, 0.012)
-    monkeypatch.setattr(module, "search", lambda scene, asked: best)
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: best)
     with pytest.warns(
         FidelityWarning,
         match=r"as 'fast' asks, 1 % of the length.*3 coordinates, were within 1.2 %",
@@ -277,7 +386,7 @@ def test_where_there_is_no_reference_it_says_why_and_what_to_do(
     """And never that the tip is within inf %."""
     loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
     choice = chosen_under(loads, 3, np.inf)._replace(missing=missing, not_unique=not_unique)
-    monkeypatch.setattr(module, "search", lambda scene, asked: choice)
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: choice)
     monkeypatch.setattr(kept_trials, "say_once", print)
     other = ARM.replace({"segments.0.density": 700.0 + missing})
     with pytest.warns(FidelityWarning, match=f"the accuracy of .* is not known: .*{reason}"):
