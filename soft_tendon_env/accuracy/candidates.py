@@ -109,7 +109,8 @@ def least_count(scene: Scene, strain: dict[str, Any]) -> int:
 def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[str, Any]]:
     rod = bare_rod(scene)
     free = list(scene.strain.free)
-    in_parts = {"borders": [*rod["borders"], *part_borders(scene)]}
+    borders = [*rod["borders"], *part_borders(scene)]
+    in_parts = {"borders": borders}
 
     yield rod | {"passive": []}
     if fields is not None:
@@ -117,19 +118,17 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
             if count <= len(fields.coefficients):
                 yield snapshots(scene, fields, count)
 
-    # a rod of one part has the same fields along the whole of it
-    part_orders = list(PART_ORDERS)
-    if breakpoints(scene.replace({"strain": rod | in_parts})).size == 2:
-        part_orders = [order for order in PART_ORDERS if order not in ROD_ORDERS]
-
     # moments of the soft strains, then of all, that is with forces
     angular = [strain for strain in ANGULAR if strain in free]
-    kinds = [free] if angular in ([], free) else [angular, free]
+    kinds = [free]
+    if angular and angular != free:
+        kinds = [angular, free]
+    orders = _part_orders(scene, rod | in_parts)
     for strains in kinds:
         for order in ROD_ORDERS:
             moments = {"strains": strains, "order": order, "span": "rod"}
             yield rod | {"passive": [moments]}
-        for order in part_orders:
+        for order in orders:
             moments = {"strains": strains, "order": order, "span": "piece"}
             yield rod | {"passive": [moments]} | in_parts
 
@@ -137,3 +136,15 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
     for order in EXPLICIT_ORDERS:
         modes = {"strains": free, "order": order, "span": "piece"}
         yield {"type": "explicit", "modes": [modes]} | in_parts
+
+
+def _part_orders(scene: Scene, strain: dict[str, Any]) -> list[int]:
+    """Legendre orders over each part of a strain table's rod that are not tried over the rod."""
+    changed = scene.replace({"strain": strain})
+    is_one_part = breakpoints(changed).size == 2
+    orders = []
+    for order in PART_ORDERS:
+        # on one part these are the same fields
+        if not is_one_part or order not in ROD_ORDERS:
+            orders.append(order)
+    return orders

@@ -136,7 +136,8 @@ class Ladder:
         if first.slack_rest is not None:
             return False
         slack = slack_tensions(self.scene)
-        return static_equilibrium(first.model, slack).reason.endswith(BUCKLES)
+        end = static_equilibrium(first.model, slack)
+        return end.reason.endswith(BUCKLES)
 
 
 class Rung:
