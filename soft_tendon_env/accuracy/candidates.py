@@ -60,8 +60,10 @@ def snapshots(scene: Scene, fields: PassiveFields, count: int) -> dict[str, Any]
     return {**rod, "passive": table}
 
 
-def strain_tables(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[str, Any]]:
-    """Strain tables that a trial goes through, fewest coordinates first.
+def strain_tables(
+    scene: Scene, fields: PassiveFields | None, least: int = 0
+) -> Iterator[dict[str, Any]]:
+    """Strain tables with `least` coordinates or more that a trial goes through, fewest first.
 
     A table is counted only when its turn may come, since that takes as long as to judge it: it has
     at least as many coordinates as fields, and more by the tensions that no field makes.
@@ -77,7 +79,8 @@ def strain_tables(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[s
         bound, is_exact, place = heapq.heappop(waiting)
         table = tables[place]
         if is_exact:
-            yield table
+            if bound >= least:
+                yield table
             continue
         changed = scene.replace({"strain": table})
         try:
@@ -106,7 +109,8 @@ def least_count(scene: Scene, strain: dict[str, Any]) -> int:
 def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[str, Any]]:
     rod = bare_rod(scene)
     free = list(scene.strain.free)
-    in_parts = {"borders": [*rod["borders"], *part_borders(scene)]}
+    borders = [*rod["borders"], *part_borders(scene)]
+    in_parts = {"borders": borders}
 
     yield rod | {"passive": []}
     if fields is not None:
@@ -116,13 +120,15 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
 
     # moments of the soft strains, then of all, that is with forces
     angular = [strain for strain in ANGULAR if strain in free]
-    for strains in (angular, free):
-        if not strains:
-            continue
+    kinds = [free]
+    if angular and angular != free:
+        kinds = [angular, free]
+    orders = _part_orders(scene, rod | in_parts)
+    for strains in kinds:
         for order in ROD_ORDERS:
             moments = {"strains": strains, "order": order, "span": "rod"}
             yield rod | {"passive": [moments]}
-        for order in PART_ORDERS:
+        for order in orders:
             moments = {"strains": strains, "order": order, "span": "piece"}
             yield rod | {"passive": [moments]} | in_parts
 
@@ -130,3 +136,15 @@ def _every_table(scene: Scene, fields: PassiveFields | None) -> Iterator[dict[st
     for order in EXPLICIT_ORDERS:
         modes = {"strains": free, "order": order, "span": "piece"}
         yield {"type": "explicit", "modes": [modes]} | in_parts
+
+
+def _part_orders(scene: Scene, strain: dict[str, Any]) -> list[int]:
+    """Legendre orders over each part of a strain table's rod that are not tried over the rod."""
+    changed = scene.replace({"strain": strain})
+    is_one_part = breakpoints(changed).size == 2
+    orders = []
+    for order in PART_ORDERS:
+        # on one part these are the same fields
+        if not is_one_part or order not in ROD_ORDERS:
+            orders.append(order)
+    return orders

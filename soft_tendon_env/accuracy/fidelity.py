@@ -129,13 +129,28 @@ def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
             "strain": snapshots(scene, fields, count),
             **_parts_without_strain(scene, fidelity),
         }
-    choice = choose(scene, asked)
+    choice = _chosen(scene, asked, fidelity)
     _check(scene, choice, asked, fidelity)
     return {
         "strain": choice.strain,
         "quadrature": choice.quadrature,
         "integrator": choice.integrator,
     }
+
+
+def _chosen(scene: Scene, asked: Accuracy, fidelity: str) -> Choice:
+    """Choice of a trial; where it left out inputs it has no fewer coordinates than the next coarser
+    preset, whose trial may have judged by them."""
+    choice = choose(scene, asked)
+    names = list(PRESETS)
+    is_coarsest = fidelity == names[0]
+    if is_length(fidelity) or is_coarsest or not choice.left_out:
+        return choice
+    coarser = names[names.index(fidelity) - 1]
+    least = _chosen(scene, PRESETS[coarser], coarser).coordinates
+    if choice.coordinates >= least:
+        return choice
+    return choose(scene, asked, least)
 
 
 def _parts_without_strain(scene: Scene, fidelity: str) -> dict[str, Any]:

@@ -37,31 +37,37 @@ DIGITS = 16
 """Hexadecimal digits of a digest."""
 
 
-def choose(scene: Scene, asked: Accuracy) -> Choice:
-    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError."""
+def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
+    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError.
+
+    least: number of coordinates that it has at least.
+    """
     key = trial_digest(scene, asked)
     try:
         folder = new_data_folder("trials")
     except OSError:  # nothing can be kept
-        return trial.search(scene, asked)
+        return trial.search(scene, asked, least)
     with FileLock(folder / f"{key}.lock"):  # one process makes it, the others find it
-        kept = kept_choice(folder, key, scene)
+        kept = kept_choice(folder, key, scene, least)
         if kept is not None:
             return kept
         say_once(
             f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
             f" converged reference, once for loads up to those that it tries: {folder}"
         )
-        choice = trial.search(scene, asked)
+        choice = trial.search(scene, asked, least)
         keep(folder, key, scene, choice)
     say_once(f"{scene.name!r}: {choice.describe(scene)}; the bound is {100 * asked.share:.3g} %")
     return choice
 
 
-def kept_choice(folder: Path, key: str, scene: Scene) -> Choice | None:
-    """The choice with the fewest coordinates of those that were tried under loads as large as the
-    scene's; None: there is none."""
-    fitting = [choice for choice in _kept(folder, key, scene) if _reaches(choice, scene)]
+def kept_choice(folder: Path, key: str, scene: Scene, least: int = 0) -> Choice | None:
+    """The choice with the fewest coordinates, `least` or more, of those that were tried under loads
+    as large as the scene's; None: there is none."""
+    fitting = []
+    for choice in _kept(folder, key, scene):
+        if choice.coordinates >= least and _reaches(choice, scene):
+            fitting.append(choice)
     return min(fitting, key=lambda choice: choice.coordinates, default=None)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from soft_tendon_env.accuracy.input_motions import HOLD, slack_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics, rest_near
+from soft_tendon_env.model.load_continuation import BUCKLES
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
@@ -127,6 +128,17 @@ class Ladder:
             self._rungs.append(rung)
         return self._rungs[depth]
 
+    @cached_property
+    def buckles(self) -> bool:
+        """Whether the slack arm falls over to one of several sides, at the first level: where its
+        motions begin is not unique."""
+        first = self.rung(0)
+        if first.slack_rest is not None:
+            return False
+        slack = slack_tensions(self.scene)
+        end = static_equilibrium(first.model, slack)
+        return end.reason.endswith(BUCKLES)
+
 
 class Rung:
     """Full physics at one level."""
@@ -137,18 +149,19 @@ class Rung:
         self.coarser = coarser
 
     @cached_property
+    def slack_rest(self) -> Array | None:
+        """Coordinates (n,) of a slowly loaded arm with slack tendons; None: it falls over first."""
+        coarse = None if self.coarser is None else self.coarser.slack_rest
+        return self.rest(slack_tensions(self.model.scene), coarse)
+
+    @cached_property
     def start(self) -> State | None:
         """State at rest with slack tendons; None: there is none."""
-        before = None if self.coarser is None else self.coarser.start
-        if before is None:
+        if self.slack_rest is None:
+            # not from the coarser level, which would agree wherever it fell
             return start_at_rest(self.model)
-
-        # near that of the coarser level, else as a slowly loaded arm reaches it
         slack = slack_tensions(self.model.scene)
-        q = self.rest(slack, before.q)
-        if q is None:
-            return start_at_rest(self.model)
-        return Simulation(self.model).reset(q, tension=slack)
+        return Simulation(self.model).reset(self.slack_rest, tension=slack)
 
     @cached_property
     def _projection(self) -> Array:

@@ -160,16 +160,19 @@ class Trial:
     def _compute(self, everything: list[TrialInput]) -> None:
         """Computes full physics to where it can judge, and keeps the tests that have a unique
         motion."""
+        everything = self._with_unique_starts(everything)
         motions = [test.reference for test in everything]
         for motion in motions:
             for depth in range(FIRST_LEVELS):
                 self._progress.plan(motion.size_at(depth))
 
         rests = [motion for motion in motions if motion.is_equilibrium]
-        self._refine(rests)
         is_extended = len(self.cases) > 1
+        if is_extended and self.not_unique:
+            return  # larger loads buckle it: nothing is judged by them
+        self._refine(rests)
         if is_extended and any(motion.tips is None for motion in rests):
-            self.missing = len(motions)  # larger loads buckle it: nothing is judged by them
+            self.missing = len(motions)
             return
         self._refine([motion for motion in motions if not motion.is_equilibrium])
         self._refine(motions)
@@ -187,6 +190,17 @@ class Trial:
                 self.not_unique += 1
             else:
                 self.tests.append(test)
+
+    def _with_unique_starts(self, everything: list[TrialInput]) -> list[TrialInput]:
+        """Tests without the motions that begin where a column may fall to any side."""
+        unique = []
+        for test in everything:
+            motion = test.reference
+            if not motion.is_equilibrium and motion.ladder.buckles:
+                self.not_unique += 1
+            else:
+                unique.append(test)
+        return unique
 
     def _can_judge(self, motion: ReferenceMotion) -> bool:
         """Whether a model could be within what is asked for by this reference."""
@@ -277,12 +291,13 @@ class Trial:
         return True
 
 
-def search(scene: Scene, asked: Accuracy) -> Choice:
+def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
     """The choice with the fewest coordinates whose error is below what is asked for, by MARGIN; or
     the best there is.
 
     It holds for loads up to a multiple of the scene's, or for these alone where larger ones have no
-    unique motion, or where nothing is within what is asked for under them.
+    unique motion, or where nothing is within what is asked for under them. least: number of
+    coordinates that it has at least.
     """
     with Progress(scene.name) as progress:
         for reach in reaches(scene):
@@ -290,25 +305,34 @@ def search(scene: Scene, asked: Accuracy) -> Choice:
             is_last = reach == 1.0
             if trial.left_out and not is_last:
                 continue
-            choice = best_choice(trial, asked, progress)
+            choice = best_choice(trial, asked, progress, least)
             if choice.error <= asked.share or is_last:
                 break
     return choice
 
 
-def best_choice(trial: Trial, asked: Accuracy, progress: Progress) -> Choice:
-    """The choice with the fewest coordinates that a trial finds near enough, or the best there
-    is."""
+def best_choice(trial: Trial, asked: Accuracy, progress: Progress, least: int = 0) -> Choice:
+    """The choice with the fewest coordinates, `least` or more, that a trial finds near enough, or
+    the best there is."""
+    while True:
+        inputs = len(trial.tests)
+        choice = _first_near(trial, asked, progress, least)
+        # an input that turned out to be not unique may have ruled out a choice before
+        if len(trial.tests) == inputs:
+            return _with_inputs(choice, trial)
+
+
+def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -> Choice:
     settled = settle(trial, asked)
     if not trial.tests:
-        return _with_inputs(settled, trial)
+        return settled
     tables = []
-    for table in strain_tables(trial.scene, known_fields(trial.scene)):
+    for table in strain_tables(trial.scene, known_fields(trial.scene), least):
         tables.append(table)
         choice = judged(trial, settled, table, is_bounded=True)
         progress.candidate()
         if choice is not None and np.isfinite(choice.error):
-            return _with_inputs(choice, trial)
+            return choice
 
     # nothing is near enough: the best of those with the most coordinates
     best = settled
@@ -316,7 +340,7 @@ def best_choice(trial: Trial, asked: Accuracy, progress: Progress) -> Choice:
         choice = judged(trial, settled, table, is_bounded=False)
         if choice is not None and choice.error < best.error:
             best = choice
-    return _with_inputs(best, trial)
+    return best
 
 
 def judged(
