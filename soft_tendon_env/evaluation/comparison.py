@@ -67,8 +67,11 @@ def shared_arms(
 def _shared_arm(
     arms: Mapping[str, Mapping[str, Any]], options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Options that all of these arms, by agent, have beside the others. Raises ValueError where they
-    differ in that."""
+    """Options that all of these arms, by agent, have beside the others.
+
+    Raises:
+        ValueError: they differ in that.
+    """
     if not arms:
         return {}
     first, shared = next(iter(arms.items()))
