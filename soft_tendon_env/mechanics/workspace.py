@@ -17,6 +17,9 @@ else. Every field has one writer:
 | `collision` | effects that limit steps; advance.py resets it |
 | `spare` | any kernel, in which nothing lasts |
 | `ones` | nobody |
+
+What is differentiated by differences of poses and twists moves those, and puts them back. An arm at
+rest has a base without twist, see balance_at_rest().
 """
 
 import inspect
