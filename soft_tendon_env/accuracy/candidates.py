@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from soft_tendon_env.model.coordinates import coordinate_count
-from soft_tendon_env.model.full_physics import part_borders
+from soft_tendon_env.model.reference_model import part_borders
 from soft_tendon_env.scene.passive_fields import PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import Scene, breakpoints
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased

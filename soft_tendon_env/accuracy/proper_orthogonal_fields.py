@@ -28,7 +28,6 @@ from soft_tendon_env.accuracy.reference import (
     trajectory,
 )
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics
 from soft_tendon_env.model.grid import (
     Grid,
     actuation_columns,
@@ -36,6 +35,7 @@ from soft_tendon_env.model.grid import (
     tendon_geometry,
 )
 from soft_tendon_env.model.model import Model, model_on
+from soft_tendon_env.model.reference_model import LEVELS, Level, reference_model
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
@@ -148,7 +148,7 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
             random = np.random.default_rng([run.number, MOTIONS.index(run.kind)])
             effects = effects.sample_smaller(random)
         table = effects.model_dump(mode="json", exclude_none=True)
-        model = full_physics(scene.replace({"effects": table}), level, steps)
+        model = reference_model(scene.replace({"effects": table}), level, steps)
         tensions = motion_tensions(scene, run.kind, FIRST_SEED + run.number)
         motion = trajectory(model, tensions)
         if motion is None:
@@ -165,7 +165,7 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     if not wrenches:
         text = "full physics diverges under every motion that passive fields are made from"
         raise ConfigurationError([Problem((), text)])
-    return np.concatenate(wrenches), full_physics(scene, level).grid
+    return np.concatenate(wrenches), reference_model(scene, level).grid
 
 
 class Run(NamedTuple):

@@ -16,9 +16,9 @@ import numpy as np
 
 from soft_tendon_env.accuracy.input_motions import HOLD, slack_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.full_physics import LEVELS, Level, full_physics, rest_near
 from soft_tendon_env.model.load_continuation import BUCKLES
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.reference_model import LEVELS, Level, reference_model, rest_near
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
     Simulation,
@@ -123,7 +123,7 @@ class Ladder:
             coarser = self._rungs[-1] if count else None
             level = LEVELS[count]
             steps = step_tolerance(self.scene, level, self.tolerance)
-            model = full_physics(self.scene, level, steps)
+            model = reference_model(self.scene, level, steps)
             rung = Rung(model, steps, coarser)
             self._rungs.append(rung)
         return self._rungs[depth]

@@ -11,7 +11,7 @@ import numpy as np
 from soft_tendon_env.accuracy.candidates import ANGULAR, bare_rod
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.model.coordinates import coordinate_count
-from soft_tendon_env.model.full_physics import part_borders
+from soft_tendon_env.model.reference_model import part_borders
 from soft_tendon_env.scene.scene import MOST_INTERVALS, breakpoints, rod_length
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from soft_tendon_env.accuracy.reference import (
     refine_once,
 )
 from soft_tendon_env.accuracy.settling import settle
-from soft_tendon_env.model.full_physics import part_borders
 from soft_tendon_env.model.model import Model, model_on
+from soft_tendon_env.model.reference_model import part_borders
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import (
     Scene,

@@ -14,9 +14,9 @@ from soft_tendon_env.mechanics.algebra.linear import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance
-from soft_tendon_env.model.full_physics import equilibrium_error
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, LoadPath
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.reference_model import equilibrium_error
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_type
@@ -66,7 +66,7 @@ class Equilibrium:
         quadrature, computed when first read.
 
         A converged reference model solves the equilibrium again, see
-        full_physics.equilibrium_error. Infinite where it has none near.
+        reference_model.equilibrium_error. Infinite where it has none near.
         """
         return equilibrium_error(self.model, self.q, self.tension, self.load, self.stable)
 

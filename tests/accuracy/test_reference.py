@@ -6,8 +6,8 @@ import pytest
 
 from soft_tendon_env.accuracy.input_motions import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
-from soft_tendon_env.model.full_physics import LEVELS, full_physics, part_borders
 from soft_tendon_env.model.model import model_on
+from soft_tendon_env.model.reference_model import LEVELS, part_borders, reference_model
 from soft_tendon_env.scene.file import load_scene
 
 ARM, PAPER = load_scene("three_tendon"), load_scene("paper")
@@ -18,9 +18,9 @@ def test_errors_are_distances_from_the_reference():
     """A motion that the model has not counts as infinitely far, one that full physics has not does
     not count."""
     tensions = motion_tensions(ARM, "redrawn", 1, 0.2)
-    path = tip_path(full_physics(ARM, LEVELS[0], 1e-6), tensions)
+    path = tip_path(reference_model(ARM, LEVELS[0], 1e-6), tensions)
     assert path.shape == (0.2 / HOLD + 1, 3) and tip_path(
-        full_physics(ARM, LEVELS[0]), tensions[0]
+        reference_model(ARM, LEVELS[0]), tensions[0]
     ).shape == (1, 3)
     assert distance(path, path + [0.0, 0.0018, 0.0024]) == pytest.approx(0.003)
     stuck = tip_path(
