@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme
@@ -40,14 +40,30 @@ from soft_tendon_env.tools.checks import (
 from soft_tendon_env.tools.types import Array
 
 Given = ArrayLike | None
-STEPS_LOGGED = 4096  # of a period that is linearised
-SHARE, TOUCHING = 1e-4, 1e-2  # steps as shares of units; their factor among obstacles
-RATE, LEAST_STATE = 3.0, 1e-3  # unit of a rate, in those of its coordinate; least unit of a state
-STRAIN, SPARE, JUMP = (
-    1e-12,
-    2.0,
-    1e3,
-)  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
+
+STEPS_LOGGED = 4096
+"""Integrator steps at most of a period that is linearised."""
+
+DIFFERENCE_SHARE = 1e-4
+"""Steps of the differences by which a period is linearised, as shares of the units."""
+
+CONTACT_FACTOR = 1e-2
+"""Factor of these steps among obstacles: a contact begins and ends within small ways."""
+
+RATE_UNIT = 3.0
+"""Unit of a rate, in units of its coordinate per second."""
+
+LEAST_STATE_UNIT = 1e-3
+"""Least unit of an effect's internal state."""
+
+STRAIN_TOLERANCE = 1e-12
+"""Relative tolerance of Newton's method for the strain: differences show what is above it."""
+
+TOLERANCE_FACTOR = 2.0
+"""Factor of the tolerance of steps, by which no step that was taken is refused."""
+
+JUMP_RATIO = 1e3
+"""Ratio of the differences to both sides from which on the larger one is a jump."""
 
 
 class SimulationDiverged(RuntimeError):
@@ -433,25 +449,30 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
     length [s] and columns of every step, the same for all copies, since an order that follows their
     errors would jump.
     """
-    arm, n, count = model.arm, model.coordinate_count, len(inputs)
-    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)
-    rows, failed = batch.rows, np.zeros(count, dtype=bool)
-    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(
-        inputs, [n, 2 * n, 2 * n + start.state.size], axis=1
-    )
-    for row, q in enumerate(
-        rows.q if rows.state.size else ()
-    ):  # a memory remembers the strain before a step
-        with contextlib.suppress(StrainLimitError):
-            rows.xi[row] = model.packed_strain(q)
-    method, control = (
-        step_method(model)._replace(strain_tolerance=STRAIN),
-        step_control(model, taken[:, 0].sum() or 1.0),
-    )
-    control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
-    scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
-    for begins, (length, columns) in zip([True, *[False] * len(taken)], taken, strict=False):
-        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
+    arm = model.arm
+    n = model.coordinate_count
+    count = len(inputs)
+    no_places = model.grid.places(np.zeros(0), np.zeros(0))
+    batch = make_batch(arm, no_places, start, 0.0, count)
+    rows = batch.rows
+    failed = np.zeros(count, dtype=bool)
+    borders = [n, 2 * n, 2 * n + start.state.size]
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, borders, axis=1)
+    if rows.state.size:  # a memory remembers the strain before a step
+        for row, q in enumerate(rows.q):
+            with contextlib.suppress(StrainLimitError):
+                rows.xi[row] = model.packed_strain(q)
+
+    # the steps that were taken, again: none is refused, and none has another length
+    method = step_method(model)._replace(strain_tolerance=STRAIN_TOLERANCE)
+    control = step_control(model, taken[:, 0].sum() or 1.0)
+    tolerance = TOLERANCE_FACTOR * control.tolerance
+    control = control._replace(adaptive=False, tolerance=tolerance)
+    scratch = make_scratch(arm, method.columns)
+    tape = make_tape(arm, 0, 0)
+    for number, (length, columns) in enumerate(taken):
+        fixed = method._replace(columns=int(columns), least=int(columns))
+        scheme = Scheme(fixed, control, begins=number == 0)
         step_rows(
             batch,
             scheme,
@@ -463,17 +484,37 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
         )
         failed |= batch.outcome.status != status.OK
     if failed[0]:
-        raise np.linalg.LinAlgError(
-            f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}"
-        )
-    found = (
-        np.hstack([rows.q, rows.q_dot, rows.state]),
-        batch.reading.tip_pose,
-        batch.reading.tip_twist,
-    )
-    for values in found:
+        cause = status.MESSAGES[batch.outcome.status[0]]
+        raise np.linalg.LinAlgError(f"the motion has no derivative: {cause}")
+
+    state = np.hstack([rows.q, rows.q_dot, rows.state])
+    tip_pose = batch.reading.tip_pose
+    tip_twist = batch.reading.tip_twist
+    for values in (state, tip_pose, tip_twist):
         values[failed] = np.inf
-    return found
+    return state, tip_pose, tip_twist
+
+
+def _slopes(values: Array, step: Array) -> Array:
+    """Derivatives (.., inputs) by inputs of values (1 + 2 inputs, ..): at the inputs, then a step
+    (inputs,) to the right of every input, then to the left.
+
+    They are central; where a value jumps on one side, they are those of the other side.
+    """
+    count = step.size
+    right = values[1 : count + 1] - values[0]
+    left = values[0] - values[count + 1 :]
+    jumps = [_jumps(right, left), _jumps(left, right)]
+    difference = np.select(jumps, [left, right], 0.5 * (left + right))
+    return np.moveaxis(difference, 0, -1) / step
+
+
+def _jumps(side: Array, other: Array) -> NDArray[np.bool_]:
+    """Where the difference to one side is a jump beside that to the other; a difference beside none
+    is a kink, as where friction holds something at rest."""
+    is_far_larger = abs(side) > JUMP_RATIO * abs(other)
+    moves = (other != 0.0) | np.isinf(side)
+    return np.asarray(is_far_larger & moves)
 
 
 @np.errstate(invalid="ignore")
@@ -482,32 +523,29 @@ def period_derivatives(
 ) -> Linearization:
     """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`.
     Raises LinAlgError."""
-    scale, effects = model.coordinate_scale(), model.scene.effects
-    largest = np.abs(effects.command_limits(model.discretisation.tension_limits)).max(axis=1)
-    step = SHARE * np.concatenate(
-        [scale, RATE * scale, np.maximum(np.abs(start.state), LEAST_STATE), largest]
-    )
-    step *= TOUCHING if any(effect.is_contact for effect in effects.chosen().values()) else 1.0
-    values, slopes = (
-        ends(
-            model, start, taken, np.vstack([inputs, inputs + np.diag(step), inputs - np.diag(step)])
-        ),
-        [],
-    )
-    for value in values:
-        right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
-        jumps = [
-            (abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a))
-            for a, b in ((right, left), (left, right))
-        ]  # not from rest: a kink
-        slopes.append(
-            np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step
-        )
-    by, pose_slopes, twists = slopes
+    # steps of the differences, by the unit of every input
+    effects = model.scene.effects
+    scale = model.coordinate_scale()
+    state_unit = np.maximum(np.abs(start.state), LEAST_STATE_UNIT)
+    limits = effects.command_limits(model.discretisation.tension_limits)
+    command_unit = np.abs(limits).max(axis=1)
+    unit = np.concatenate([scale, RATE_UNIT * scale, state_unit, command_unit])
+    step = DIFFERENCE_SHARE * unit
+    if any(effect.is_contact for effect in effects.chosen().values()):
+        step *= CONTACT_FACTOR
+
+    # row 0 has the inputs themselves, then one row for every step to the right, and to the left
+    changes = np.diag(step)
+    all_inputs = np.vstack([inputs, inputs + changes, inputs - changes])
+    state, tip_pose, tip_twist = ends(model, start, taken, all_inputs)
+    by = _slopes(state, step)
+    pose_slopes = _slopes(tip_pose, step)
+    twists = _slopes(tip_twist, step)
     if not np.isfinite(by).all():
         raise np.linalg.LinAlgError(
             "the motion has no derivative: on either side of it a step fails"
         )
-    moved = np.einsum("ji,jkm->ikm", values[1][0][:3, :3], pose_slopes[:3])  # in the tip frame
+    rotation = tip_pose[0, :3, :3]
+    moved = np.einsum("ji,jkm->ikm", rotation, pose_slopes[:3])  # in the tip frame
     tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
     return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip, twists)

@@ -15,11 +15,14 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN, SHORTEST = (
-    1e-6,
-    1e-12,
-)  # relative difference of strains that counts as none; [s], what may count as a time step
+SAME_STRAIN = 1e-6
+"""Relative difference of strains that counts as none."""
+
+SHORTEST = 1e-12
+"""Time [s] that may count as a time step."""
+
 STATE = "state that State.save wrote"
+"""Name of the content of a state's file, for errors."""
 
 
 @dataclass(frozen=True, eq=False)

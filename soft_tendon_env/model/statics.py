@@ -23,15 +23,18 @@ from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
 
-MOST_COMMANDED, SAME_TENSION = (
-    50,
-    1e-11,
-)  # iterations under a command; relative difference of tensions that counts as none
-# from a correction to the next, above which Newton's method with the stiffness of another
-# equilibrium is given up
+MOST_COMMANDED = 50
+"""Iterations at most under a command that is no tension."""
+
+SAME_TENSION = 1e-11
+"""Relative difference of tensions that counts as none."""
+
 CONTRACTION = 0.5
-# share of the rod's length: how far redundant tendons may leave the tip off without a warning
+"""Ratio of a correction to the one before, above which Newton's method with the stiffness of
+another equilibrium is given up."""
+
 SEEN = 1e-4
+"""Share of the rod's length by which redundant tendons may leave the tip off without a warning."""
 
 
 class RedundancyWarning(UserWarning):
