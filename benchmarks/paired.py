@@ -173,7 +173,8 @@ def taken_in_turn(turn: int, actions: list[Callable[[], float]], bar: tqdm) -> t
 
 
 def answer(worker: subprocess.Popen[str], what: str) -> float:
-    assert worker.stdin is not None and worker.stdout is not None
+    assert worker.stdin is not None
+    assert worker.stdout is not None
     print(what, file=worker.stdin, flush=True)
     return float(worker.stdout.readline())
 

@@ -122,12 +122,13 @@ def test_inverse_statics_and_the_loss_of_stability_move_along():
         tension_for_tip_pose(model, wanted)
         for model, wanted in ((here, pose), (there, BASE.pose @ pose))
     ]
-    assert found[0].reachable and found[1].reachable
+    assert found[0].reachable
+    assert found[1].reachable
     np.testing.assert_allclose(found[1].tension, found[0].tension, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    "task, target",
+    ("task", "target"),
     [("TipPose", "circle"), ("TipPose", "out_of_reach"), ("TipPose", "random"), ("Reach", "hold")],
 )
 def test_targets_and_observations_move_along(task, target):
@@ -197,7 +198,8 @@ def test_a_base_far_off_or_drawn_is_observed_where_it_is():
         if env.reset(seed=seed)
     }
     observation, *_ = env.step(np.zeros(3))
-    assert len(places) == 3 and env.observation_space.contains(observation)
+    assert len(places) == 3
+    assert env.observation_space.contains(observation)
     np.testing.assert_allclose(
         0.3 * observation, env.unwrapped.episodes.observed.tip_pose[0, :3, 3], atol=1e-5
     )

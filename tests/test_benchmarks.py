@@ -51,6 +51,7 @@ def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     assert sum(line.startswith("|") for line in process.stdout.splitlines()) >= 3
     with open(tmp_path / f"{name}.csv", newline="") as file:
         header, *rows = csv.reader(file)
-    assert rows and all(len(row) == len(header) for row in rows)
+    assert rows
+    assert all(len(row) == len(header) for row in rows)
     if name != "scores":  # a table alone
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")

@@ -184,9 +184,8 @@ def test_files_that_pages_show_are_examples_that_run():
         for file in re.findall(
             r"^<!-- file: (\S+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE
         ):
-            assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, (
-                f"{name_of(page)}: {file}"
-            )
+            assert (ROOT / file).is_file(), f"{name_of(page)}: {file}"
+            assert f'"{Path(file).name}"' in tested, f"{name_of(page)}: {file}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -13,7 +13,18 @@ from gymnasium.utils.env_checker import check_env
 
 pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parent.parent / "examples"
-FEW = "--settings nominal --regimes tip --episodes 1 --seconds 1.5 --workers 1".split()
+FEW = [
+    "--settings",
+    "nominal",
+    "--regimes",
+    "tip",
+    "--episodes",
+    "1",
+    "--seconds",
+    "1.5",
+    "--workers",
+    "1",
+]
 
 
 def run(example, folder, *arguments):
@@ -130,7 +141,9 @@ LEFT = {"paper_trajectory.py", "tracking.py", "effects_gallery.py", "scene_galle
 """Examples that draw, or record."""
 
 
-@pytest.mark.parametrize("example, arguments, is_right", RUNS, ids=[example[0] for example in RUNS])
+@pytest.mark.parametrize(
+    ("example", "arguments", "is_right"), RUNS, ids=[example[0] for example in RUNS]
+)
 def test_examples_find_what_they_should(tmp_path, example, arguments, is_right):
     said = run(example, tmp_path, *arguments)
     assert is_right(said), said

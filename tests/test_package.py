@@ -155,7 +155,8 @@ def test_all_that_ships_is_in_the_wheel(unpacked):
             place = path.relative_to(trained).as_posix()
             assert (f"soft_tendon_env/policies/trained/{place}" in names) == in_wheel
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
-    assert sources <= names and "soft_tendon_env/py.typed" in names
+    assert sources <= names
+    assert "soft_tendon_env/py.typed" in names
     assert not [
         name
         for name in names
@@ -176,7 +177,18 @@ def test_commands_of_the_wheel_work_from_an_empty_folder(unpacked, tmp_path):
 
     assert str(unpacked / "soft_tendon_env") in said("doctor")
     assert "| nominal " in said(
-        *"evaluate agent --episodes 1 --seconds 0.4 --skip 0.1 --errors nominal".split()
+        *[
+            "evaluate",
+            "agent",
+            "--episodes",
+            "1",
+            "--seconds",
+            "0.4",
+            "--skip",
+            "0.1",
+            "--errors",
+            "nominal",
+        ]
     )
     quick = (
         "steps=64",

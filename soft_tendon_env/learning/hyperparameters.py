@@ -24,11 +24,32 @@ MODULES: Mapping[str, str] = {
 """Modules of the package's own algorithms by their names, each a `BaseAlgorithm` with its settings
 as `settings_class`."""
 NOT_IN_FILES = frozenset(
-    "self policy env learning_rate seed device verbose tensorboard_log settings _init_setup_model"
-    " observation_space action_space lr_schedule normalize_images rollout_buffer_class"
-    " rollout_buffer_kwargs replay_buffer_class replay_buffer_kwargs action_noise cost"
-    " optimize_memory_usage features_extractor_class features_extractor_kwargs"
-    " optimizer_class".split()
+    [
+        "self",
+        "policy",
+        "env",
+        "learning_rate",
+        "seed",
+        "device",
+        "verbose",
+        "tensorboard_log",
+        "settings",
+        "_init_setup_model",
+        "observation_space",
+        "action_space",
+        "lr_schedule",
+        "normalize_images",
+        "rollout_buffer_class",
+        "rollout_buffer_kwargs",
+        "replay_buffer_class",
+        "replay_buffer_kwargs",
+        "action_noise",
+        "cost",
+        "optimize_memory_usage",
+        "features_extractor_class",
+        "features_extractor_kwargs",
+        "optimizer_class",
+    ]
 )
 """Arguments of algorithms and policies that a training gives, or that are objects, which no file
 can say."""

@@ -330,7 +330,7 @@ class Model:
         """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming
         `name`."""
         places = checked_array(name, np.zeros(0) if np.size(value) == 0 else value, (None,))
-        if places.size and not (0.0 <= places.min() and places.max() <= self.length * (1 + 1e-12)):
+        if places.size and not (places.min() >= 0.0 and places.max() <= self.length * (1 + 1e-12)):
             raise ValueError(
                 f"{name} should lie between 0 and {self.length:g}, not {places.min():g} to"
                 f" {places.max():g}"

@@ -17,9 +17,21 @@ ACTING: Mapping[str, tuple[str, ...]] = {
 }
 """Arguments of policies that mean actions depend on, by the kind of network."""
 OF_TRAINING = frozenset(
-    "log_std_init use_expln full_std ortho_init normalize_images share_features_extractor"
-    " features_extractor_kwargs n_critics n_quantiles batch_norm_momentum renorm_warmup_steps"
-    " optimizer_class optimizer_kwargs".split()
+    [
+        "log_std_init",
+        "use_expln",
+        "full_std",
+        "ortho_init",
+        "normalize_images",
+        "share_features_extractor",
+        "features_extractor_kwargs",
+        "n_critics",
+        "n_quantiles",
+        "batch_norm_momentum",
+        "renorm_warmup_steps",
+        "optimizer_class",
+        "optimizer_kwargs",
+    ]
 )
 """Arguments of policies that matter in a training alone."""
 EXTRACTOR = "features_extractor_class"  # argument of policies that is a class of the user's

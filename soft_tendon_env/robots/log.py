@@ -67,7 +67,7 @@ class RobotLog:
         self._motions = 0  # that the file has
         self._senses = senses
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(path, "x", encoding="utf-8", newline="")
+        self._file = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 (until `close`)
         self._writer = csv.writer(self._file, lineterminator="\n")
         measured = [column for name in ("sent", "asked", *senses) for column in columns[name]]
         self._writer.writerow(["hold", "time", "measured_time", *measured])

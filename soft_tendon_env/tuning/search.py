@@ -76,7 +76,9 @@ class Parameter(Configuration):
             return json.loads(trial.suggest_categorical(name, choices))
         low = self.low
         high = self.high
-        assert low is not None and high is not None  # a range has both, see _is_a_range
+        # a range has both, see _is_a_range
+        assert low is not None
+        assert high is not None
         if isinstance(low, int) and isinstance(high, int):
             return trial.suggest_int(name, low, high, log=self.log)
         return trial.suggest_float(name, low, high, log=self.log)

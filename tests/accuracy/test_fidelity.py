@@ -26,11 +26,12 @@ def test_presets_of_shipped_scenes(name):
         warnings.simplefilter("error")
         models = [build_model(load_scene(name), fidelity) for fidelity in PRESETS]
     counts = [model.grid.per_piece for model in models]
-    assert (
-        counts[0] == 4 and 4 <= counts[1] <= (7 if name == "underwater" else 6) and counts[2] >= 8
-    )
+    assert counts[0] == 4
+    assert 4 <= counts[1] <= (7 if name == "underwater" else 6)
+    assert counts[2] >= 8
     fast, standard, fine = (model.scene.strain.passive.fields for model in models)
-    assert 3 <= fast <= standard <= fine and fast < fine
+    assert 3 <= fast <= standard <= fine
+    assert fast < fine
 
 
 def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
@@ -43,13 +44,11 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
         kept, standard = at_fidelity(changed, None), at_fidelity(scene, "standard")
         for name in ("strain", "quadrature", "integrator"):
             assert getattr(kept, name) == getattr(changed if name == part else standard, name)
-        assert (
-            at_fidelity(changed, "scene") == changed
-            and at_fidelity(changed, "standard") == standard
-        )
+        assert at_fidelity(changed, "scene") == changed
+        assert at_fidelity(changed, "standard") == standard
 
 
-@pytest.mark.parametrize("name", ("paper", "four_tendon", "helical"))
+@pytest.mark.parametrize("name", ["paper", "four_tendon", "helical"])
 def test_standard_is_near_full_physics_and_fast_not_far(name):
     """As shares of the length, on a motion that no field was made from."""
     scene = load_scene(name)
@@ -82,7 +81,8 @@ def test_a_length_is_an_accuracy_and_others_are_refused():
         ("0.06mm", 2e-4, "fine"),
     ):
         asked, preset = accuracy_of(scene, length), PRESETS[near]
-        assert asked.share == pytest.approx(share) and asked.least == preset.least
+        assert asked.share == pytest.approx(share)
+        assert asked.least == preset.least
         assert asked.tolerance == pytest.approx(preset.tolerance * min(share / preset.share, 1.0))
     for name in ("quick", "", "Standard", "1 inch", "0mm", "-1mm"):
         with pytest.raises(ValueError, match=f"fidelity is '{name}': should be"):

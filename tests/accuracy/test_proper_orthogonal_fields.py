@@ -38,15 +38,18 @@ def test_fields_made_twice_are_the_same_to_round_off(quick):
         <= 1e-9 * np.abs(first.coefficients).max()
     )
     np.testing.assert_allclose(first.singular_values, second.singular_values, rtol=1e-9, atol=1e-12)
-    assert first.digest == second.digest and first.errors == second.errors
+    assert first.digest == second.digest
+    assert first.errors == second.errors
 
 
 def test_errors_fall_with_the_number_of_fields(quick):
     fields, _ = quick
     for kind in USUAL:
         none, some, more = fields.errors[kind]
-        assert more < 0.1 * none and some < 0.2 * none
-    assert fields.needed(1e9, USUAL) == 0 and fields.needed(0.0, USUAL) is None
+        assert more < 0.1 * none
+        assert some < 0.2 * none
+    assert fields.needed(1e9, USUAL) == 0
+    assert fields.needed(0.0, USUAL) is None
     assert fields.needed(max(fields.errors[kind][1] for kind in USUAL), USUAL) == 3
 
 

@@ -19,14 +19,15 @@ def test_errors_are_distances_from_the_reference():
     not count."""
     tensions = motion_tensions(ARM, "redrawn", 1, 0.2)
     path = tip_path(reference_model(ARM, LEVELS[0], 1e-6), tensions)
-    assert path.shape == (0.2 / HOLD + 1, 3) and tip_path(
-        reference_model(ARM, LEVELS[0]), tensions[0]
-    ).shape == (1, 3)
+    assert path.shape == (0.2 / HOLD + 1, 3)
+    assert tip_path(reference_model(ARM, LEVELS[0]), tensions[0]).shape == (1, 3)
     assert distance(path, path + [0.0, 0.0018, 0.0024]) == pytest.approx(0.003)
     stuck = tip_path(
         model_on(ARM.replace({"integrator.max_halvings": 0}), 8), np.full_like(tensions, 1e5)
     )
-    assert stuck is None and distance(stuck, path) == np.inf and np.isnan(distance(path, None))
+    assert stuck is None
+    assert distance(stuck, path) == np.inf
+    assert np.isnan(distance(path, None))
 
 
 def test_the_error_bar_bounds_the_error():
@@ -46,14 +47,16 @@ def test_the_error_bar_bounds_the_error():
 def test_parts_turn_once_at_most():
     spring = ARM.replace({"segments.0.curvature": [0.0, 0.0, 2.5 * 2.0 * np.pi / 0.3]})
     np.testing.assert_allclose(part_borders(spring), [0.1, 0.2])
-    assert part_borders(ARM) == [] and len(part_borders(ARM, 4)) == 3
+    assert part_borders(ARM) == []
+    assert len(part_borders(ARM, 4)) == 3
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_tensions_fill_their_band_and_are_those_of_their_seed(motion):
     tables = np.concatenate([motion_tensions(PAPER, motion, seed) for seed in range(20)])
     assert tables.shape == (20 * 2.0 / HOLD, 10)
-    assert tables.min() >= 0.0 and 0.9 * GREATEST[motion] < tables.max() <= GREATEST[motion]
+    assert tables.min() >= 0.0
+    assert 0.9 * GREATEST[motion] < tables.max() <= GREATEST[motion]
     np.testing.assert_array_equal(
         motion_tensions(PAPER, motion, 3), motion_tensions(PAPER, motion, 3)
     )

@@ -170,7 +170,8 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
     for changes, coordinates in cases:
         changed = loaded.replace(changes)
         assert choose(changed, PRESETS["fast"]).coordinates == coordinates, changes
-    assert len(tried) == 4 and len([*cache.glob("*.json")]) == 4
+    assert len(tried) == 4
+    assert len([*cache.glob("*.json")]) == 4
 
 
 def test_a_trial_has_loads_up_to_its_range(monkeypatch):
@@ -191,7 +192,7 @@ def test_a_trial_has_loads_up_to_its_range(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "left_out, error, reached",
+    ("left_out", "error", "reached"),
     [
         (0, 0.004, [REACH]),
         (2, 0.004, [REACH, 1.0]),  # larger loads buckle the arm
@@ -261,7 +262,7 @@ def test_larger_loads_that_buckle_a_column_are_left_at_once(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "young_modulus, most, left_out", [(2e5, 21, 4), (1.3e6, 9, 4), (1.6e6, 12, 0)]
+    ("young_modulus", "most", "left_out"), [(2e5, 21, 4), (1.3e6, 9, 4), (1.6e6, 12, 0)]
 )
 def test_a_column_near_its_buckling_load_gets_few_coordinates(young_modulus, most, left_out):
     asked = PRESETS["fast"]
@@ -271,7 +272,7 @@ def test_a_column_near_its_buckling_load_gets_few_coordinates(young_modulus, mos
     assert choice.left_out == left_out
 
 
-@pytest.mark.parametrize("is_dropped, coordinates", [(True, [3, 7, 3]), (False, [3, 7])])
+@pytest.mark.parametrize(("is_dropped", "coordinates"), [(True, [3, 7, 3]), (False, [3, 7])])
 def test_what_an_input_ruled_out_is_judged_again_without_it(monkeypatch, is_dropped, coordinates):
     """If it turns out to be not unique."""
     monkeypatch.setattr(module, "USUAL", ())
@@ -293,12 +294,13 @@ def test_what_an_input_ruled_out_is_judged_again_without_it(monkeypatch, is_drop
     monkeypatch.setattr(module, "judged", judge)
     monkeypatch.setattr(module, "known_fields", lambda scene: None)
     choice = module.best_choice(trial, PRESETS["fast"], Progress("arm", shown=False))
-    assert judged == coordinates and choice.coordinates == judged[-1]
+    assert judged == coordinates
+    assert choice.coordinates == judged[-1]
     assert choice.not_unique == is_dropped
 
 
 @pytest.mark.parametrize(
-    "left_out, tried",
+    ("left_out", "tried"),
     [
         (0, [("fine", 0)]),
         (3, [("fine", 0), ("standard", 0), ("fast", 0), ("fine", 12)]),
@@ -354,7 +356,7 @@ def test_tables_have_the_least_number_of_coordinates_that_is_asked_for():
 
 
 @pytest.mark.parametrize(
-    "change, same",
+    ("change", "same"),
     [
         (
             {
@@ -402,7 +404,7 @@ def test_where_nothing_reaches_it_a_preset_warns_and_a_length_is_refused(monkeyp
 
 
 @pytest.mark.parametrize(
-    "missing, not_unique, reason",
+    ("missing", "not_unique", "reason"),
     [
         (18, 2, "full physics has no motion under.*in 18 of 20 inputs.*: reduce tension_limits"),
         (2, 18, "is not unique .*disagree in 18 of 20 inputs.*: reduce tension_limits"),

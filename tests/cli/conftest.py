@@ -30,7 +30,9 @@ def refused(command, monkeypatch, capsys, tmp_path):
             for line in capsys.readouterr().err.splitlines()
             if not line.startswith("soft_tendon_env: compil")
         ]
-        assert exit.value.code == 2 and {*tmp_path.rglob("*")} == before and len(said) < 16, said
+        assert exit.value.code == 2, said
+        assert {*tmp_path.rglob("*")} == before, said
+        assert len(said) < 16, said
         return " ".join(re.sub(r"[│─╭╮╰╯|]|\+?-{3,}\+?", "", "\n".join(said)).split())
 
     return run

@@ -123,7 +123,7 @@ def small(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments, printed, left",
+    ("arguments", "printed", "left"),
     QUICK,
     ids=lambda value: value[0] if value and value[0] in COMMANDS else "",
 )
@@ -138,7 +138,8 @@ def test_commands_print_and_leave_what_they_should(
     except SystemExit as exit:
         ended = exit.code
     said = capsys.readouterr().out
-    assert not ended and all(text in said for text in printed), said
+    assert not ended, said
+    assert all(text in said for text in printed), said
     assert all((tmp_path / "out" / name).stat().st_size > 100 for name in left)
 
 
@@ -150,10 +151,8 @@ def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, c
     with pytest.raises(SystemExit, match="1"):
         command("doctor", "--scene", "three_tendon")
     printed = capsys.readouterr().out
-    assert (
-        "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed
-        and "TendonRod-TipPose-v0 one step in " in printed
-    )
+    assert "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed
+    assert "TendonRod-TipPose-v0 one step in " in printed
 
 
 def test_the_doctor_names_the_extra_of_a_library_that_is_not_there(monkeypatch):
@@ -171,7 +170,7 @@ def test_the_doctor_names_the_extra_of_a_library_that_is_not_there(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "cuda, hip, expected",
+    ("cuda", "hip", "expected"),
     [
         (None, None, "a build for CPUs"),
         ("13.0", None, "a build for CUDA 13.0, of which this package uses the CPU alone"),
@@ -196,10 +195,8 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)
     assert printed.startswith(f"usage: soft-tendon {name} ")
     for field in (key for key, field in kind.model_fields.items() if not options.is_table(field)):
-        assert (
-            texts[field].split()[0] in printed
-            and options.flag(kind, field).removeprefix("--").lower() in printed.lower()
-        ), field
+        assert texts[field].split()[0] in printed, field
+        assert options.flag(kind, field).removeprefix("--").lower() in printed.lower(), field
 
 
 def test_names_of_commands_are_kept():

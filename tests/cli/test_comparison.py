@@ -79,10 +79,8 @@ def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, comma
     ] * 4
     assert {episode["steps"] for result in results for episode in result["episodes"]} == {5}
     assert results[1]["summary"]["metrics"]["effort"] < results[0]["summary"]["metrics"]["effort"]
-    assert (
-        record["settings"]["episodes"] == 2
-        and record["environments"]["tracking"]["fidelity"] == "fast"
-    )
+    assert record["settings"]["episodes"] == 2
+    assert record["environments"]["tracking"]["fidelity"] == "fast"
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
@@ -115,7 +113,8 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
     low, value, high = (
         float(rows[str(runs)][f"position_error_rms{end}"]) for end in ("_low", "", "_high")
     )
-    assert low < value < high and (rows[str(runs)]["members"], rows[str(runs)]["episodes"]) == (
+    assert low < value < high
+    assert (rows[str(runs)]["members"], rows[str(runs)]["episodes"]) == (
         "2",
         "4",
     )
@@ -127,7 +126,7 @@ def rewrite(run, **changes):
 
 
 @pytest.mark.parametrize(
-    "spoil, said",
+    ("spoil", "said"),
     [
         (lambda runs: shutil.rmtree(runs), "no policy: it should be the folder of an agent"),
         (

@@ -166,14 +166,14 @@ DAMAGES = [
 ]
 
 
-@pytest.mark.parametrize("arguments, said", OPTIONS)
+@pytest.mark.parametrize(("arguments", "said"), OPTIONS)
 def test_options(refused, tmp_path, arguments, said):
     for name, text in TEXTS.items():
         (tmp_path / name).write_text(text)
     assert said in refused(*arguments.split())
 
 
-@pytest.mark.parametrize("arguments, said", FILES)
+@pytest.mark.parametrize(("arguments", "said"), FILES)
 def test_files_and_what_stands_in_them(refused, config, finished, arguments, said):
     known = {
         "config": config,
@@ -187,7 +187,7 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
 
 
 @pytest.mark.parametrize(
-    "arguments, missing", [("train ppo_tip_pose", "agents"), ("demo", "pictures,recording")]
+    ("arguments", "missing"), [("train ppo_tip_pose", "agents"), ("demo", "pictures,recording")]
 )
 def test_missing_extras_come_with_the_command_that_installs_them(
     refused, monkeypatch, arguments, missing
@@ -198,7 +198,7 @@ def test_missing_extras_come_with_the_command_that_installs_them(
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize(
-    "place, name, arguments",
+    ("place", "name", "arguments"),
     [
         ("last", "model.zip", "train {config} --resume --set steps=256 --out {run}"),
         ("best", "weights.npz", "evaluate {run}/best --episodes 1 --out {run}/out"),
@@ -211,29 +211,40 @@ def test_damaged_checkpoints_and_agents_are_refused(
     run = tmp_path / "run"
     damage(shutil.copytree(finished, run) / place / name)
     said = refused(*arguments.format(config=config, run=run).split())
-    assert str(run / place) in said and name in said
+    assert str(run / place) in said
+    assert name in said
 
 
 @pytest.mark.parametrize(
-    "place, reason", [("file", "File exists"), ("file/new", "Not a directory")]
+    ("place", "reason"), [("file", "File exists"), ("file/new", "Not a directory")]
 )
 def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(
     refused, tmp_path, place, reason
 ):
     (tmp_path / "file").touch()
     said = refused(
-        *"evaluate feedforward --scene three_tendon --fidelity fast --errors nominal --out".split(),
+        *[
+            "evaluate",
+            "feedforward",
+            "--scene",
+            "three_tendon",
+            "--fidelity",
+            "fast",
+            "--errors",
+            "nominal",
+            "--out",
+        ],
         tmp_path / place,
     )
     assert (
         f"soft-tendon evaluate: error: --out is {tmp_path / place}: it should be a folder that can"
         in said
-        and reason in said
     )
+    assert reason in said
 
 
 @pytest.mark.parametrize(
-    "error, status, said",
+    ("error", "status", "said"),
     [
         (
             OSError(errno.ENOSPC, "No space left on device", "out/a.png"),

@@ -52,6 +52,7 @@ def sweep(command, tmp_path, monkeypatch):
             return "RuntimeError: this seed fails"
         write_run(job.folder.parent, job.training.seed, [0.01 * (job.training.seed + 1), 0.02])
         (job.folder / "steps").write_text(str(job.training.steps))
+        return None
 
     monkeypatch.setattr(learning, "run_job", run_job)
     monkeypatch.chdir(tmp_path)
@@ -79,9 +80,8 @@ def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys)
     configs = [write_config(tmp_path, name) for name in ("one", "two")]
     sweep(*configs, "--seeds", 2, "--set", "steps=7")
     runs = [tmp_path / "runs" / name / f"seed_{seed}" for name in ("one", "two") for seed in (0, 1)]
-    assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs and {
-        (run / "steps").read_text() for run in runs
-    } == {"7"}
+    assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs
+    assert {(run / "steps").read_text() for run in runs} == {"7"}
     assert (tmp_path / "runs" / "learning_curves_TipPose.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     for name in ("one", "two"):
@@ -98,7 +98,8 @@ def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):
     with pytest.raises(SystemExit) as exit:
         sweep(write_config(tmp_path, "one"), "--seeds", 5)
     printed = capsys.readouterr()
-    assert exit.value.code == 1 and row_of(printed.out, "one")[1] == "4"
+    assert exit.value.code == 1
+    assert row_of(printed.out, "one")[1] == "4"
     assert "seed_4\nRuntimeError: this seed fails" in printed.err
 
 
@@ -129,13 +130,12 @@ def test_ctrl_c_and_kill_stop_the_runs(tmp_path, asked):
         time.sleep(0.1)
     child.send_signal(asked)
     _, said = child.communicate()  # until the runs have ended too, which write there as well
-    assert "the same command goes on" in said and child.returncode != 0
+    assert "the same command goes on" in said
+    assert child.returncode != 0
     before = [curve.read_text() for curve in curves]
     time.sleep(3.0)
-    assert (
-        before == [curve.read_text() for curve in curves]
-        and not (tmp_path / "runs" / "one" / "seed_2").exists()
-    )
+    assert before == [curve.read_text() for curve in curves]
+    assert not (tmp_path / "runs" / "one" / "seed_2").exists()
 
 
 def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys):
@@ -148,14 +148,14 @@ def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys
     write_run(tmp_path / "runs" / "goal", 0, [0.3, 0.2], task="Reach", reached=(0.0, 0.75))
     sweep("one.toml", "mixed.toml", "missing.toml", "goal.toml", "--only-plot")
     printed = capsys.readouterr().out
-    assert row_of(printed, "one")[2] == "200" and "left out:" in printed and "seed_5" in printed
+    assert row_of(printed, "one")[2] == "200"
+    assert "left out:" in printed
+    assert "seed_5" in printed
     assert row_of(printed, "one")[4].startswith("20.0 ["), (
         "the interquartile mean, without 0.001 and 0.9"
     )
-    assert (
-        "mixed has runs of several tasks: TipPose, Shape" in printed
-        and "missing has no folders seed_0" in printed
-    )
+    assert "mixed has runs of several tasks: TipPose, Shape" in printed
+    assert "missing has no folders seed_0" in printed
     assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {
         "learning_curves_TipPose.png",
         "learning_curves_Reach.png",

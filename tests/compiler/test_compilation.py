@@ -175,7 +175,8 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
     caller = kernel(lambda pair: add(pair))
     assert add(Pair(1.0, 2.0)) == caller(Pair(1.0, 2.0)) == 3.0
     assert not list(tmp_path.rglob("*.nb?"))
-    assert fresh_kernel(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
+    assert fresh_kernel(inspect.unwrap(scale))(1.0, 2.0) == 2.0
+    assert list(tmp_path.rglob("*.nb?"))
 
 
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(

@@ -42,7 +42,8 @@ def controller_input(model, random_state, seed):
 def assert_sound(decision, limits):
     least, greatest = limits.T
     assert np.isfinite(decision.tension).all()
-    assert (decision.tension >= least).all() and (decision.tension <= greatest).all()
+    assert (decision.tension >= least).all()
+    assert (decision.tension <= greatest).all()
     assert all(0.0 <= decision.report[name] <= 1.0 for name in ("limited", "singular"))
 
 

@@ -129,8 +129,10 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     )
     slope = A.T @ (A @ found.x - b) / np.trace(A.T @ A)
     at_least, at_greatest = found.x - least < 1e-9, greatest - found.x < 1e-9
-    assert (found.x >= least).all() and (found.x <= greatest).all()
-    assert (slope[at_least] > 0.0).all() and (slope[at_greatest] < 0.0).all()
+    assert (found.x >= least).all()
+    assert (found.x <= greatest).all()
+    assert (slope[at_least] > 0.0).all()
+    assert (slope[at_greatest] < 0.0).all()
     np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
     np.testing.assert_allclose(
         found.multipliers, -slope * slope.size, atol=1e-9

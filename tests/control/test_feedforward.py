@@ -101,7 +101,7 @@ def least_miss(objective, model, target, limits):
 
 
 @pytest.mark.parametrize("scene", ["three_tendon", *LONG])
-@pytest.mark.parametrize("task, entry", CASES)
+@pytest.mark.parametrize(("task", "entry"), CASES)
 def test_what_cannot_be_reached_is_approached_and_held_still(
     build, limits_of, drive, far, task, entry, scene
 ):

@@ -153,7 +153,7 @@ def test_what_is_predicted_is_what_happens(build, kind):
     assert np.abs(memory.disturbance).max() < 1e-3
 
 
-@pytest.mark.parametrize("controller, greatest", [("tracking", 5e-4), ("predictive", 1e-3)])
+@pytest.mark.parametrize(("controller", "greatest"), [("tracking", 5e-4), ("predictive", 1e-3)])
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on: two episodes of 3 s, the first
     second left out."""

@@ -67,7 +67,7 @@ def position_law(terms, q_dot, pose, twist):
     "moves", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"]
 )
 @pytest.mark.parametrize(
-    "objective, law",
+    ("objective", "law"),
     [(TipPose(0.1), pose_law), (TipPosition(), position_law)],
     ids=["pose", "position"],
 )
@@ -105,7 +105,9 @@ def test_short_periods_give_the_paper_s_law(
             .tension
         )
         off.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
-    assert off[0] < 0.1 and off[1] < 0.15 * off[0] + 1e-4 and off[2] < 2e-3
+    assert off[0] < 0.1
+    assert off[1] < 0.15 * off[0] + 1e-4
+    assert off[2] < 2e-3
 
 
 @pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])
@@ -118,7 +120,8 @@ def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_ti
     )
     away = np.linalg.norm(motion.tip[:, :3, 3] - near.tip_position[0], axis=1)
     took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
-    assert away[0] > 0.05 * model.length and away[-1] < 1e-4 * model.length
+    assert away[0] > 0.05 * model.length
+    assert away[-1] < 1e-4 * model.length
     assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD
 
 
@@ -158,10 +161,11 @@ def test_short_periods_give_the_paper_s_law_of_shapes(build, arm, random_state):
             [controller.act(now).tension, law], axis=1
         )  # of redundant tendons only these are determined
         off.append(np.abs(forces[:, 0] - forces[:, 1]).max() / np.abs(forces[:, 1]).max())
-    assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
+    assert off[0] < 1e-3
+    assert off[1] < 0.11 * off[0]
 
 
-@pytest.mark.parametrize("settling_time, damping", [(0.4, 10.0), (0.2, 1.0)])
+@pytest.mark.parametrize(("settling_time", "damping"), [(0.4, 10.0), (0.2, 1.0)])
 def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(
     build, drive, holding, settling_time, damping
 ):
@@ -174,5 +178,6 @@ def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(
     motion = drive(controller, model, target, 150)
     off = np.linalg.norm(motion.tip[:, :3, 3] - target.tip_position[0], axis=1)
     took = 0.02 * np.flatnonzero(off > 0.02 * off[0])[-1]
-    assert off[0] > 0.05 * model.length and off[-10:].max() < 1e-3 * model.length
+    assert off[0] > 0.05 * model.length
+    assert off[-10:].max() < 1e-3 * model.length
     assert took < 2.5 * settling_time

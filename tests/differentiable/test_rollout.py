@@ -65,9 +65,8 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
         same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name))
         for name in ("q", "q_dot", "xi")
     )
-    assert same(found.q[-1].numpy(), its.arms.rows.q) and same(
-        mine.observation(), its.observation()
-    )
+    assert same(found.q[-1].numpy(), its.arms.rows.q)
+    assert same(mine.observation(), its.observation())
     errors = [
         pose_error(pose, wanted)
         for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)
@@ -86,7 +85,8 @@ def assert_observations_equal(observation, wanted, slices):
         for name in ("achieved_goal", "desired_goal"):
             np.testing.assert_allclose(observation[name], wanted[name], atol=1e-7)
         observation, wanted = observation["observation"], wanted["observation"]
-    assert observation.dtype == torch.float32 and observation.shape == wanted.shape
+    assert observation.dtype == torch.float32
+    assert observation.shape == wanted.shape
     for name, where in slices.items():  # a history has differences of such numbers over a tenth
         tolerance = 2e-5 if name == HISTORY else 1e-6
         np.testing.assert_allclose(
@@ -195,8 +195,10 @@ def test_a_step_that_fails_passes_no_gradient():
     found = rollout(env, lambda observation: actions, 1)
     found.error.square().sum().backward()
     failed = found.diverged[0]
-    assert failed.tolist() == [True, False, False, True] and torch.isfinite(actions.grad).all()
-    assert not actions.grad[failed].any() and actions.grad[~failed].any(dim=1).all()
+    assert failed.tolist() == [True, False, False, True]
+    assert torch.isfinite(actions.grad).all()
+    assert not actions.grad[failed].any()
+    assert actions.grad[~failed].any(dim=1).all()
 
 
 def test_effects_whose_states_follow_the_motion_are_refused_backward():
@@ -260,7 +262,7 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
 ]
 
 
-@pytest.mark.parametrize("name, changes, share, least", ACCURACY)
+@pytest.mark.parametrize(("name", "changes", "share", "least"), ACCURACY)
 def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, share, least):
     """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and
     elastic tendons go slack and taut."""
@@ -269,14 +271,15 @@ def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, 
         np.array([tendon.tension_limits for tendon in model.scene.tendons])
     ).T
     found = gradient_accuracy(model, 0.02, low, high, share * (high - low), seed=1)
-    assert found.cosine > least and 0.85 < found.ratio < 1.15, found
+    assert found.cosine > least, found
+    assert 0.85 < found.ratio < 1.15, found
 
 
 HANGING = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
 @pytest.mark.parametrize(
-    "scene, randomize, told",
+    ("scene", "randomize", "told"),
     [
         ("catheter", {}, None),
         (HANGING, {"payload": [0.0, 0.05]}, r"cosine of 0\.9[4-7]"),

@@ -57,11 +57,10 @@ def test_every_generated_block_is_listed_once_and_is_there():
 
 def test_stamps_are_read_and_unknown_commits_have_changed():
     stamp = Stamp.of(("soft-tendon", "own"))
-    assert (
-        generated.read_stamp(f"text {stamp.text()} text") == stamp
-        and generated.read_stamp("no stamp") is None
-    )
-    assert generated.has_changed(None) and generated.has_changed("0" * 40)
+    assert generated.read_stamp(f"text {stamp.text()} text") == stamp
+    assert generated.read_stamp("no stamp") is None
+    assert generated.has_changed(None)
+    assert generated.has_changed("0" * 40)
 
 
 def test_pictures_are_shown():
@@ -85,16 +84,19 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
 
     monkeypatch.setattr(generated, "has_changed", lambda commit: False)
     monkeypatch.setattr(sys, "argv", ["generated.py"])
-    assert generated.main() == 0 and "about 2.0 minutes" in capsys.readouterr().out
-    assert generated.main() == 0 and "0 to be made" in capsys.readouterr().out and played == ["own"]
-    assert generated.listed()[0].minutes == 0.1 and generated.LIST.read_text().count("minutes") == 1
+    assert generated.main() == 0
+    assert "about 2.0 minutes" in capsys.readouterr().out
+    assert generated.main() == 0
+    assert "0 to be made" in capsys.readouterr().out
+    assert played == ["own"]
+    assert generated.listed()[0].minutes == 0.1
+    assert generated.LIST.read_text().count("minutes") == 1
     monkeypatch.setattr(generated, "has_changed", lambda commit: True)
     monkeypatch.setattr(sys, "argv", ["generated.py", "--list"])
-    assert (
-        generated.main() == 0
-        and "has changed since" in capsys.readouterr().out
-        and played == ["own"]
-    )
+    assert generated.main() == 0
+    assert "has changed since" in capsys.readouterr().out
+    assert played == ["own"]
     monkeypatch.setattr(generated, "succeeds", lambda command: write(False))
     monkeypatch.setattr(sys, "argv", ["generated.py"])
-    assert generated.main() == 1 and "failed: soft-tendon own" in capsys.readouterr().err
+    assert generated.main() == 1
+    assert "failed: soft-tendon own" in capsys.readouterr().err

@@ -144,7 +144,7 @@ def test_pages_are_written_plainly(check):
 
 
 @pytest.mark.parametrize(
-    "check, text, wrong",
+    ("check", "text", "wrong"),
     [
         (lengths, "It is 3 mm off.", 1),
         (
@@ -170,7 +170,7 @@ TRIED = [
 
 
 @pytest.mark.parametrize(
-    "page, tried", TRIED, ids=lambda value: name(value) if isinstance(value, Path) else None
+    ("page", "tried"), TRIED, ids=lambda value: name(value) if isinstance(value, Path) else None
 )
 def test_what_a_page_says_is_refused_is_refused(page, tried, capsys):
     if tried.startswith("tests/"):
@@ -212,4 +212,5 @@ def test_no_docstring_needs_the_name_above_it():
         for path, text in texts.items()
         for match in riddle.finditer(text)
     ]
-    assert texts and not found, found
+    assert texts, found
+    assert not found, found

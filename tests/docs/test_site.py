@@ -25,14 +25,16 @@ def test_equations_become_mathml():
     html = site_math.on_page_content(
         r'<p><span class="arithmatex">\(a &lt; \dot q\)</span></p>', page("a.md")
     )
-    assert "<mover><mi>q</mi>" in html and 'display="inline"' in html and "arithmatex" not in html
+    assert "<mover><mi>q</mi>" in html
+    assert 'display="inline"' in html
+    assert "arithmatex" not in html
     assert 'display="block"' in site_math.on_page_content(
         r'<div class="arithmatex">\[\frac{1}{2}\]</div>', page("a.md")
     )
 
 
 @pytest.mark.parametrize(
-    "latex, message",
+    ("latex", "message"),
     [(r"\nothing x", r"\nothing in"), (r"\frac{a", "do not pair"), (r"a & b", "&")],
 )
 def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
@@ -40,11 +42,12 @@ def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
         site_math.on_page_content(
             rf'<span class="arithmatex">\({latex}\)</span>', page("how_to/a.md")
         )
-    assert message in str(error.value) and "how_to/a.md" in str(error.value)
+    assert message in str(error.value)
+    assert "how_to/a.md" in str(error.value)
 
 
 @pytest.mark.parametrize(
-    "markdown, shown",
+    ("markdown", "shown"),
     [
         ("`examples/own_task.py`", "[`examples/own_task.py`](../sources/examples/own_task.py.md)"),
         ("[a task](../../examples/own_task.py)", "[a task](../sources/examples/own_task.py.md)"),
@@ -65,7 +68,8 @@ def test_pages_of_environments_have_sizes_sections_and_arguments():
         f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |'
         in shown
     )
-    assert "\n### Rewards\n" in shown and "<!--" not in shown
+    assert "\n### Rewards\n" in shown
+    assert "<!--" not in shown
     assert all(f"\n| `{name}` | " in shown for name in site_environments.Options.model_fields)
     assert all(f'\n| `"{name}"` | ' in shown for name in site_environments.PRESETS)
     with pytest.raises(KeyError):
@@ -80,7 +84,5 @@ def test_the_page_of_effects_has_every_key_with_its_meaning():
         for name, effect in site_environments.EFFECTS.items()
         for key in effect.model_fields
     ]
-    assert (
-        all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys)
-        and "| None |" not in shown
-    )
+    assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys)
+    assert "| None |" not in shown

@@ -73,8 +73,10 @@ def pixel(renderer, point):
 def test_a_frame_has_the_size_asked_for(arm, size):
     _, renderer, picture = arm("three_tendon", width=size[0], height=size[1])
     frame = renderer.frame(picture(LOADED))
-    assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
-    assert frame.max() == 255 and frame.min() < 120, "paper and ink"
+    assert frame.shape == (size[1], size[0], 3)
+    assert frame.dtype == np.uint8
+    assert frame.max() == 255, "paper and ink"
+    assert frame.min() < 120, "paper and ink"
 
 
 def test_flat_sections_and_discs_are_as_wide_as_they_are(arm):
@@ -110,7 +112,8 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
     )
     assert renderer.frame(picture(np.zeros(3))).min() < 120
     down = pixel(renderer, np.array(acceleration)) - pixel(renderer, np.zeros(3))
-    assert down[0] > 0.0 and abs(down[1]) < 1e-6 * down[0]
+    assert down[0] > 0.0
+    assert abs(down[1]) < 1e-6 * down[0]
     right, up, viewer = renderer.turn
     assert np.allclose(np.cross(right, up), viewer), "no mirror image"
     assert np.allclose(renderer.turn @ renderer.turn.T, np.eye(3)), "equal scales"
@@ -119,9 +122,8 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
         viewpoint(vertical, upright), renderer.turn, atol=1e-12
     )  # from where recordings are seen
     for point in (np.zeros(3), [model.length, 0.0, 0.0]):
-        assert (pixel(renderer, np.array(point)) > 40).all() and (
-            pixel(renderer, np.array(point)) < [440, 560]
-        ).all()
+        assert (pixel(renderer, np.array(point)) > 40).all()
+        assert (pixel(renderer, np.array(point)) < [440, 560]).all()
 
 
 def test_rows_of_an_environment_have_the_frames_of_single_ones():
@@ -156,7 +158,8 @@ def test_tendons_run_where_the_routing_says(model, random_state):
     for tendon, curve, length in zip(
         model.scene.tendons, curves, model.tendon_lengths(q), strict=True
     ):
-        assert curve.shape[0] == 1 and curve.shape[2] == 3
+        assert curve.shape[0] == 1
+        assert curve.shape[2] == 3
         assert np.linalg.norm(np.diff(curve[0], axis=0), axis=1).sum() == pytest.approx(
             length, rel=2e-3
         )
@@ -219,13 +222,12 @@ def test_policies_that_are_drawn_together_differ():
     names = ["predictive", *variants, "ppo", "ppo_long", "arm", "own"]
     found = styles(names)
     assert len({look.colour for look in found.values()}) == len(names)
-    assert (
-        found["ppo"].marker == found["ppo_long"].marker == "o" and found["predictive"].marker == "s"
-    )
+    assert found["ppo"].marker == found["ppo_long"].marker == "o"
+    assert found["predictive"].marker == "s"
     trainings = styles(
         ["DAgger", "DAgger, loads", "DAgger, water", *(f"ppo_{number}" for number in range(9))]
     )
-    assert len({look.colour for look in trainings.values()}) == len(trainings) and {
-        look.marker for look in trainings.values()
-    } == {"o"}
-    assert found["predictive"] == style("predictive") and found["ppo"] == style("ppo")
+    assert len({look.colour for look in trainings.values()}) == len(trainings)
+    assert {look.marker for look in trainings.values()} == {"o"}
+    assert found["predictive"] == style("predictive")
+    assert found["ppo"] == style("ppo")

@@ -130,10 +130,8 @@ def test_an_arm_rests_on_the_floor(build):
     depth, e = -found.gap[0, 5:-5], SMOOTHING * RADIUS
     line = np.where(depth < e, k * depth**2 / (2 * e), k * (depth - e / 2))
     np.testing.assert_allclose(inner, line, rtol=1e-9)
-    assert (
-        found.penetration[0] == pytest.approx(-found.gap.min())
-        and found.clearance[0] == -found.penetration[0]
-    )
+    assert found.penetration[0] == pytest.approx(-found.gap.min())
+    assert found.clearance[0] == -found.penetration[0]
 
 
 def test_forces_are_those_of_a_potential(build):
@@ -196,4 +194,5 @@ def test_interpreted_kernels_run(build):
     simulation = Simulation(model)
     simulation.step(np.zeros(3), 0.02)
     found = contact_forces(model, simulation.state)
-    assert found.force[0, 2] > 0.0 > found.force[0, 1] and simulation.state.effects.size == 0
+    assert found.force[0, 2] > 0.0 > found.force[0, 1]
+    assert simulation.state.effects.size == 0

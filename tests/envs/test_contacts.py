@@ -25,9 +25,8 @@ def test_an_arm_that_would_begin_inside_of_an_obstacle_is_refused(how):
             scene={"scene": "three_tendon", "effects.contact.obstacles": [BALL, INSIDE[how]]},
             fidelity="fast",
         )
-    assert "scene has an arm that cannot begin at rest" in str(
-        error.value
-    ) and f"obstacles[1], a {INSIDE[how]['type']}" in str(error.value)
+    assert "scene has an arm that cannot begin at rest" in str(error.value)
+    assert f"obstacles[1], a {INSIDE[how]['type']}" in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -59,7 +58,7 @@ def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles():
 
 
 @pytest.mark.parametrize(
-    "id, scene",
+    ("id", "scene"),
     [("TendonRod-Reach-v0", "paper_among_obstacles"), ("TendonRod-TipPose-v0", "underwater")],
 )
 def test_the_scenes_that_ship_are_lived_in(id, scene):
@@ -71,21 +70,17 @@ def test_the_scenes_that_ship_are_lived_in(id, scene):
     envs.action_space.seed(0)
     for _ in range(75):
         observation, reward, terminated, truncated, info = envs.step(envs.action_space.sample())
-        assert (
-            envs.observation_space.contains(observation)
-            and np.isfinite(reward).all()
-            and not terminated.any()
-        )
+        assert envs.observation_space.contains(observation)
+        assert np.isfinite(reward).all()
+        assert not terminated.any()
     episodes = envs.unwrapped.episodes
     if scene == "paper_among_obstacles":
         contact, found = (
             episodes.model.scene.effects.contact,
             [contact_forces(episodes.model, episodes.state(row)) for row in range(32)],
         )
-        assert (
-            any(forces.sample_force.any() for forces in found)
-            and max(forces.penetration.max() for forces in found) < 0.01
-        )
+        assert any(forces.sample_force.any() for forces in found)
+        assert max(forces.penetration.max() for forces in found) < 0.01
         assert (
             contact.distances(np.ascontiguousarray(episodes.target_pose[:, :3, 3])).min()
             > 0.9 * 0.02

@@ -86,7 +86,8 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
     play(env, 0, 11, reset=False)
     copies = [make(env) for make in COPIES.values()]
     first = play(copies[0], 1, 19)  # which ends an episode, for it alone
-    assert first[18][3] and not first[17][3]
+    assert first[18][3]
+    assert not first[17][3]
     expected = play(env, 1, 19)
     assert all(
         same(expected, found) for found in (first, *(play(other, 1, 19) for other in copies[1:]))
@@ -94,7 +95,7 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
 
 
 @pytest.mark.parametrize(
-    "made, kind, mode",
+    ("made", "kind", "mode"),
     [
         (ReachVectorEnv, "plain", "next_step"),
         (ReachVectorEnv, "plain", "same_step"),
@@ -183,5 +184,6 @@ def test_a_forked_child_and_its_parent_go_on_alike(same):
     _, pool = env.episodes.arms._pool
     with pool._shutdown_lock:
         child, threads = run_in_a_fork(act)
-    assert same(child, step_randomly(env, 2)) and threads == (1, 3, 1)
+    assert same(child, step_randomly(env, 2))
+    assert threads == (1, 3, 1)
     env.close()

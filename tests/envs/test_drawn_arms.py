@@ -123,11 +123,9 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
             observation,
         )
     drawn = {density for density, *_ in found.values()}
-    assert (
-        55 < len(drawn) <= BANK
-        and 0.9 < min(drawn) / (0.5 * 1070) < 1.1
-        and 0.9 < max(drawn) / (2.0 * 1070) < 1.1
-    )
+    assert 55 < len(drawn) <= BANK
+    assert 0.9 < min(drawn) / (0.5 * 1070) < 1.1
+    assert 0.9 < max(drawn) / (2.0 * 1070) < 1.1
     for seed in (250, 7, 1):
         for env, row in ((second, 0), (rows, 1), (pickle.loads(pickle.dumps(first)), 0)):
             observation, _ = env.reset(seed=seed - row)
@@ -137,9 +135,8 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
                 observation,
             )
             assert same((*again[:2], observation[row] if row else observation), found[seed])
-    assert same(first.reset(seed=5)[0], first.reset(seed=5)[0]) and not same(
-        first.reset()[0], first.reset()[0]
-    )
+    assert same(first.reset(seed=5)[0], first.reset(seed=5)[0])
+    assert not same(first.reset()[0], first.reset()[0])
 
 
 def test_info_has_what_was_drawn_where_episodes_begin():
@@ -165,24 +162,22 @@ def test_info_has_what_was_drawn_where_episodes_begin():
         "tension_offset",
         "latency",
     }
-    assert (
-        found["segments.0.density"] == scene.segments[0].density
-        and found["effects.tip_load.mass"] == scene.effects.tip_load.mass
-    )
-    assert (
-        found["latency"] == actuation.delay(0)
-        and (found["tension_offset"] == actuation.offset[0]).all()
-    )
+    assert found["segments.0.density"] == scene.segments[0].density
+    assert found["effects.tip_load.mass"] == scene.effects.tip_load.mass
+    assert found["latency"] == actuation.delay(0)
+    assert (found["tension_offset"] == actuation.offset[0]).all()
     assert all(
         (info["drawn"][key][1] == value).all() and info["drawn"][f"_{key}"].all()
         for key, value in found.items()
     )
-    assert info["_drawn"].all() and "drawn" not in env.step(none[0])[4]
+    assert info["_drawn"].all()
+    assert "drawn" not in env.step(none[0])[4]
     rows.reset(
         options={"reset_mask": np.array([True, False, False]), "episode_steps": [1, None, None]}
     )
     infos = [rows.step(none)[4] for _ in range(3)]
-    assert "drawn" not in infos[0] and [info["_drawn"].tolist() for info in infos[1:]] == [
+    assert "drawn" not in infos[0]
+    assert [info["_drawn"].tolist() for info in infos[1:]] == [
         [True, False, False],
         [False, True, True],
     ]
@@ -208,15 +203,13 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
             fidelity="fast",
             randomize={"effects": ranges},
         )
-    assert (
-        text in str(error.value)
-        and "randomize.effects" in str(error.value)
-        and "\n" not in str(error.value)
-    )
+    assert text in str(error.value)
+    assert "randomize.effects" in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    "changes, ranges, message",
+    ("changes", "ranges", "message"),
     [
         (
             {},

@@ -55,7 +55,7 @@ def test_episodes_are_truncated_in_time(longest):
 
 
 @pytest.mark.parametrize(
-    "mode, kind",
+    ("mode", "kind"),
     [(None, TipPoseVectorEnv), ("vector_entry_point", TipPoseVectorEnv), ("sync", SyncVectorEnv)],
 )
 def test_vector_environments_are_made_in_every_mode(mode, kind):

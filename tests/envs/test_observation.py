@@ -31,7 +31,8 @@ def test_groups_are_those_of_the_docstring_side_by_side(task):
     assert [where.start for where in slices.values()] == [
         0,
         *ends[:-1],
-    ] and env.episodes.layout.space.shape == (ends[-1],)
+    ]
+    assert env.episodes.layout.space.shape == (ends[-1],)
     space = env.observation_space
     assert (
         space.dtype == np.float32
@@ -144,9 +145,8 @@ def test_values_are_scaled_then_clipped_then_cast():
     found = np.empty((7, 5), dtype=np.float32)
     scale_and_clip(values, scale, bound, found)
     np.testing.assert_array_equal(found, np.clip(values * scale, -bound, bound).astype(np.float32))
-    assert (
-        np.isnan(found[0, 2])
-        and np.isnan(found[1, 1])
-        and np.isfinite(found).sum() == found.size - 2
-    )
-    assert (np.abs(values * scale) > bound).any() and (np.abs(values * scale) < bound).any()
+    assert np.isnan(found[0, 2])
+    assert np.isnan(found[1, 1])
+    assert np.isfinite(found).sum() == found.size - 2
+    assert (np.abs(values * scale) > bound).any()
+    assert (np.abs(values * scale) < bound).any()

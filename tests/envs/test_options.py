@@ -170,7 +170,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("kind, options, message", BAD)
+@pytest.mark.parametrize(("kind", "options", "message"), BAD)
 def test_bad_options_are_refused_by_name(kind, options, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         kind(**{**SMALL, **options})
@@ -204,7 +204,7 @@ def test_options_are_taken_as_they_come(options):
 
 
 @pytest.mark.parametrize(
-    "period, ahead",
+    ("period", "ahead"),
     [(0.02, [5, 10]), (0.1, [1, 2]), (0.15, [1, 2]), (0.5, [1, 2]), (2.5, [1, 2]), (0.04, [2, 5])],
 )
 def test_previews_are_ahead_by_default_however_long_a_period_is(period, ahead):

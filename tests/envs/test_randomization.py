@@ -27,7 +27,7 @@ LOADED = {"strain": EXPLICIT, "effects.gravity.acceleration": [0.0, 0.0, -3.0]}
 
 
 @pytest.mark.parametrize(
-    "changes, factor", [({}, 1.3), (LOADED, 1.0)], ids=["statics-based", "explicit"]
+    ("changes", "factor"), [({}, 1.3), (LOADED, 1.0)], ids=["statics-based", "explicit"]
 )
 def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
     """Coordinates of a statics-based strain make the same shape of a stiffer rod where they are as
@@ -104,7 +104,9 @@ def test_gains_and_offsets_act_on_tensions():
     drawn = TipPoseEnv(**SMALL, randomize={"tension_gain": [0.8, 1.2]})
     ratio = acting_tensions(drawn, actions)[0][::20] / tensions
     np.testing.assert_allclose(ratio, np.tile(ratio[0], (STEPS, 1)))
-    assert np.ptp(ratio[0]) > 0.01 and (ratio >= 0.8).all() and (ratio <= 1.2).all()
+    assert np.ptp(ratio[0]) > 0.01
+    assert (ratio >= 0.8).all()
+    assert (ratio <= 1.2).all()
 
 
 def test_noise_is_on_what_is_measured_and_on_nothing_else():
@@ -191,11 +193,9 @@ def test_what_is_omitted_is_as_the_scene_says():
         noisy[k] = (episodes.observed.tip_pose != episodes.arms.reading.tip_pose).any(axis=(1, 2))
         env.step(none)
     gain = episodes.actuation.gain
-    assert ((gain == 1.0).all(axis=1) | (gain < 0.9).all(axis=1)).all() and (
-        noisy[0] == noisy[1]
-    ).all()
+    assert ((gain == 1.0).all(axis=1) | (gain < 0.9).all(axis=1)).all()
+    assert (noisy[0] == noisy[1]).all()
     usual = np.array([stiffness == 1.0, gain[:, 0] == 1.0, late == 0.0, ~noisy[0]])
     assert (usual | np.array([stiffness >= 1.2, gain[:, 0] >= 0.8, late >= 0.01, noisy[0]])).all()
-    assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all() and (
-        np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4
-    ).all()
+    assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all()
+    assert (np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4).all()

@@ -22,11 +22,14 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 @pytest.mark.parametrize("name", ["TipPose", "Shape", "Reach"])
 def test_every_task_has_its_classes_and_its_id(name):
     task = TASKS[name]
-    assert task.id == IDS[name] and gym.spec(task.id).max_episode_steps == 500
+    assert task.id == IDS[name]
+    assert gym.spec(task.id).max_episode_steps == 500
     one, many = getattr(environments, f"{name}Env"), getattr(environments, f"{name}VectorEnv")
-    assert one.task is many.task is task and one.__doc__ == task.description
+    assert one.task is many.task is task
+    assert one.__doc__ == task.description
     assert hasattr(one, "compute_reward") == hasattr(many, "compute_reward") == (name == "Reach")
-    assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many
+    assert pickle.loads(pickle.dumps(one)) is one
+    assert pickle.loads(pickle.dumps(many)) is many
 
 
 def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
@@ -50,11 +53,9 @@ def test_a_task_from_outside_is_an_environment(forgotten):
         gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL),
     )
     like = TipPoseEnv(**SMALL, target="hold")
-    assert (
-        type(env.unwrapped).__name__ == "HoverEnv"
-        and type(env.unwrapped).__doc__ == "Stay."
-        and env.spec.max_episode_steps == 7
-    )
+    assert type(env.unwrapped).__name__ == "HoverEnv"
+    assert type(env.unwrapped).__doc__ == "Stay."
+    assert env.spec.max_episode_steps == 7
     first, expected = env.reset(seed=3)[0], like.reset(seed=3)[0]
     np.testing.assert_array_equal(first, expected)
     np.testing.assert_array_equal(envs.reset(seed=3)[0][0], expected)
@@ -63,7 +64,7 @@ def test_a_task_from_outside_is_an_environment(forgotten):
 
 
 @pytest.mark.parametrize(
-    "changes, message",
+    ("changes", "message"),
     [
         (
             {"name": "hover"},
@@ -102,7 +103,8 @@ def test_a_target_from_outside_is_an_option(forgotten):
         ),
     ):
         Options(target="near")
-    assert register_target(Near) is Near and register_target(Near) is Near
+    assert register_target(Near) is Near
+    assert register_target(Near) is Near
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):
         options = Options(target=given)
         assert options.target == Near(distance=0.2)

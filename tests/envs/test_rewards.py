@@ -41,9 +41,8 @@ def test_the_reward_is_the_weighted_mean_of_the_terms_in_info(kind):
             for name, value in info.items()
             if name.startswith("reward_")
         }
-        assert terms.keys() == weights.keys() and all(
-            0.0 <= value <= 1.0 for value in terms.values()
-        )
+        assert terms.keys() == weights.keys()
+        assert all(0.0 <= value <= 1.0 for value in terms.values())
         assert reward == pytest.approx(
             sum(weights[name] * terms[name] for name in terms) / sum(weights.values()), rel=1e-14
         )
@@ -84,7 +83,8 @@ def test_graded_terms_tell_small_errors_apart_as_large_ones():
         0.01,
         dense=True,
     )
-    assert (-np.diff(values) > 0.2).all() and values[0] > 0.9
+    assert (-np.diff(values) > 0.2).all()
+    assert values[0] > 0.9
 
 
 def test_terms_are_what_they_say():
@@ -115,16 +115,19 @@ def test_compute_reward_gives_the_rewards_of_the_steps(kind):
     env, achieved, desired, rewards = ReachEnv(**options), [], [], []
     for observation, reward, _, _, info in steps(env, 60, seed=1):
         one = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
-        assert type(one) is float and one == reward
+        assert type(one) is float
+        assert one == reward
         assert info["is_success"] is bool(
             np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]) <= 0.06
         )
         achieved.append(observation["achieved_goal"])
         desired.append(observation["desired_goal"])
         rewards.append(reward)
-    assert len(set(rewards)) > 1 and all(0.0 <= reward <= 1.0 for reward in rewards)
+    assert len(set(rewards)) > 1
+    assert all(0.0 <= reward <= 1.0 for reward in rewards)
     many = env.compute_reward(np.array(achieved), np.array(desired), [{}] * 60)
-    assert many.shape == (60,) and many.tolist() == rewards
+    assert many.shape == (60,)
+    assert many.tolist() == rewards
     assert (
         env.compute_reward(
             np.array(achieved).reshape(6, 10, 3), np.array(desired).reshape(6, 10, 3), None
@@ -162,9 +165,8 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
             )
             == many[1][0]
         )
-        assert {*env.episodes.terms} == {"straightness", "position"} and many[4][
-            "reward_straightness"
-        ][0] == info["reward_straightness"]
+        assert {*env.episodes.terms} == {"straightness", "position"}
+        assert many[4]["reward_straightness"][0] == info["reward_straightness"]
 
 
 @pytest.mark.parametrize(
@@ -203,7 +205,7 @@ def test_a_term_of_a_users_own_knows_the_time(forgotten):
 
 
 @pytest.mark.parametrize(
-    "name, scale, shown",
+    ("name", "scale", "shown"),
     [("effort", 2.0, "2.0"), ("smoothness", [1.0, 2.0], "1.0, 2.0"), ("own", 0.1, "0.1")],
 )
 def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, shown):
@@ -245,7 +247,8 @@ def test_no_drawn_goal_is_reached_before_the_first_action(options):
     observation, info = rows.reset(seed=0)
     assert (
         observation["desired_goal"] == np.array([first["desired_goal"] for first, _ in begun])
-    ).all() and not info["is_success"].any()
+    ).all()
+    assert not info["is_success"].any()
     assert min(info["position_error"]) > env.episodes.threshold
 
 

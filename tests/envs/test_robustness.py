@@ -53,7 +53,8 @@ def saturate(vector, steps, seed=0):
         action = np.where(change, -action, action)
         observation, reward, terminated, truncated, info = vector.step(action)
         assert vector.observation_space.contains(observation)
-        assert (reward >= 0.0).all() and (reward <= 1.0).all()
+        assert (reward >= 0.0).all()
+        assert (reward <= 1.0).all()
         assert all(
             np.isfinite(values).all()
             for key, values in info.items()
@@ -179,14 +180,14 @@ def live_among(steps, **options):
     for step in range(steps):
         action = np.where(rng.random(action.shape) < 0.3, -action, action)
         observation, reward, terminated, _, _ = vector.step(action)
-        assert np.isfinite(observation).all() and np.isfinite(reward).all() and not terminated.any()
+        assert np.isfinite(observation).all()
+        assert np.isfinite(reward).all()
+        assert not terminated.any()
         tip = vector.episodes.arms.reading
-        assert (
-            np.isfinite(tip.tip_pose).all() and np.isfinite(vector.episodes.arms.rows.state).all()
-        )
-        assert (tip.tip_pose[:, 2, 3] > -0.06).all() and (tip.tip_pose[:, 2, 3] < 0.1).all(), (
-            "on this side of plate and wall"
-        )
+        assert np.isfinite(tip.tip_pose).all()
+        assert np.isfinite(vector.episodes.arms.rows.state).all()
+        assert (tip.tip_pose[:, 2, 3] > -0.06).all(), "on this side of plate and wall"
+        assert (tip.tip_pose[:, 2, 3] < 0.1).all(), "on this side of plate and wall"
         fastest = max(fastest, np.linalg.norm(tip.tip_twist[:, 3:], axis=1).max())
         found = contact_forces(vector.model, vector.episodes.state(step % 64))
         deepest, touched = (
@@ -202,7 +203,8 @@ def live_among(steps, **options):
 def test_every_effect_at_once():
     """Nobody sinks in by half of the radius, nor flies off."""
     deepest, fastest = live_among(150, scene=EVERY_EFFECT, fidelity="scene")
-    assert deepest < 0.005 and fastest < 10.0
+    assert deepest < 0.005
+    assert fastest < 10.0
 
 
 def test_a_divergence_ends_the_episode():
@@ -216,16 +218,16 @@ def test_a_divergence_ends_the_episode():
         steps += 1
         assert steps < 200, "nothing diverged"
     assert (terminated, truncated) == (True, False)
-    assert (
-        reward == 0.0
-        and info["diverged"] is True
-        and isinstance(info["cause"], str)
-        and info["cause"]
-    )
-    assert env.observation_space.contains(observation) and np.isfinite(observation).all()
+    assert reward == 0.0
+    assert info["diverged"] is True
+    assert isinstance(info["cause"], str)
+    assert info["cause"]
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(observation).all()
     assert all(np.isfinite(value) for value in info.values() if not isinstance(value, str))
     observation, info = env.reset()
-    assert info["diverged"] is False and "cause" not in info
+    assert info["diverged"] is False
+    assert "cause" not in info
 
 
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
@@ -240,17 +242,17 @@ def test_other_rows_go_on(mode, same):
         action[1] = rng.choice([-1.0, 1.0], 3)
         observation, reward, terminated, truncated, info = vector.step(action)
         expected = alone.step(action[2])
-        assert (
-            same(observation[2], expected[0])
-            and reward[2] == expected[1]
-            and not terminated[[0, 2]].any()
-            and not truncated.any()
-        )
+        assert same(observation[2], expected[0])
+        assert reward[2] == expected[1]
+        assert not terminated[[0, 2]].any()
+        assert not truncated.any()
         if terminated[1]:
             ends += 1
             final = info["final_info"] if mode == "same_step" else info
-            assert reward[1] == 0.0 and final["diverged"].tolist() == [False, True, False]
-            assert isinstance(final["cause"][1], str) and final["_cause"].tolist() == [
+            assert reward[1] == 0.0
+            assert final["diverged"].tolist() == [False, True, False]
+            assert isinstance(final["cause"][1], str)
+            assert final["_cause"].tolist() == [
                 False,
                 True,
                 False,
@@ -279,5 +281,8 @@ def test_an_episode_whose_tip_is_too_fast_ends_as_one_that_diverged():
     assert ended is None
     limit = 0.5 * (free[0] + max(free))
     found, reward, info = speeds(tip_speed_limit=limit)
-    assert found == free[: len(found)] and found[-1] > limit >= max(found[:-1])
-    assert reward == 0.0 and info["diverged"] and f"tip_speed_limit is {limit:g}" in info["cause"]
+    assert found == free[: len(found)]
+    assert found[-1] > limit >= max(found[:-1])
+    assert reward == 0.0
+    assert info["diverged"]
+    assert f"tip_speed_limit is {limit:g}" in info["cause"]

@@ -38,10 +38,11 @@ def test_episodes_begin_in_a_state_and_go_on_as_a_simulation_does(scene, same):
     first, _ = env.reset(seed=5, options={"state": state})
     found, _ = rows.reset(seed=4, options={"state": [None, state, None]})
     usual, _ = TipPoseEnv(scene=scene, fidelity="fast", action="tension").reset(seed=4)
-    assert same(found[1], first) and same(found[0], usual) and not same(found[2], found[1])
-    assert same([*vars(env.state).values()], [*vars(state).values()]) and same(
-        [*vars(rows.state[1]).values()], [*vars(state).values()]
-    )
+    assert same(found[1], first)
+    assert same(found[0], usual)
+    assert not same(found[2], found[1])
+    assert same([*vars(env.state).values()], [*vars(state).values()])
+    assert same([*vars(rows.state[1]).values()], [*vars(state).values()])
     simulation = Simulation(env.model, state)
     np.testing.assert_allclose(
         env.episodes.arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-12
@@ -87,12 +88,12 @@ def test_goals_and_targets_are_of_one_episode(same):
     ended = [
         rows.step(np.zeros((3, 3)))[0]["desired_goal"] for _ in range(2)
     ]  # the second resets, with usual goals
-    assert same(ended[0], some["desired_goal"]) and not (ended[1] == ended[0]).all(axis=1).any()
+    assert same(ended[0], some["desired_goal"])
+    assert not (ended[1] == ended[0]).all(axis=1).any()
     tip = TipPoseEnv(**SMALL)
     tip.reset(options={"goal": POSE})
-    assert (tip.episodes.target_pose[0] == POSE).all() and (
-        tip.target_at([3.0]).tip_pose == POSE
-    ).all()
+    assert (tip.episodes.target_pose[0] == POSE).all()
+    assert (tip.target_at([3.0]).tip_pose == POSE).all()
     tip.reset(seed=1, options={"target": "steps"})
     expected = TipPoseEnv(**SMALL, target="steps")
     expected.reset(seed=1)
@@ -181,7 +182,7 @@ def test_another_target_is_followed_from_now_on(same):
 
 
 @pytest.mark.parametrize(
-    "kind, target",
+    ("kind", "target"),
     [
         (TipPoseEnv, "hald"),
         (ShapeEnv, {"type": "circle"}),
@@ -196,11 +197,9 @@ def test_another_target_is_refused_as_one_of_the_start(kind, target, same):
         with pytest.raises(ConfigurationError) as caught:
             refuse()
         said.append(str(caught.value))
-    assert (
-        said[0] == said[1]
-        and same(env.step(np.zeros(3)), twin.step(np.zeros(3)))
-        and same(env.reset(), twin.reset())
-    )
+    assert said[0] == said[1]
+    assert same(env.step(np.zeros(3)), twin.step(np.zeros(3)))
+    assert same(env.reset(), twin.reset())
 
 
 REFUSED = [
@@ -273,7 +272,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("made, options, message", REFUSED)
+@pytest.mark.parametrize(("made", "options", "message"), REFUSED)
 def test_bad_options_are_refused_before_anything_changes(made, options, message, same):
     env, twin = (
         made(num_envs=2, **SMALL) if made is ReachVectorEnv else made(**SMALL) for _ in range(2)
@@ -284,9 +283,8 @@ def test_bad_options_are_refused_before_anything_changes(made, options, message,
         each.step(action)
     with pytest.raises((ValueError, TypeError), match=message):
         env.reset(seed=3, options=options)
-    assert same(env.step(action)[:3], twin.step(action)[:3]) and same(
-        env.reset()[0], twin.reset()[0]
-    )
+    assert same(env.step(action)[:3], twin.step(action)[:3])
+    assert same(env.reset()[0], twin.reset()[0])
 
 
 def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):

@@ -154,7 +154,7 @@ DIFFICULT = [
 ]
 
 
-@pytest.mark.parametrize("kind, difficulty, target, expected", DIFFICULT)
+@pytest.mark.parametrize(("kind", "difficulty", "target", "expected"), DIFFICULT)
 def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target, expected):
     if isinstance(expected, str):
         with pytest.raises(ConfigurationError, match=expected):
@@ -178,9 +178,8 @@ def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):
     middle = max(least, 0.0)
     for seed in range(5):
         u = course_of(env, seed)[1](np.linspace(0.0, 10.0, 201))
-        assert (u >= middle + 0.5 * (least - middle) - 1e-12).all() and (
-            u <= middle + 0.5 * (greatest - middle) + 1e-12
-        ).all()
+        assert (u >= middle + 0.5 * (least - middle) - 1e-12).all()
+        assert (u <= middle + 0.5 * (greatest - middle) + 1e-12).all()
         assert target != "random" or np.ptp(u, axis=0).min() > 0.1
 
 
@@ -219,7 +218,7 @@ hangs down."""
 
 
 @pytest.mark.parametrize(
-    "target, kind",
+    ("target", "kind"),
     [
         *(("random", kind) for kind in ("three_tendon", "loaded", "explicit", *LOADED)),
         ("ramp", "loaded"),
@@ -252,7 +251,7 @@ says of the limit."""
 
 
 @pytest.mark.parametrize(
-    "kind, target", [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")]
+    ("kind", "target"), [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")]
 )
 @pytest.mark.parametrize("where", UNHELD)
 def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, arms):
@@ -263,12 +262,14 @@ def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, a
     with pytest.raises(ConfigurationError) as caught:
         kind(**options, target={"type": target, "tension": tension})
     message = str(caught.value)
-    assert message.startswith("environment: target.tension is [") and "\n" not in message
-    assert "it should be tensions that the arm can hold, not [" in message and limit in message
+    assert message.startswith("environment: target.tension is [")
+    assert "\n" not in message
+    assert "it should be tensions that the arm can hold, not [" in message
+    assert limit in message
 
 
 @pytest.mark.parametrize(
-    "target, where",
+    ("target", "where"),
     [
         pytest.param(
             target,
@@ -298,7 +299,8 @@ def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arm
         )
         assert np.linalg.norm(moved, axis=1).max() > 1e-3 * env.model.length
         shown.append(list(env.target_at(times)))
-    assert same(shown[0], shown[2]) and not same(shown[0], shown[1])
+    assert same(shown[0], shown[2])
+    assert not same(shown[0], shown[1])
 
 
 HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -360,7 +362,7 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "row, said",
+    ("row", "said"),
     [
         ("1,250,100,50,1,0,0,0", "a pose 250 m from the base: it should lie within ±0.6 m"),
         ("0.5,0,0,0,1,0,0,0", "times that grow"),
@@ -398,9 +400,8 @@ def test_every_episode_draws_one_of_several_targets():
             )  # the rod has 0.3 m
     assert 10 < sum(kinds) < 30
     least, greatest = np.array([[0.1, 0.7, 0.0, 2.0], [0.2, 0.9, 45.0, 8.0]])
-    assert ((least <= found) & (found <= greatest)).all() and (
-        np.ptp(found, axis=0) > 0.5 * (greatest - least)
-    ).all()
+    assert ((least <= found) & (found <= greatest)).all()
+    assert (np.ptp(found, axis=0) > 0.5 * (greatest - least)).all()
     assert len(
         course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose
         if kinds[-1]
@@ -409,7 +410,7 @@ def test_every_episode_draws_one_of_several_targets():
 
 
 @pytest.mark.parametrize(
-    "target, said",
+    ("target", "said"),
     [
         ({"type": "either", "of": []}, r"target\.of"),
         ({"type": "either", "of": ["random", "orbit"]}, r"target\.of\[1\]\.type is 'orbit'"),

@@ -91,7 +91,8 @@ def compare(single, vector, seed, rows, mode, same, steps=40):
         expected, expected_info = next(alone[row])
         assert same(row_of(observation, row), expected)
         known = info_of(info, row)
-        assert known and same(known, {key: expected_info[key] for key in known})
+        assert known
+        assert same(known, {key: expected_info[key] for key in known})
     for action in actions:
         observation, reward, terminated, truncated, info = vector.step(action)
         for row in range(rows):
@@ -106,11 +107,11 @@ def compare(single, vector, seed, rows, mode, same, steps=40):
                 },
                 row,
             )
-            assert known.keys() >= {"diverged", "rejected_steps"} and same(
-                known, {key: expected[4][key] for key in known}
-            )
+            assert known.keys() >= {"diverged", "rejected_steps"}
+            assert same(known, {key: expected[4][key] for key in known})
             if expected[5] is not None:
-                assert info["_final_obs"][row] and same(info["final_obs"][row], expected[5])
+                assert info["_final_obs"][row]
+                assert same(info["final_obs"][row], expected[5])
                 assert same(info_of(info["final_info"], row), expected[6])
             else:
                 assert "_final_obs" not in info or not info["_final_obs"][row]
@@ -160,7 +161,7 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "given, message",
+    ("given", "message"),
     [
         ({"seed": -1}, "seed should be a whole number of at least 0, not -1"),
         ({"seed": 1.0}, f"{SEED} .*, not float"),
@@ -195,12 +196,11 @@ def test_bad_arguments_of_reset_are_refused_before_anything_changes(
         env.step(np.ones((2, 3)))
     with pytest.raises((ValueError, TypeError), match=f"^{message}"):
         vector.reset(**given)
-    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(
-        vector.reset(), twin.reset()
-    )
+    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3))))
+    assert same(vector.reset(), twin.reset())
 
 
-@pytest.mark.parametrize("rows, threads", [(None, None), (1, None), (32, 2)])
+@pytest.mark.parametrize(("rows", "threads"), [(None, None), (1, None), (32, 2)])
 def test_nothing_goes_on_after_close(rows, threads):
     """Whether there are threads or not; closing again is harmless."""
     env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
@@ -221,7 +221,7 @@ def test_nothing_goes_on_after_close(rows, threads):
 
 
 @pytest.mark.parametrize(
-    "key, value, said",
+    ("key", "value", "said"),
     [
         ("num_envs", 0, "num_envs"),
         ("max_episode_steps", 0, "max_episode_steps"),
@@ -240,6 +240,5 @@ def test_a_reset_erases_what_was(task, arms, everything, live, same):
     env = KINDS[task][0](**options)
     live(env, 1, 60, np.random.default_rng(0).choice([-1.0, 1.0], (60, 3)))
     fresh = KINDS[task][0](**options)
-    assert same(live(env, 2, 30), live(fresh, 2, 30)) and not same(
-        live(env, 3, 2), live(fresh, 4, 2)
-    )
+    assert same(live(env, 2, 30), live(fresh, 2, 30))
+    assert not same(live(env, 3, 2), live(fresh, 4, 2))

@@ -103,7 +103,8 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
 
 def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
     in_clone, notes = benchmark("ppo", scene="paper", regimes=("state",)).cells()
-    assert len({label.seed for label in in_clone}) == 5 and not notes
+    assert len({label.seed for label in in_clone}) == 5
+    assert not notes
     shipped = agent.trained_folder()
     shutil.copytree(shipped, tmp_path / "trained", ignore=shutil.ignore_patterns("seed_*"))
     monkeypatch.setattr(agent, "trained_folder", lambda: tmp_path / "trained")
@@ -121,7 +122,7 @@ def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "observed, regime, reason",
+    ("observed", "regime", "reason"),
     [
         *(
             ({"observation": ["tip_position", "coordinates"]}, regime, "it observes coordinates")
@@ -140,7 +141,7 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
 
 
 @pytest.mark.parametrize(
-    "given, text",
+    ("given", "text"),
     [
         (
             {"entrants": ({"policy": "predictive"},)},
@@ -168,7 +169,7 @@ def test_mistakes_name_what_is_allowed(given, text):
         Benchmark(**{**SHORT, "entrants": ({"policy": STILL},), **given}).cells()
 
 
-@pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("nominal", None)])
+@pytest.mark.parametrize(("setting", "effect"), [("water", "fluid"), ("nominal", None)])
 def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_told(setting, effect):
     """At the fidelity that they name; and are another policy only where there are such effects."""
     entrants = tuple(
@@ -184,9 +185,8 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
     for cell, believes in ((told, effects), (untold, [])):
         policy, envs = cell.open()
         believed, there = policy.estimator.model, episodes_of(envs).model
-        assert [*believed.scene.effects.chosen()] == believes and [
-            *there.scene.effects.chosen()
-        ] == effects
+        assert [*believed.scene.effects.chosen()] == believes
+        assert [*there.scene.effects.chosen()] == effects
         assert believed.coordinate_count < there.coordinate_count
     assert (told.key("code") == untold.key("code")) == (effect is None)
 
@@ -224,8 +224,10 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     )
     main(command)
     assert "4 cells, 0 of them to be played" in capsys.readouterr().out
-    assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
-    assert docs.read_text().startswith("before") and docs.read_text().endswith("after\n")
+    assert docs.with_suffix(".png").stat().st_size > 10_000
+    assert "(page.png)" in docs.read_text()
+    assert docs.read_text().startswith("before")
+    assert docs.read_text().endswith("after\n")
     rows = list(csv.DictReader((tmp_path / "out" / "arena.csv").open()))
     assert {row["policy"] for row in rows} == {"filtered:tracking@fast", STILL}
     assert all(float(row["position_error_rms"]) > 0 for row in rows)
@@ -236,7 +238,7 @@ def test_the_published_comparison_can_be_played(monkeypatch):
     monkeypatch.chdir(ROOT)
     published = Arena(**Arena.read_file({}))
     cells, notes = published.cells()
-    assert notes == [] and {label.policy for label in cells} == {
-        entrant.name for entrant in published.entrants
-    }
-    assert published.episodes == 100 and {cell.seconds for cell in cells.values()} == {4.0}
+    assert notes == []
+    assert {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
+    assert published.episodes == 100
+    assert {cell.seconds for cell in cells.values()} == {4.0}

@@ -39,9 +39,8 @@ def test_what_is_there_is_not_played_again_and_scores_survive_their_file(tmp_pat
         np.testing.assert_equal(
             less_time(whole.scores(label)), less_time(measure(whole.cells[label]))
         )
-    assert whole.scores("ill")[0].diverged and np.isnan(
-        whole.scores("ill")[0].errors["position_error"].rms
-    )
+    assert whole.scores("ill")[0].diverged
+    assert np.isnan(whole.scores("ill")[0].errors["position_error"].rms)
     for path in tmp_path.glob("*.json"):
         path.write_text("{}")
     with pytest.raises(ValueError, match="is no result of an experiment: take it away"):
@@ -83,9 +82,10 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
 
     save_scene(load_scene("three_tendon"), file)
     first = key()
-    assert key() == first and [
-        *experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})
-    ] == [str(file)]
+    assert key() == first
+    assert [*experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})] == [
+        str(file)
+    ]
     different = [
         key(policy="tracking"),
         key(task="Shape"),
@@ -113,11 +113,9 @@ def test_a_stamp_says_what_a_block_was_made_by(tmp_path, monkeypatch):
         (("own.py", "--write-docs"), "python own.py --write-docs"),
     ):
         made = Stamp.of(command)
-        assert (
-            made.command == line
-            and f"<!-- made {json.dumps(made._asdict())} -->" in made.text()
-            and f"`{line}`" in made.text()
-        )
+        assert made.command == line
+        assert f"<!-- made {json.dumps(made._asdict())} -->" in made.text()
+        assert f"`{line}`" in made.text()
 
 
 def test_a_page_keeps_what_stands_around_a_block(tmp_path):
@@ -125,9 +123,8 @@ def test_a_page_keeps_what_stands_around_a_block(tmp_path):
     path.write_text("before\n<!-- own -->\nold\n<!-- /own -->\nafter\n")
     Page(str(path), ["own"]).write("own", "| table |")
     text = path.read_text()
-    assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith(
-        "\n\n| table |\n<!-- /own -->\nafter\n"
-    )
+    assert text.startswith("before\n<!-- own -->\n<!-- made ")
+    assert text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
     assert "\nold\n" not in text
     with pytest.raises(
         ValueError, match="should have the lines <!-- other --> and <!-- /other -->"

@@ -51,7 +51,7 @@ def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
 
 
 @pytest.mark.parametrize(
-    "error, settled",
+    ("error", "settled"),
     [
         ((5.0, 5.0, 0.5, 0.4, 0.9), True),
         ((0.5, 5.0, 0.5, 0.4, 0.9), True),  # back outside: only the last time counts
@@ -68,14 +68,12 @@ def test_settled_is_to_stay_below_to_the_end_for_a_second(error, settled):
 
 def test_a_jump_in_the_last_step_is_nobodys_error():
     errors = (0.3, 0.005, 0.005, 0.005, 0.3)
-    assert (
-        score(episode(errors, jumped=True), skip=0.0).settled
-        and not score(episode(errors), skip=0.0).settled
-    )
+    assert score(episode(errors, jumped=True), skip=0.0).settled
+    assert not score(episode(errors), skip=0.0).settled
 
 
 @pytest.mark.parametrize(
-    "frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)]
+    ("frequency", "share"), [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)]
 )
 def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency, share):
     """Of a sine whose changes from step to step have a known amplitude; at the Nyquist frequency
@@ -93,7 +91,7 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
 
 
 @pytest.mark.parametrize(
-    "judge, said",
+    ("judge", "said"),
     [
         (
             lambda: score(episode(), skip=2.5),
@@ -130,9 +128,8 @@ def test_a_divergence_is_counted_and_stays_out_of_the_errors():
     assert summary.errors["position_error"].rms == pytest.approx(0.2)
     assert summary.mean_return == pytest.approx(0.25), "of both: no reward follows a divergence"
     none_lived = summarise([score(died, skip=0.0)])
-    assert math.isnan(none_lived.errors["position_error"].rms) and math.isnan(
-        none_lived.metrics["effort"]
-    )
+    assert math.isnan(none_lived.errors["position_error"].rms)
+    assert math.isnan(none_lived.metrics["effort"])
 
 
 def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
@@ -152,10 +149,8 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     )
     shaken = judged(2e-3, fast)
     found = shaken.metrics["chatter"]
-    assert (
-        found == pytest.approx(0.5, rel=1e-3)
-        and tracking_cost([shaken]) == 2e-3 + summaries.CHATTER_COST * found
-    )
+    assert found == pytest.approx(0.5, rel=1e-3)
+    assert tracking_cost([shaken]) == 2e-3 + summaries.CHATTER_COST * found
 
 
 def standing(values, shared=False):
@@ -202,10 +197,8 @@ def test_comparisons_are_made_episode_by_episode():
     one, other = standing([(0.9 * hard).tolist()]), standing([hard.tolist()])
     found = difference(one, other, KEY)
     assert one.mean(KEY).high > other.mean(KEY).low
-    assert (
-        found.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value)
-        and found.low < found.value < found.high < 0.0
-    )
+    assert found.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value)
+    assert found.low < found.value < found.high < 0.0
 
 
 def test_policies_that_differ_by_chance_alone_are_not_separated():
@@ -214,12 +207,12 @@ def test_policies_that_differ_by_chance_alone_are_not_separated():
         standing([[5.0, 5.1, 4.9, 5.0]]),
         standing([[None] * 4]),
     )
-    assert difference(near, far, KEY).high < 0.0 and difference(far, far, KEY) == (0.0, 0.0, 0.0)
+    assert difference(near, far, KEY).high < 0.0
+    assert difference(far, far, KEY) == (0.0, 0.0, 0.0)
     by_chance = difference(standing([[1.0, 5.0, 3.0]]), standing([[5.0, 1.0, 3.0]]), KEY)
     assert by_chance.low < 0.0 < by_chance.high
-    assert (
-        difference(near, lost, KEY).high == -math.inf and difference(lost, far, KEY).low == math.inf
-    )
+    assert difference(near, lost, KEY).high == -math.inf
+    assert difference(lost, far, KEY).low == math.inf
     assert math.isnan(difference(lost, lost, KEY).value)
 
 
@@ -241,7 +234,7 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
 
 
 @pytest.mark.parametrize(
-    "values, tails",
+    ("values", "tails"),
     [
         ([[3.0] * 6, [3.0] * 3 + [70.0] * 3], (19.75, 70.0)),  # whose interquartile mean is 3
         (np.arange(11.0), (5.0, 9.0)),
@@ -259,7 +252,8 @@ def test_a_run_without_a_number_is_the_worst():
     assert interquartile_mean([1.0, math.nan, 2.0, 4.0]) == 3.0, "1 is cut, and what has no number"
     assert math.isnan(interquartile_mean([1.0, math.nan])), "nothing is cut of two"
     low, high = bootstrap_interval([1.0, math.nan])
-    assert low == 1.0 and math.isnan(high)
+    assert low == 1.0
+    assert math.isnan(high)
 
 
 def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(monkeypatch, tmp_path):
@@ -276,19 +270,16 @@ def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(mon
     monkeypatch.setitem(METRICS, "farthest", Metric("farthest [mm]", far, 1e3))
     known, none = ([score(episode(seed=seed, period=0.02), skip=0.0)] for seed in (7, 0))
     assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
-    assert (
-        math.isnan(Standing([known * 3 + none]).mean("farthest").high)
-        and Standing([known * 3 + none]).mean("farthest").value == 0.3
-    )
+    assert math.isnan(Standing([known * 3 + none]).mean("farthest").high)
+    assert Standing([known * 3 + none]).mean("farthest").value == 0.3
     died = [score(episode(cause="too fast"), skip=0.0)]
     found = {
         (name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))
     }
     write_csv(tmp_path / "found.csv", records(found))
     rows = [*csv.DictReader((tmp_path / "found.csv").open())]
-    assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"] and [
-        row["chatter_mean"] for row in rows
-    ] == ["", "", "inf"]
+    assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"]
+    assert [row["chatter_mean"] for row in rows] == ["", "", "inf"]
 
 
 def test_seeds_and_episodes_are_drawn_apart(monkeypatch):

@@ -74,7 +74,8 @@ def test_paths_are_those_of_tips_and_target_across_the_base(known, axes):
     for name, off in [("target", 0.0), *OFF.items()]:
         np.testing.assert_allclose(paths[name], circle(RADIUS + off)[:, 1:3, 3], atol=1e-12)
     left, right = axes.get_xlim()
-    assert left < -RADIUS and RADIUS < right < RADIUS + OFF["paper"], "a path far off is cut"
+    assert left < -RADIUS, "a path far off is cut"
+    assert RADIUS < right < RADIUS + OFF["paper"], "a path far off is cut"
 
 
 def test_lines_get_thinner_one_upon_the_other_and_lost_ones_are_thinnest(known):
@@ -91,7 +92,8 @@ def test_the_arm_is_drawn_from_its_first_sample_to_its_last(known, axes):
     overview.draw_arm(axes, known, styles(OFF))
     rods = [line for line in axes.lines if line.get_color() == styles(OFF)["agent"].rgb]
     opacities = [line.get_alpha() for line in rods]
-    assert len(rods) == overview.SHAPES and opacities == sorted(opacities)
+    assert len(rods) == overview.SHAPES
+    assert opacities == sorted(opacities)
 
 
 def test_errors_over_time_are_in_millimetres_and_seconds(known, axes):
@@ -112,4 +114,5 @@ def test_numbers_stand_as_they_came(known, axes):
 def test_the_picture_is_upright_and_of_the_width_of_a_phone_times_three(known, tmp_path):
     overview.draw_overview(known, tmp_path / "demo.png")
     height, width = imread(tmp_path / "demo.png").shape[:2]
-    assert 1000 < width < 1200 and 1.3 < height / width < 1.6
+    assert 1000 < width < 1200
+    assert 1.3 < height / width < 1.6

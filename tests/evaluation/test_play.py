@@ -51,7 +51,8 @@ def test_a_constant_pull_is_scored_as_it_acts():
         STEPS,
         None,
         None,
-    ) and found.action_time > 0.0
+    )
+    assert found.action_time > 0.0
 
 
 def make_rows(task="TipPose", rows=3, **options):
@@ -81,7 +82,8 @@ def test_rows_live_through_the_episodes_of_single_environments(task):
             np.testing.assert_array_equal(getattr(one, name), getattr(row, name))
         distance = np.linalg.norm(one.target_position - one.tip_position, axis=1)
         np.testing.assert_allclose(distance, one.errors["position_error"], atol=1e-12)
-        assert len(row.seconds) == STEPS and (row.seconds > 0.0).all()
+        assert len(row.seconds) == STEPS
+        assert (row.seconds > 0.0).all()
 
 
 def test_a_row_that_diverges_ends_alone():
@@ -95,11 +97,12 @@ def test_a_row_that_diverges_ends_alone():
 
     scores = evaluate_rows(Pushes(), env, [0, 1, 2], skip=0.0)
     assert [score.diverged is None for score in scores] == [True, False, True]
-    assert scores[1].steps < 10 and scores[0].steps == scores[2].steps == 10
+    assert scores[1].steps < 10
+    assert scores[0].steps == scores[2].steps == 10
 
 
 @pytest.mark.parametrize(
-    "play_on, make_env, seeds, error, said",
+    ("play_on", "make_env", "seeds", "error", "said"),
     [
         (evaluate_rows, make_rows, [0, 1], ValueError, "one for each of the 3 rows, not 2"),
         (
@@ -148,10 +151,8 @@ def test_a_seed_has_the_same_target_whatever_the_arm_has(error):
 def test_an_arm_has_several_model_errors_at_once():
     several = "stiffness+20%,payload-20g,latency-20ms"
     assert model_error(several).randomize == {"stiffness": 1.2, "payload": 0.02, "latency": 0.02}
-    assert (
-        model_error("nominal").randomize == {}
-        and model_error("nominal,noise").randomize == MODEL_ERRORS["noise"].randomize
-    )
+    assert model_error("nominal").randomize == {}
+    assert model_error("nominal,noise").randomize == MODEL_ERRORS["noise"].randomize
     with pytest.raises(
         ValueError,
         match="names 'stiffness-20%,noise,stiffness[+]20%', in which stiffness is said twice",
@@ -163,7 +164,7 @@ def test_an_arm_has_several_model_errors_at_once():
 
 @pytest.mark.parametrize("rows", [False, True])
 @pytest.mark.parametrize(
-    "target, jumped",
+    ("target", "jumped"),
     [({"type": "steps", "duration": 0.08}, True), ("random", False), ("hold", False)],
 )
 def test_a_jump_in_the_last_step_is_that_of_the_target(target, jumped, rows):
@@ -176,7 +177,7 @@ def test_a_jump_in_the_last_step_is_that_of_the_target(target, jumped, rows):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "task, name, fidelity, bounds",
+    ("task", "name", "fidelity", "bounds"),
     [
         ("TipPose", "predictive", None, {"position_error": 2e-4, "angle_error": 0.1 * DEGREE}),
         ("TipPose", "tracking", None, {"position_error": 1e-3, "angle_error": 0.3 * DEGREE}),

@@ -52,7 +52,7 @@ def numbers(element, name):
     return np.array(element.attrib[name].split(), dtype=float)
 
 
-@pytest.mark.parametrize("name, changes", ARMS)
+@pytest.mark.parametrize(("name", "changes"), ARMS)
 def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name, changes):
     scene, model = load_scene(name).replace(changes), build(name, changes)
     chain.mujoco_chain(scene, 15).write(tmp_path / "arm.xml")
@@ -84,10 +84,8 @@ def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name
             )
         assert total == pytest.approx(length, rel=1e-3)
     for motor, tendon in zip(root.iter("motor"), scene.tendons, strict=True):
-        assert (
-            tuple(numbers(motor, "ctrlrange")) == tendon.tension_limits
-            and motor.attrib["gear"] == "-1"
-        )
+        assert tuple(numbers(motor, "ctrlrange")) == tendon.tension_limits
+        assert motor.attrib["gear"] == "-1"
 
 
 def test_what_a_chain_cannot_have_is_named_and_rigid_strains_have_no_joint():
@@ -100,17 +98,15 @@ def test_what_a_chain_cannot_have_is_named_and_rigid_strains_have_no_joint():
     )
     kept, left = chain.exportable(scene)
     assert left == ["fluid", "tendon_friction", "force and moment of tip_load", "quasi_static"]
-    assert (
-        {*kept.effects.chosen()} == {"gravity", "tip_load"}
-        and not kept.effects.tip_load.acts
-        and kept.effects.payload[3] == 0.1
-    )
+    assert {*kept.effects.chosen()} == {"gravity", "tip_load"}
+    assert not kept.effects.tip_load.acts
+    assert kept.effects.payload[3] == 0.1
     joints = [joint.attrib["name"] for joint in chain.mujoco_chain(scene, 2).iter("joint")]
     assert sorted(joints) == ["bend_y_0", "bend_y_1", "stretch_0", "stretch_1"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, changes", ARMS)
+@pytest.mark.parametrize(("name", "changes"), ARMS)
 def test_tips_converge_with_the_square_of_the_number_of_links(tmp_path, monkeypatch, name, changes):
     pytest.importorskip("mujoco")
     monkeypatch.setattr(chain, "SETS", 6)
@@ -120,4 +116,5 @@ def test_tips_converge_with_the_square_of_the_number_of_links(tmp_path, monkeypa
         rest, motion, _ = chain.compare(tmp_path / "arm.xml", scene)
         found.append((rest.mean(), motion))
     (coarse, _), (fine, motion) = found
-    assert fine < coarse / 2.5 and max(fine, motion) < 0.01 * rod_length(scene)
+    assert fine < coarse / 2.5
+    assert max(fine, motion) < 0.01 * rod_length(scene)

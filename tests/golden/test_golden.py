@@ -33,7 +33,8 @@ MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
 
 
 @pytest.mark.parametrize(
-    "part, scene", [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS]
+    ("part", "scene"),
+    [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS],
 )
 def test_numbers_are_those_of_before(part, scene):
     beginning = f"{part}/{scene} " if scene else f"{part}/"

@@ -60,7 +60,9 @@ def test_rod_of_many_turns(one_segment, measured, turns):
     tension = [1.0, 0.5, 0.0]
     motion = ste.simulate(model, tension, 30.0, 0.01)
     rest = static_equilibrium(model, tension)
-    assert rest.converged and np.isfinite(motion.q).all() and np.abs(motion.q).max() < 2.0
+    assert rest.converged
+    assert np.isfinite(motion.q).all()
+    assert np.abs(motion.q).max() < 2.0
     assert np.abs(motion.q[-1] - rest.q).max() < 0.01
 
 
@@ -75,7 +77,8 @@ def test_arm_that_curls_by_more_than_a_turn(build, measured, one_pulled, tension
     arc_length, xi = model.strain(rest.q)
     turned = np.rad2deg(xi[:, 2].mean() * model.length)
     measured("turned [deg]", turned)
-    assert rest.converged and turned > 32 * tension
+    assert rest.converged
+    assert turned > 32 * tension
     motion = ste.simulate(model, u, 10.0, 0.01)
     assert np.abs(motion.tip_pose[-1] - rest.tip_pose).max() < 1e-9
     assert np.abs(finer.tip_pose(rest.q) - rest.tip_pose).max() < 1e-9
@@ -98,6 +101,7 @@ def test_straight_rod_at_rest(measured):
         assert all(np.isfinite(term).all() for term in terms), name
         assert np.linalg.eigvalsh(terms.mass)[0] > 0, name
         motion = ste.simulate(model, np.zeros(model.tendon_count), 0.2, 0.02)
-        assert not motion.q.any() and not motion.q_dot.any(), name
+        assert not motion.q.any(), name
+        assert not motion.q_dot.any(), name
         measured("tip off the axis [m]", np.abs(motion.tip_pose[-1, 1:3, 3]).max())
         assert np.abs(motion.tip_pose[-1, :3, 3] - [model.length, 0, 0]).max() < 1e-15, name

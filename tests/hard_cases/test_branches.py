@@ -39,7 +39,9 @@ def test_payloads_that_fold_the_arm(build, measured, tip_distance, name, payload
         *dice.uniform(0.0, 0.5 * np.minimum(greatest, 20.0), (12, greatest.size)),
     ]:
         found = ste.static_equilibrium(model, u)
-        assert found.converged and found.stable and found.load == 1.0, found.reason
+        assert found.converged, found.reason
+        assert found.stable, found.reason
+        assert found.load == 1.0, found.reason
         q, reached = random_scenes.slow_loading(model, u, move=0.02)
         assert reached == 1.0
         distance = tip_distance(found.tip_pose, model.tip_pose(q))
@@ -68,7 +70,8 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
             measured("load reached / Greenhill's", found.load * factor)
             assert found.load * factor == pytest.approx(1.0, abs=0.01)
             settled = ste.static_equilibrium(model, np.zeros(3), settle=True)
-            assert settled.converged and settled.stable, settled.reason
+            assert settled.converged, settled.reason
+            assert settled.stable, settled.reason
             assert settled.tip_pose[0, 3] < 0.999
             straight = 0.0 * settled.q
             assert model.energy(settled.q, straight).total < model.energy(straight, straight).total

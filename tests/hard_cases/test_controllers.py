@@ -38,4 +38,5 @@ def test_target_with_a_twist_of_its_own(build, random_state, monkeypatch, measur
                 np.linalg.norm(tracking.act(now).tension - expected) / np.linalg.norm(expected)
             )
         measured("off (39) at 0.1 microseconds", off[-1])
-        assert off[-1] < 1e-3 and off[-1] < 0.2 * off[0] + 1e-5
+        assert off[-1] < 1e-3
+        assert off[-1] < 0.2 * off[0] + 1e-5

@@ -40,9 +40,8 @@ def test_four_tendons_make_three_coordinates(build, measured):
                 measured("asymmetry [m]", misfit)
                 assert misfit < 1e-9
         together = ste.simulate(model, np.full(4, value), 1.0, 0.05)
-        assert (
-            np.abs(together.tip_pose[:, 1:3, 3]).max() < 1e-9 and together.tip_pose[-1, 0, 3] < 0.25
-        )
+        assert np.abs(together.tip_pose[:, 1:3, 3]).max() < 1e-9
+        assert together.tip_pose[-1, 0, 3] < 0.25
 
 
 def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
@@ -58,7 +57,8 @@ def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
     full = build("four_tendon", {"strain": {"type": "explicit", "modes": [modes]}})
     for tension in ([3, 3, 3, 3], [10, 0, 0, 0], [10, 3, 2, 7], [10, 10, 0, 0]):
         few, many = static_equilibrium(model, tension), static_equilibrium(full, tension)
-        assert few.converged and many.converged
+        assert few.converged
+        assert many.converged
         measured("tip distance [mm]", 1e3 * tip_distance(few.tip_pose, many.tip_pose))
         assert tip_distance(few.tip_pose, many.tip_pose) < 1e-9
 
@@ -71,7 +71,8 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
     rest = static_equilibrium(model, [20.0])
     motion = ste.simulate(model, [20.0], 80.0, 0.1)
     measured("motion to statics [m]", tip_distance(motion.tip_pose[-1], rest.tip_pose))
-    assert rest.converged and tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-5
+    assert rest.converged
+    assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-5
     assert np.abs(motion.tip_pose[:, 2, 3]).max() < 1e-12
 
 
@@ -96,8 +97,11 @@ def test_thirty_tendons(one_segment, measured, value):
     motion = ste.simulate(model, u, 2.0, 0.01)
     measured("coordinates", model.coordinate_count)
     measured("q / norm of tensions", np.abs(motion.q).max() / np.linalg.norm(u))
-    assert 12 < model.coordinate_count < 30 and rest.converged and rest.residual < 1e-9
-    assert np.isfinite(motion.tip_pose).all() and np.abs(motion.q).max() < 3 * np.linalg.norm(u)
+    assert 12 < model.coordinate_count < 30
+    assert rest.converged
+    assert rest.residual < 1e-9
+    assert np.isfinite(motion.tip_pose).all()
+    assert np.abs(motion.q).max() < 3 * np.linalg.norm(u)
 
 
 def test_no_tendon(build, measured):
@@ -129,14 +133,11 @@ def test_catheter(build, measured, one_pulled, tip_distance, tension, step):
     measured(
         "statics to the arc, part of the length", np.abs(rest.tip_pose[:3, 3] - arc).max() / 0.2
     )
-    assert rest.converged and np.abs(rest.tip_pose[:3, 3] - arc).max() < 0.2 * (
-        1e-5 + 4e-4 * 0.2 * k
-    )
+    assert rest.converged
+    assert np.abs(rest.tip_pose[:3, 3] - arc).max() < 0.2 * (1e-5 + 4e-4 * 0.2 * k)
     motion = ste.simulate(model, u, 4.0, 0.01)
-    assert (
-        np.abs(motion.q).max() < 1.5 * tension
-        and tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
-    )
+    assert np.abs(motion.q).max() < 1.5 * tension
+    assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
 
 
 @pytest.mark.parametrize("angle", [0.01, 1.0, 3.0])
@@ -156,7 +157,8 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
     rest = static_equilibrium(model, u)
     misfit = np.linalg.norm(rest.tip_pose[:3, 3] - arc) / length
     measured("statics to the arc, part of the length", misfit)
-    assert rest.converged and misfit < (1e-3 if shape == "slender" else 0.2)
+    assert rest.converged
+    assert misfit < (1e-3 if shape == "slender" else 0.2)
     motion = ste.simulate(model, u, 20.0, 0.05)
     assert np.abs(motion.q).max() < 2 * u[0]
     if shape == "stubby":
@@ -173,11 +175,9 @@ def test_a_hundred_times_the_damping(build, measured, step):
     u[[0, 4]] = 50.0, 30.0
     motion = ste.simulate(model, u, 200.0, 1.0)
     measured("overshoot [N]", np.abs(motion.q).max() - 50.0)
-    assert (
-        np.abs(motion.q).max() < 50.0 + 1e-6
-        and motion.rejected == 0
-        and np.abs(motion.q[-1] - u).max() < 1e-6
-    )
+    assert np.abs(motion.q).max() < 50.0 + 1e-6
+    assert motion.rejected == 0
+    assert np.abs(motion.q[-1] - u).max() < 1e-6
 
 
 @pytest.mark.filterwarnings("ignore:.*coordinates are too many")
@@ -193,7 +193,8 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
     model = one_segment(tendons=tendons, changes={"integrator.step": step})
     for u in ([50.0, 0, 0, 0], [0, 50.0, 0, 0], [50.0, 50.0, 50.0, 50.0]):
         rest = static_equilibrium(model, u)
-        assert rest.converged and np.abs(rest.q - u).max() < 1e-6
+        assert rest.converged
+        assert np.abs(rest.q - u).max() < 1e-6
         motion = ste.simulate(model, u, 2.0, 0.01)
         measured("q / tension", np.abs(motion.q).max() / 50.0)
         assert np.abs(motion.q).max() < 100.0
@@ -252,7 +253,8 @@ def test_density_ratio_of_a_hundred(straight_tendons, measured, tip_distance, de
     model, fine = (ste.build_model(scene.replace({"integrator.step": h})) for h in (step, 0.0005))
     motion, finer = (ste.simulate(m, [10.0, 0.0, 3.0], 1.0, 0.05) for m in (model, fine))
     measured("to steps of 0.5 ms [mm]", 1e3 * tip_distance(motion.tip_pose, finer.tip_pose))
-    assert np.abs(motion.q).max() < 20.0 and tip_distance(motion.tip_pose, finer.tip_pose) < 0.02
+    assert np.abs(motion.q).max() < 20.0
+    assert tip_distance(motion.tip_pose, finer.tip_pose) < 0.02
 
 
 @pytest.fixture(scope="module")
@@ -294,18 +296,18 @@ def test_column_under_its_own_weight(column, measured, part):
         static_equilibrium(model, slack, settle=True),
     )
     measured("load reached / Greenhill's", loaded.load / min(part, 1.0))
-    assert (
-        loaded.converged == (part > 1)
-        and loaded.load == pytest.approx(min(part, 1.0), rel=0.01)
-        and settled.converged
-    )
+    assert loaded.converged == (part > 1)
+    assert loaded.load == pytest.approx(min(part, 1.0), rel=0.01)
+    assert settled.converged
     straight = static_equilibrium(model, slack, loaded.q)
     stiffness = (
         Balance(model, slack, make_workspace(model.arm)).linearise(straight.q, 1.0).stiffness
     )
     least = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0]
-    assert straight.converged and straight.stable == (part > 1)
-    assert np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9 and (least > 0) == (part > 1)
+    assert straight.converged
+    assert straight.stable == (part > 1)
+    assert np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9
+    assert (least > 0) == (part > 1)
     motion = ste.simulate(model, [0.05, 0.0, 0.0], 0.1, 0.1)
     motion = ste.simulate(model, slack, 200.0, 1.0, initial=motion.final)
     q = motion.final.q
@@ -318,7 +320,8 @@ def test_column_under_its_own_weight(column, measured, part):
         np.linalg.norm(motion.tip_pose[-1, 1:3, 3]) / 0.5,
     )
     scale = np.sqrt(np.pi * 0.01**2 * 0.5 * 1000.0 * 9.81 * 0.5)
-    assert np.isfinite(motion.tip_pose).all() and unbalanced < 0.01 * scale
+    assert np.isfinite(motion.tip_pose).all()
+    assert unbalanced < 0.01 * scale
     assert (np.linalg.norm(motion.tip_pose[-1, 1:3, 3]) > 0.1) == (part < 1)  # it falls to any side
     off_axis = [np.linalg.norm(pose[1:3, 3]) for pose in (motion.tip_pose[-1], settled.tip_pose)]
     assert off_axis[0] == pytest.approx(off_axis[1], rel=0.01, abs=1e-3)

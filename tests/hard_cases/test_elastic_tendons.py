@@ -77,7 +77,9 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
             slack += int((tension == 0.0).sum())
             measured("moves at the end [mm]", moves)
             measured("from the statics, part of the length", apart)
-            assert found.converged and moves < 1e-6 and apart < 1e-6, (name, stiffness, step)
+            assert found.converged, (name, stiffness, step)
+            assert moves < 1e-6, (name, stiffness, step)
+            assert apart < 1e-6, (name, stiffness, step)
     assert slack > 3
 
 

@@ -34,7 +34,8 @@ def refused(call, kinds=(ValueError, OSError)):
         call()
     told, message = time.process_time(), str(caught.value)
     assert told - built < MOST * (built - begun)
-    assert "\n" not in message and len(message) < 600
+    assert "\n" not in message
+    assert len(message) < 600
 
 
 BASE = {
@@ -136,10 +137,12 @@ def test_numbers_that_no_arm_has(measured):
                 try:
                     found = scene.replace({key: size})
                 except ConfigurationError as error:
-                    assert "\n" not in str(error) and len(str(error)) < 600, (key, size, str(error))
+                    assert "\n" not in str(error), (key, size, str(error))
+                    assert len(str(error)) < 600, (key, size, str(error))
                     count += 1
                 else:
-                    assert abs(size) <= 1e20 and found != scene, (key, size)
+                    assert abs(size) <= 1e20, (key, size)
+                    assert found != scene, (key, size)
     assert {key.split(".")[1] for key in keys if key.startswith("effects")} == {
         key.split(".")[1] for key in BASE if "effects" in key
     }
@@ -193,7 +196,7 @@ BEYOND = {
 }
 
 
-@pytest.mark.parametrize("changes, message", BEYOND.values(), ids=BEYOND)
+@pytest.mark.parametrize(("changes", "message"), BEYOND.values(), ids=BEYOND)
 def test_more_than_can_be_computed(changes, message):
     """Steps of a nanosecond, 10^9 Hz, 10^15 turns, tensions that grow by exp(300): hours, gigabytes
     or overflow. Expected: soon one line with the number and what is allowed."""
@@ -271,11 +274,9 @@ def test_friction_of_any_angle(measured):
                 abs(np.log(let_out[-1]) / angle[-1] - 1.0) if size > 1e-3 else 0.0,
             )
             worst[name] = np.maximum(worst.get(name, 0.0), off)
-    assert (
-        max(worst["straight"]) < 1e-6
-        and max(worst["converging"]) < 4e-3
-        and max(worst["six turns"]) < 0.02
-    )
+    assert max(worst["straight"]) < 1e-6
+    assert max(worst["converging"]) < 4e-3
+    assert max(worst["six turns"]) < 0.02
     for name, (share, growth) in worst.items():
         measured(f"{name}: share", share)
         measured(f"{name}: growth", growth)

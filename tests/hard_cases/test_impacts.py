@@ -301,7 +301,8 @@ def test_two_hundred_throws_and_shots(measured):
             torn += 1
     measured("diverged", torn)
     assert torn <= 1
-    assert np.quantile(apart, 0.5) < 1e-3 and np.quantile(apart, 0.95) < 0.02
+    assert np.quantile(apart, 0.5) < 1e-3
+    assert np.quantile(apart, 0.95) < 0.02
 
 
 @pytest.mark.slow
@@ -349,7 +350,7 @@ BOUNCES = [
 ]
 
 
-@pytest.mark.parametrize("scene, fidelity, kind, speed, more", BOUNCES)
+@pytest.mark.parametrize(("scene", "fidelity", "kind", "speed", "more"), BOUNCES)
 def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, speed, more):
     """Impacts of soft arms, with the steps of the scene and of 0.025 ms, which half as long ones
     agree with within 0.1 mm. Expected: after 60 ms within 2 mm of each other, at speeds that differ

@@ -31,7 +31,11 @@ def test_abrupt_tension(build, measured, scene, step):
     for value in (80.0, 100.0, 120.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
-            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (
+            assert np.isfinite(motion.q).all(), (
+                which,
+                value,
+            )
+            assert np.isfinite(motion.tip_pose).all(), (
                 which,
                 value,
             )
@@ -55,9 +59,11 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
         for which in (0, 3, 5, 8, "all"):
             try:
                 motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
-                assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all()
+                assert np.isfinite(motion.q).all()
+                assert np.isfinite(motion.tip_pose).all()
             except ste.SimulationDiverged as error:
-                assert np.isfinite(error.state.q).all() and error.cause
+                assert np.isfinite(error.state.q).all()
+                assert error.cause
                 failed += 1
     measured("diverged, of 10", failed)
     assert failed > 0, "the raw coordinates do not run away any more: this case has lost its point"
@@ -81,12 +87,14 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
     measured("10 ms, 4 columns [mm]", 1e3 * errors[2])
     measured("1 ms, 2 columns [mm]", 1e3 * tip_distance(tip("paper moments 0-2", 0.001, 2), exact))
     measured("19 to 48 DOF [mm]", 1e3 * tip_distance(exact, full))
-    assert errors[0] < 0.2 and errors[2] < 2e-3 and errors[2] < errors[1] < errors[0]
+    assert errors[0] < 0.2
+    assert errors[2] < 2e-3
+    assert errors[2] < errors[1] < errors[0]
     assert tip_distance(tip("paper moments 0-2", 0.001, 2), exact) < 0.1 * errors[0]
     assert tip_distance(exact, full) < 0.35
 
 
-@pytest.mark.parametrize("step, most_rejected", [(0.01, 0.01), (0.02, 0.3)])
+@pytest.mark.parametrize(("step", "most_rejected"), [(0.01, 0.01), (0.02, 0.3)])
 @pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", SCENES)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
@@ -99,18 +107,14 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
     for hold in (0.01, 0.02):
         tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
         motion = ste.simulate(model, tensions, 60.0, hold)
-        assert (
-            np.isfinite(motion.q).all()
-            and np.isfinite(motion.q_dot).all()
-            and np.isfinite(motion.tip_pose).all()
-        )
+        assert np.isfinite(motion.q).all()
+        assert np.isfinite(motion.q_dot).all()
+        assert np.isfinite(motion.tip_pose).all()
         measured("q_a / 150 N", np.abs(motion.q[:, :10]).max() / 150.0)
         measured("rejected steps", motion.rejected)
         assert np.abs(motion.q[:, :10]).max() < (BOUND if step == 0.01 else 2.0) * 150.0
-        assert (
-            motion.steps >= 60.0 / max(step, hold)
-            and motion.rejected < most_rejected * motion.steps
-        )
+        assert motion.steps >= 60.0 / max(step, hold)
+        assert motion.rejected < most_rejected * motion.steps
         after = ste.simulate(model, np.zeros(10), 20.0, 0.1, initial=motion.final)
         assert np.abs(after.q[-1]).max() < 1.0
 
@@ -150,7 +154,8 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
     measured("error at 50 ms [mm]", 1e3 * errors[0])
     measured("error at 10 ms [mm]", 1e3 * errors[2])
     measured("error at 1 ms [mm]", 1e3 * errors[5])
-    assert np.isfinite(errors).all() and (np.diff(errors) < 0).all(), errors
+    assert np.isfinite(errors).all(), errors
+    assert (np.diff(errors) < 0).all(), errors
     assert errors[0] < 0.12
 
 
@@ -171,7 +176,8 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
     measured("tip error at 1e-6 [mm]", 1e3 * distances[1])
     measured("steps at 1e-6", motion.steps)
     measured("rejected at 1e-6", motion.rejected)
-    assert distances[1] < 2e-5 and distances[1] < distances[0] < 2e-3
+    assert distances[1] < 2e-5
+    assert distances[1] < distances[0] < 2e-3
     assert 0 < motion.rejected < motion.steps
 
 
@@ -186,7 +192,11 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.02)
-            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (
+            assert np.isfinite(motion.q).all(), (
+                which,
+                value,
+            )
+            assert np.isfinite(motion.tip_pose).all(), (
                 which,
                 value,
             )
@@ -203,7 +213,8 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
     )
     measured("q_a / tension", greatest)
     measured("evaluations per 20 ms", evaluations / 250)
-    assert greatest < BOUND and still.evaluations == 2 * still.steps == 20
+    assert greatest < BOUND
+    assert still.evaluations == 2 * still.steps == 20
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
@@ -215,7 +226,8 @@ def test_order_control_under_random_tensions(build, measured, tolerance):
     motion = ste.simulate(model, tensions, 20.0, 0.02)
     measured("evaluations per 20 ms", motion.evaluations / 1000)
     measured("rejected steps", motion.rejected)
-    assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all()
+    assert np.isfinite(motion.q).all()
+    assert np.isfinite(motion.tip_pose).all()
 
 
 @pytest.mark.parametrize("which", [0, 3, 5, "all"])

@@ -73,4 +73,5 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers)
         farthest, count = max(farthest, float(distance)), count + 1
     measured("scenes", count)
     measured("tip to equilibrium [lengths]", farthest)
-    assert count > 0.2 * len(numbers) and farthest < 1e-5
+    assert count > 0.2 * len(numbers)
+    assert farthest < 1e-5

@@ -41,10 +41,12 @@ def test_saved_state_continues(build, tmp_path, setting):
         first.step(row, 0.0137)
     first.state.save(tmp_path / "state.npz")
     second = ste.Simulation(model, ste.State.load(tmp_path / "state.npz"))
-    assert same_state(first.state, second.state) and np.array_equal(first.tip_pose, second.tip_pose)
+    assert same_state(first.state, second.state)
+    assert np.array_equal(first.tip_pose, second.tip_pose)
     for row in tensions[10:]:
         assert first.step(row, 0.0137) == second.step(row, 0.0137)
-    assert same_state(first.state, second.state) and np.array_equal(first.tip_pose, second.tip_pose)
+    assert same_state(first.state, second.state)
+    assert np.array_equal(first.tip_pose, second.tip_pose)
 
 
 @pytest.mark.parametrize("setting", ["fixed steps", "order control"])
@@ -110,7 +112,8 @@ def test_failed_step_leaves_the_last_good_state(build):
     with pytest.raises(ste.SimulationDiverged) as caught:
         for _ in range(100):
             simulation.step(np.where(np.arange(10) == 0, 270.0, 0.0), 0.05)
-    assert same_state(simulation.state, caught.value.state) and 0 < caught.value.state.time < 5
+    assert same_state(simulation.state, caught.value.state)
+    assert 0 < caught.value.state.time < 5
     simulation.reset(0.5 * caught.value.state.q)
     simulation.step(np.full(10, 5.0), 0.05)
     assert np.isfinite(simulation.state.q).all()

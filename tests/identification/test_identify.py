@@ -35,13 +35,13 @@ def found(arm, holds, placed):
 def test_the_truth_is_within_the_intervals_and_held_out_data_are_met_as_well(found, truth):
     spread = found.intervals
     for low, high, true in zip(spread.low, spread.high, truth.values(), strict=True):
-        assert low <= true <= high and high - low < 0.1 * true
-    assert (
-        found.errors[0] < 5e-4
-        and found.errors[1] < 5e-4
-        and found.before[1] > 5.0 * found.errors[1]
-    )
-    assert spread.identified.all() and not found.findings
+        assert low <= true <= high
+        assert high - low < 0.1 * true
+    assert found.errors[0] < 5e-4
+    assert found.errors[1] < 5e-4
+    assert found.before[1] > 5.0 * found.errors[1]
+    assert spread.identified.all()
+    assert not found.findings
     assert found.scene.segments[0].young_modulus == pytest.approx(found.value[0])
 
 
@@ -96,9 +96,8 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
 
 def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
     found = identify(arm, holds, placed, [E], fidelity="scene", held_out=holds, fit_to=6)
-    assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)] and len(
-        found.error_held_out
-    ) == 16
+    assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)]
+    assert len(found.error_held_out) == 16
 
 
 def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_told(
@@ -135,12 +134,13 @@ def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_to
     monkeypatch.setattr("soft_tendon_env.identification.fit.PROGRESS", 0.0)
     exact = fit(readings)
     deviation = np.sqrt(np.diag(np.linalg.inv(exact.information)))
-    assert (
-        found.converged and exact.converged and (np.abs(found.x - exact.x) < 0.1 * deviation).all()
-    )
+    assert found.converged
+    assert exact.converged
+    assert (np.abs(found.x - exact.x) < 0.1 * deviation).all()
     monkeypatch.setattr("soft_tendon_env.identification.fit.MOST_TRIALS", 3)
     stopped = fit(readings)
-    assert not stopped.converged and "did not converge" in findings(stopped, [], readings, None)[0]
+    assert not stopped.converged
+    assert "did not converge" in findings(stopped, [], readings, None)[0]
 
 
 @pytest.mark.slow
@@ -154,15 +154,13 @@ def test_the_tip_of_a_measured_arm_of_three_segments_is_met(tmp_path):
     asked, most = example["STEPS"]["8 parameters"]
     scene = load_scene(tmp_path / "three_segment.toml")
     found = identify(scene, data, tmp_path / "markers.toml", asked, fit_to=most, fidelity="scene")
-    assert (
-        len(found.value) == 8
-        and found.errors[1] < 5e-3 < 7e-3 < found.before[1]
-        and found.intervals.identified.all()
-    )
+    assert len(found.value) == 8
+    assert found.errors[1] < 5e-3 < 7e-3 < found.before[1]
+    assert found.intervals.identified.all()
 
 
 @pytest.mark.parametrize(
-    "parameters, words",
+    ("parameters", "words"),
     [
         pytest.param(
             [E, RHO, "commands.*.gain"],
@@ -184,10 +182,8 @@ def test_parameters_that_the_data_do_not_contain_are_named(arm, holds, placed, p
     )
     assert all(word in text for word in words), text
     assert found.intervals.identified[:2].all() == ("commands.*.gain" not in parameters)
-    assert (
-        not found.intervals.identified[2:].any()
-        and np.isfinite([found.intervals.low, found.intervals.high]).all()
-    )
+    assert not found.intervals.identified[2:].any()
+    assert np.isfinite([found.intervals.low, found.intervals.high]).all()
 
 
 def test_a_forgotten_payload_is_told_by_the_residuals(arm, record, placed, tensions, truth):
@@ -202,10 +198,8 @@ def test_outliers_are_named(arm, holds, placed, tmp_path):
     (tmp_path / "holds.csv").write_text("\n".join(map(",".join, rows)))
     found = identify(arm, tmp_path / "holds.csv", placed, [E, RHO], fidelity="scene", held_out=0)
     (text,) = found.findings
-    assert (
-        "1 of the markers' positions stand out, above all middle in 'holds5'" in text
-        and "leave their cells empty" in text
-    )
+    assert "1 of the markers' positions stand out, above all middle in 'holds5'" in text
+    assert "leave their cells empty" in text
 
 
 def test_fewer_data_than_parameters_are_told(arm, record, placed, truth):
@@ -240,16 +234,16 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     main([str(argument) for argument in ["identify", tmp_path / "arm.toml", holds, *options]])
     printed, numbers = capsys.readouterr().out, json.loads((out / "estimate.json").read_text())
     modulus = numbers["parameters"][E]
-    assert (
-        modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"]
-        and modulus["low"] <= modulus["value"] <= modulus["high"]
-    )
+    assert modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"]
+    assert modulus["low"] <= modulus["value"] <= modulus["high"]
     assert numbers["error_mm"]["held_out"]["mean"] < 0.5
-    assert list(numbers["data"]) == ["holds.csv"] and "soft_tendon_env" in numbers["versions"]
+    assert list(numbers["data"]) == ["holds.csv"]
+    assert "soft_tendon_env" in numbers["versions"]
     assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(
         modulus["value"]
     )
-    assert f"# | {E} " in (out / "scene.toml").read_text() and E in printed
+    assert f"# | {E} " in (out / "scene.toml").read_text()
+    assert E in printed
     assert numbers["error_mm"]["fit"]["each"].keys() | numbers["error_mm"]["held_out"][
         "each"
     ].keys() == {f"holds{i}" for i in range(16)}
@@ -264,21 +258,18 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(
     found = identify(
         arm, turned, placed, [E, RHO, "segments.*.damping", "base"], fidelity="scene", held_out=0
     )
-    assert (
-        found.errors[0] < 5e-4
-        and np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
-    )
-    assert (
-        np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3
-        and found.markers.frame == placed.frame
-    )
+    assert found.errors[0] < 5e-4
+    assert np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
+    assert np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3
+    assert found.markers.frame == placed.frame
     save_estimate(found, tmp_path)
     scene = load_scene(tmp_path / "scene.toml")
     again = identify(scene, turned, tmp_path / "markers.toml", [E], fidelity="scene", held_out=0)
     assert again.before[0] == pytest.approx(found.errors[0], rel=1e-6)
     table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
     drawn = {f"base.{name}.{axis}" for name in base for axis in range(3)}
-    assert table.keys() == {E, RHO, *drawn} and table[E][0] < found.value[0] < table[E][1]
+    assert table.keys() == {E, RHO, *drawn}
+    assert table[E][0] < found.value[0] < table[E][1]
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
@@ -347,9 +338,8 @@ def test_damping_lag_delay_and_friction_are_found_from_steps(moving, steps, robo
     found = identify(moving, steps, placed, asked, fidelity="scene", held_out=0)
     truth = [robot["segments.0.damping"], LAG, DELAY, FRICTION]
     assert found.value == pytest.approx(truth, rel=0.05)
-    assert (
-        (found.intervals.low <= truth) & (truth <= found.intervals.high)
-    ).all() and not found.findings
+    assert ((found.intervals.low <= truth) & (truth <= found.intervals.high)).all()
+    assert not found.findings
     assert found.scene.effects.actuators.delay == pytest.approx(found.value[2])
     table = randomize(found)
     assert table["latency"] == [

@@ -19,12 +19,11 @@ from soft_tendon_env.scene.file import load_scene
 def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_many(placed):
     scene = load_scene("two_segment_six")
     E, *offsets = read_parameters(["segments.*.young_modulus", "markers.*.offset"], scene, placed)
-    assert (
-        E.of_scene.keys == ("segments.0.young_modulus", "segments.1.young_modulus")
-        and E.is_factor
-        and E.prior is None
-    )
-    assert len(offsets) == 9 and (offsets[1].name, offsets[1].value) == (
+    assert E.of_scene.keys == ("segments.0.young_modulus", "segments.1.young_modulus")
+    assert E.is_factor
+    assert E.prior is None
+    assert len(offsets) == 9
+    assert (offsets[1].name, offsets[1].value) == (
         "markers.base.offset.1",
         0.012,
     )
@@ -43,7 +42,8 @@ def test_entries_of_a_list_change_together_and_angles_by_differences(placed):
         "effects.tendon_elasticity.slack.0",
         "effects.tendon_elasticity.slack.2",
     )
-    assert not angle.is_factor and (angle.low, angle.high) == (-20.0, 40.0)
+    assert not angle.is_factor
+    assert (angle.low, angle.high) == (-20.0, 40.0)
 
 
 def test_bounds_stop_where_the_scene_does(arm, placed):
@@ -56,7 +56,7 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
 
 
 @pytest.mark.parametrize(
-    "asked, message",
+    ("asked", "message"),
     [
         ("segments.0,7.density", "segments.7.density is no number of the scene"),
         (
@@ -113,7 +113,7 @@ def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
 
 
 @pytest.mark.parametrize(
-    "changes, moves",
+    ("changes", "moves"),
     [
         ({}, False),
         ({"effects.contact.obstacles": [{"type": "plane", "position": [0, 0, -0.1]}]}, True),
@@ -143,9 +143,8 @@ def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():
         ({}, "base.position.2", 3.75e-3),
     ):
         (parameter,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
-        assert parameter.prior == pytest.approx(
-            prior
-        ) and parameter.high - parameter.value == pytest.approx(5.0 * prior)
+        assert parameter.prior == pytest.approx(prior)
+        assert parameter.high - parameter.value == pytest.approx(5.0 * prior)
 
 
 def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environments_make_them_of(
@@ -180,6 +179,7 @@ def test_a_parameter_itself_says_what_it_moves_whatever_its_name(arm, placed):
     assert plants.moves_arm == [True, False, True]
     measurement = plants.measurement(np.array([0.0, 1.0, np.log(1.2)]))
     moved = measurement.offsets - placed.offsets
-    assert moved[2, 1] == pytest.approx(offset.prior) and np.count_nonzero(moved) == 1
+    assert moved[2, 1] == pytest.approx(offset.prior)
+    assert np.count_nonzero(moved) == 1
     assert np.allclose(measurement.gain, [1.0, 1.2, 1.0])
     assert np.array_equal(measurement.position, arm.base.position)

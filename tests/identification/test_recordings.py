@@ -22,9 +22,8 @@ MARKERS = MarkerSet(markers={"m": Marker(arc_length=0.3)})
 
 def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     found = read_recordings([holds], arm, placed)
-    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"] and not any(
-        recording.period for recording in found
-    )
+    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"]
+    assert not any(recording.period for recording in found)
     assert np.allclose([recording.command[0] for recording in found], tensions)
     assert all(
         np.linalg.norm(recording.positions[0], axis=1) @ [1, 0, 0]
@@ -35,7 +34,7 @@ def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("text", "message"),
     [
         (
             "[markers.a]\narc_length = 0.9",
@@ -67,19 +66,19 @@ def test_bad_markers_are_told(arm, tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ConfigurationError) as raised:
         load_markers(path, arm)
-    assert message in str(raised.value) and str(path) in str(raised.value)
+    assert message in str(raised.value)
+    assert str(path) in str(raised.value)
 
 
 def test_a_share_or_a_column_is_held_out(arm, holds, placed):
     found = read_recordings([holds], arm, placed)
-    assert [len(part) for part in split(found)] == [12, 4] and [
-        len(part) for part in split(found, "0")
-    ] == [16, 0]
+    assert [len(part) for part in split(found)] == [12, 4]
+    assert [len(part) for part in split(found, "0")] == [16, 0]
     assert len(split(found, "tension_0")[1]) == 10
 
 
 @pytest.mark.parametrize(
-    "held_out, message",
+    ("held_out", "message"),
     [
         ("-1", "a share from 0"),
         ("weight", "no column of that name with numbers"),
@@ -101,7 +100,7 @@ def recordings_of(*commands, period=0.0):
 
 
 @pytest.mark.parametrize(
-    "commands, groups",
+    ("commands", "groups"),
     [
         ([[1.0, 0.0], [1.004, 0.001], [2.0, 0.0], [0.996, 0.0], [1.0, 0.1]], [0, 0, 1, 0, 2]),
         ([[0.001, 0.0], [0.00101, 0.0], [0.002, 0.0], [0.0, 0.002]], [0, 0, 1, 2]),
@@ -114,7 +113,7 @@ def test_repeats_of_the_same_commands_are_found(commands, groups):
     assert same_commands(recordings_of(*commands)).tolist() == groups
 
 
-@pytest.mark.parametrize("share, count", [("0.25", 4), ("0.5", 8)])
+@pytest.mark.parametrize(("share", "count"), [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
     tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
     parts = split(
@@ -124,7 +123,8 @@ def test_repeats_stay_together_when_some_are_held_out(share, count):
         share,
     )
     seen, unseen = ({int(one.name) % 4 for one in part} for part in parts)
-    assert len(parts[1]) == count and not seen & unseen
+    assert len(parts[1]) == count
+    assert not seen & unseen
 
 
 def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):
@@ -183,7 +183,7 @@ def test_dialects_give_the_same_numbers(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "columns, factors, header",
+    ("columns", "factors", "header"),
     [
         (
             {"m_*": {"unit": "mm"}, "tension_*": {"unit": "g"}},
@@ -247,14 +247,14 @@ def test_rows_of_servos_in_mm_with_labels_are_holds_in_groups(tmp_path):
     assert [one.name for one in found[:2]] == [
         "1778538602.500000",
         "1778538603.100000",
-    ] and not any(one.period for one in found)
+    ]
+    assert not any(one.period for one in found)
     np.testing.assert_allclose(
         [one.command[0] for one in found], 1e-3 * np.outer(range(6), [2.0, 1.0, 0.5]), rtol=1e-12
     )
     np.testing.assert_allclose(found[3].positions[0, 0], [0.296, 0.003, -0.0025], rtol=1e-12)
-    assert clusters(found).tolist() == [0, 0, 1, 1, 2, 2] and [
-        len(part) for part in split(found, "0.34")
-    ] == [4, 2]
+    assert clusters(found).tolist() == [0, 0, 1, 1, 2, 2]
+    assert [len(part) for part in split(found, "0.34")] == [4, 2]
 
 
 def motion(times, tensions=None):
@@ -275,7 +275,7 @@ def motion(times, tensions=None):
 
 
 @pytest.mark.parametrize(
-    "content, message",
+    ("content", "message"),
     [
         (
             table(";", header=[*HEADER[:-1], "z"]),
@@ -340,11 +340,12 @@ def motion(times, tensions=None):
 def test_what_cannot_be_read_is_told_with_its_place(tmp_path, content, message):
     with pytest.raises(ValueError) as raised:
         read(tmp_path, content)
-    assert message in str(raised.value) and "\n" not in str(raised.value)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    "period, begin, unit",
+    ("period", "begin", "unit"),
     [
         (0.01, 1.7634e9, "s"),
         (20.0, 1.7634e12, "ms"),
@@ -370,4 +371,5 @@ def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
 @pytest.mark.parametrize("text", ["nan", "NaN", "", "NA", "null", "None", "0"])
 def test_cells_without_a_number_are_markers_that_were_not_seen(tmp_path, text):
     found = read(tmp_path, table().replace("0.251,-0.08,0.06", ",".join([text] * 3)))
-    assert np.isnan(found[1].positions).all() and np.isfinite(found[2].positions).all()
+    assert np.isnan(found[1].positions).all()
+    assert np.isfinite(found[2].positions).all()

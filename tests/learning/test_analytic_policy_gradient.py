@@ -49,10 +49,13 @@ def test_errors_fall():
     agent = APG("MlpPolicy", envs(rows=16, **options), learning_rate=2e-3, **SMALL)
     before = error_of(agent, options)
     agent.learn(25_000)
-    assert agent.num_timesteps >= 25_000 and error_of(agent, options) < before / 3.0
+    assert agent.num_timesteps >= 25_000
+    assert error_of(agent, options) < before / 3.0
 
 
-@pytest.mark.parametrize("task, policy", [("TipPose", "MlpPolicy"), ("Reach", "MultiInputPolicy")])
+@pytest.mark.parametrize(
+    ("task", "policy"), [("TipPose", "MlpPolicy"), ("Reach", "MultiInputPolicy")]
+)
 def test_observations_are_normalised_as_vec_normalize_does(task, policy):
     env = VecNormalize(
         envs(task, 4, observation="measurable", sensors=1, history=1),
@@ -81,7 +84,8 @@ def test_a_policy_remembers_from_one_window_to_the_next_and_forgets_at_resets():
     agent = APG(
         "MlpPolicy", env, settings=APGSettings(n_steps=8, max_row_gradient=2.0), **small
     ).learn(32)
-    assert (agent._memory != 0.0).any(dim=1).all() and not agent._memory.requires_grad
+    assert (agent._memory != 0.0).any(dim=1).all()
+    assert not agent._memory.requires_grad
     agent.learn(32, reset_num_timesteps=False)
     assert not agent._memory.any(), "all episodes have timed out"
 
@@ -143,9 +147,8 @@ def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
     np.testing.assert_allclose(clipped[2], [2.4, 3.2])
     np.testing.assert_array_equal(clipped[[0, 1, 3, 4]], gradient[[0, 1, 3, 4]])
     few = torch.tensor([[0.0], [0.0], [5.0]])
-    assert torch.equal(clip_rows(few, 2.0), few) and torch.equal(
-        clip_rows(gradient, np.inf), gradient
-    )
+    assert torch.equal(clip_rows(few, 2.0), few)
+    assert torch.equal(clip_rows(gradient, np.inf), gradient)
 
 
 def error_of(agent, options):
@@ -186,9 +189,8 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
         )
 
     assert of(0.0, 0.0, 0.5) == pytest.approx(0.5)
-    assert of(1e-5, 0.0, 0.0) == pytest.approx(0.5 * 1e-6, rel=0.05) and of(
-        0.0, 1e-3, 0.0
-    ) == pytest.approx(0.5e-4, rel=1e-2)
+    assert of(1e-5, 0.0, 0.0) == pytest.approx(0.5 * 1e-6, rel=0.05)
+    assert of(0.0, 1e-3, 0.0) == pytest.approx(0.5e-4, rel=1e-2)
     assert of(10.0, 0.0, 0.0) == pytest.approx(np.log(1000.0), rel=1e-4)
 
 

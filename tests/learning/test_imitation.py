@@ -42,7 +42,8 @@ def errors_of_the_teacher(task, steps=120, **options):
     teacher = imitation.Teacher(episodes, 0.2)
     for _ in range(steps):
         actions = teacher.actions()
-        assert actions.shape == (4, 3) and (np.abs(actions) <= 1.0).all()
+        assert actions.shape == (4, 3)
+        assert (np.abs(actions) <= 1.0).all()
         envs.step(actions)
         errors.append(next(iter(episodes.errors.values())).copy())
     return np.array(errors) / episodes.model.length

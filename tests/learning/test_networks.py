@@ -89,7 +89,7 @@ def one_row(rows, number):
 
 
 @pytest.mark.parametrize("space", [OBSERVED, GOALS], ids=["Box", "Dict"])
-@pytest.mark.parametrize("algorithm, arguments", CASES)
+@pytest.mark.parametrize(("algorithm", "arguments"), CASES)
 def test_actions_are_those_of_the_trained_network(tmp_path, algorithm, arguments, space):
     if space is GOALS and algorithm == "CrossQ":
         pytest.skip("sb3-contrib has no CrossQ with tables of observations")
@@ -102,7 +102,8 @@ def test_actions_are_those_of_the_trained_network(tmp_path, algorithm, arguments
         expected, expected_state = trained.predict(rows, expected_state, start, deterministic=True)
         actions, state = acting.predict(rows, state, start)
         np.testing.assert_allclose(actions, expected, atol=1e-5)
-        assert actions.dtype == np.float32 and np.ptp(actions, axis=0).min() > 0.1
+        assert actions.dtype == np.float32
+        assert np.ptp(actions, axis=0).min() > 0.1
         start = np.arange(COUNT) % 5 == 0
     alone = one_row(rows, 7)
     expected, _ = trained.predict(alone, None, np.ones(1, dtype=bool), deterministic=True)
@@ -150,7 +151,7 @@ def test_a_registered_algorithm_acts_by_the_policies_that_it_has(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "given, text",
+    ("given", "text"),
     [
         (np.zeros((4, 19)), r"observation has the shape \(4, 19\): it should be \(20,\), or rows"),
         ((np.zeros(20), {}), "observation is a tuple: `reset` returns an observation and its info"),

@@ -50,7 +50,7 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    ("changes", "said"),
     [
         ({"algorithm": "SAC", "hyperparameters": {}}, "algorithm has no counterpart"),
         ({"normalise": {"observations": True}}, r"normalise\.observations has no counterpart"),
@@ -107,7 +107,7 @@ def test_runners_have_the_rows_of_one_environment_each_its_own(training):
 @pytest.mark.filterwarnings(
     "ignore:.*Overriding environment rllib"
 )  # of RLlib, which registers one per training of a process
-@pytest.mark.parametrize("task, runners", [("TipPose", 2), ("Reach", 0)])
+@pytest.mark.parametrize(("task", "runners"), [("TipPose", 2), ("Reach", 0)])
 def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(
     running, training, tmp_path, task, runners
 ):
@@ -119,7 +119,8 @@ def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(
         assert (config["engine"], config["runners"]) == (
             "rllib",
             runners,
-        ) and "weights.npz" in config["files"]
+        )
+        assert "weights.npz" in config["files"]
         assert (tmp_path / name / "rllib").is_dir() == (name == "last"), (
             "which a training goes on from"
         )

@@ -65,7 +65,8 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
         ), "or what a teacher said"
         found = json.loads((tmp_path / name / "config.json").read_text())
         assert name == "last" or found["evaluated"]["steps"] == found["steps_done"]
-        assert found["algorithm"] == chosen.algorithm and found["record"]["versions"]["torch"]
+        assert found["algorithm"] == chosen.algorithm
+        assert found["record"]["versions"]["torch"]
     path = str(tmp_path / "last")
     env = gym.make(IDS[chosen.task], max_episode_steps=20, **policy_options(path, chosen.task, {}))
     summary = summarise(
@@ -81,9 +82,8 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
     env = train.make_training_env(training(arms=10, seconds=0.4))
     env.reset()
     ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
-    assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, (
-        "one of ten every two of twenty steps"
-    )
+    assert ends[:20] == [1, 0] * 10, "one of ten every two of twenty steps"
+    assert ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
 
 
 def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment(training):
@@ -93,9 +93,8 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
         for done in (0, 1_000_000, 2_999_990)
     ]
     seeds = {first + arm for first in parts for arm in range(64)}
-    assert len(seeds) == 64 * len(parts) and all(seed in SEEDS["training"] for seed in seeds), (
-        "no two purposes share any"
-    )
+    assert len(seeds) == 64 * len(parts), "no two purposes share any"
+    assert all(seed in SEEDS["training"] for seed in seeds), "no two purposes share any"
     model = train.make_model(training(seed=3))
     model.learn(64)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
@@ -169,10 +168,8 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     more = config.read_training(path, [f"steps={done + 128}"])
     train.train(more, out, train.checkpoint_to_resume(out, more, resume=True))
     rows = [row["steps"] for row in curve(out)]
-    assert (
-        rows == sorted(set(rows))
-        and rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
-    )
+    assert rows == sorted(set(rows))
+    assert rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
 
 
 def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
@@ -213,7 +210,8 @@ def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_p
     assert checkpoints.find_checkpoint(tmp_path / "last") is None, "killed while it was written"
     (tmp_path / "last.old").mkdir()
     train.train(more, tmp_path, train.checkpoint_to_resume(tmp_path, more, resume=True))
-    assert json.loads(path.read_text()) == unbeatable and curve(tmp_path)[-1]["steps"] == 512
+    assert json.loads(path.read_text()) == unbeatable
+    assert curve(tmp_path)[-1]["steps"] == 512
 
 
 def hyperparameters(**given):
@@ -221,7 +219,7 @@ def hyperparameters(**given):
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    ("changes", "said"),
     [
         ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
         (
@@ -262,11 +260,12 @@ def hyperparameters(**given):
 def test_mistakes_in_a_file_are_named(training, changes, said):
     with pytest.raises(ConfigurationError) as error:
         training(**changes)
-    assert str(error.value).startswith("file: ") and said in str(error.value)
+    assert str(error.value).startswith("file: ")
+    assert said in str(error.value)
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    ("changes", "said"),
     [
         (
             hyperparameters(n_steps=10**15),
@@ -324,9 +323,8 @@ def test_arguments_go_before_the_file(table, tmp_path):
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem
-    assert path.read_text().splitlines()[0].endswith(
-        f"soft-tendon train {path.stem}"
-    ) and path.stem.startswith(chosen.algorithm.lower())
+    assert path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
+    assert path.stem.startswith(chosen.algorithm.lower())
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], (
         "or arms that whirl would change what all others see"
     )

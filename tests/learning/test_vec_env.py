@@ -33,7 +33,7 @@ IN_TIME, TERMINATED = (False, True), (True, False)
 
 
 @pytest.mark.parametrize(
-    "id, options, ends",
+    ("id", "options", "ends"),
     [
         (TIP_POSE, {"max_episode_steps": 7, **FAST}, {IN_TIME}),
         (SHAPE, {"max_episode_steps": 7, **FAST}, {IN_TIME}),
@@ -70,14 +70,15 @@ def test_what_the_rows_share():
     observation = env.reset()
     goals = observation["achieved_goal"], observation["desired_goal"]
     (reward,) = env.env_method("compute_reward", *goals, [{}] * 3, indices=[0])
-    assert reward.shape == (3,) and (reward > 0).all()
+    assert reward.shape == (3,)
+    assert (reward > 0).all()
     assert len(env.env_method("compute_reward", *goals, None)) == 3
-    assert (
-        env.get_attr("render_mode") == [None] * 3 and len(env.get_attr("episodes", indices=1)) == 1
-    )
+    assert env.get_attr("render_mode") == [None] * 3
+    assert len(env.get_attr("episodes", indices=1)) == 1
     assert env.get_attr("observation_space", [0, 2]) == [env.observation_space] * 2
     assert env.get_attr("action_space", 0) == [env.action_space]
-    assert env.has_attr("compute_reward") and not env.has_attr("nothing")
+    assert env.has_attr("compute_reward")
+    assert not env.has_attr("nothing")
     assert not make_sb3_vec_env(TIP_POSE, 1, **FAST).has_attr(
         "compute_reward"
     )  # else it would pass for goal-conditioned
@@ -87,9 +88,8 @@ def test_what_the_rows_share():
         env.set_attr("label", 4, indices=[0, 1])
     with pytest.raises(ValueError, match="'reset' acts on all rows"):
         env.env_method("reset", indices=0)
-    assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(
-        gym.wrappers.TimeLimit, 0
-    ) == [False]
+    assert env.env_is_wrapped(Monitor) == [True] * 3
+    assert env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
     assert env.spec.id == REACH
     env.close()
 

@@ -87,7 +87,7 @@ def assert_close(found, expected, tolerance=1e-5):
 
 
 @pytest.mark.parametrize(
-    "name, changes",
+    ("name", "changes"),
     [
         ("three_tendon", {}),
         ("three_tendon", {**LOADED, "effects.disturbance.loads": [PUSH]}),
@@ -144,7 +144,7 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
 
 
 @pytest.mark.parametrize(
-    "changes, key, message",
+    ("changes", "key", "message"),
     [
         ({}, "quadrature.intervals", "quadrature.intervals is no number of the scene"),
         (

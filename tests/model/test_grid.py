@@ -25,17 +25,17 @@ def grid_of(name, intervals):
     return scene, make_grid(scene, intervals)
 
 
-@pytest.mark.parametrize("intervals", (1, 2, 3, 6))
+@pytest.mark.parametrize("intervals", [1, 2, 3, 6])
 @pytest.mark.parametrize("name", scene_names())
 def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     scene, grid = grid_of(name, intervals)
     start, end = grid.start[grid.real], (grid.start + grid.length)[grid.real]
-    assert start[0] == 0 and grid.start.size % LANES == 0
+    assert start[0] == 0
+    assert grid.start.size % LANES == 0
     np.testing.assert_allclose(start[1:], end[:-1], rtol=1e-15)
     np.testing.assert_allclose(end[-1], rod_length(scene), rtol=1e-15)
-    assert not grid.length[~grid.real].any() and grid.real.sum() == intervals * (
-        grid.breakpoints.size - 1
-    )
+    assert not grid.length[~grid.real].any()
+    assert grid.real.sum() == intervals * (grid.breakpoints.size - 1)
     for border in grid.breakpoints:
         assert not ((start < border - 1e-12) & (end > border + 1e-12)).any()
     assert (
@@ -68,8 +68,8 @@ def test_helical_tendons_turn_by_the_curvature_of_a_helix_over_their_own_length(
     assert turn[straight].max() < 0.1
 
 
-@pytest.mark.parametrize("name", ("paper", "three_tendon"))
-@pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
+@pytest.mark.parametrize("name", ["paper", "three_tendon"])
+@pytest.mark.parametrize("lead", [(), (3,), (2, 3)])
 def test_packed_and_unpacked_are_inverse(name, lead):
     """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get
     the last point's."""
@@ -102,7 +102,7 @@ def passive_fields(strain, grid):
 
 
 @pytest.mark.parametrize(
-    ("order", "span", "count"), ((0, "piece", 6), (2, "rod", 9), (3, "rod", 12))
+    ("order", "span", "count"), [(0, "piece", 6), (2, "rod", 9), (3, "rod", 12)]
 )
 def test_orthogonal_passive_fields(order, span, count):
     """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
@@ -130,9 +130,8 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
     strain = make_strain(scene, grid, at_points(scene, grid))
     assert strain.size == 4
     field = passive_fields(strain, grid)[0][grid.real]
-    assert (
-        field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
-    )
+    assert field[..., 0].all()
+    assert np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
 
 
 def test_mode_fields_are_legendre_polynomials_on_their_span():

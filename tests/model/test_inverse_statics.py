@@ -34,8 +34,10 @@ def circle(angle):
 def test_the_circle_needs_pushes(paper, angle):
     pose, pushing = circle(angle), paper.scene.replace({"tendons.*.tension_limits": [-20.0, 20.0]})
     either = tension_for_tip_pose(paper.with_scene(pushing), pose)
-    assert either.reachable and either.reason == ""
-    assert either.position_error < 1e-8 and either.angle_error < 1e-8
+    assert either.reachable
+    assert either.reason == ""
+    assert either.position_error < 1e-8
+    assert either.angle_error < 1e-8
     assert np.abs(either.tension).max() < 6.0
     assert either.tension.min() < -1.0
     pulls = tension_for_tip_pose(paper, pose)
@@ -56,7 +58,8 @@ def test_round_trip(name):
         assert found.reachable
         np.testing.assert_allclose(found.tip_pose, wanted.tip_pose, atol=1e-6)
         assert np.linalg.norm(found.tension) <= np.linalg.norm(u) + 1e-6
-        assert (found.tension >= least).all() and (found.tension <= greatest).all()
+        assert (found.tension >= least).all()
+        assert (found.tension <= greatest).all()
         np.testing.assert_array_equal(found.q, static_equilibrium(model, found.tension).q)
 
 
@@ -66,8 +69,10 @@ def test_what_is_out_of_reach_is_approached():
     )
     for target in ([0.6, 0.0, 0.0], [0.0, 0.5, 0.2]):
         found = tension_for_tip_position(model, target)
-        assert not found.reachable and "m and" in found.reason
-        assert (found.tension >= 0.0).all() and (found.tension <= 2.0).all()
+        assert not found.reachable
+        assert "m and" in found.reason
+        assert (found.tension >= 0.0).all()
+        assert (found.tension <= 2.0).all()
         grid = np.stack(np.meshgrid(*[np.linspace(0.0, 2.0, 7)] * 3), axis=-1).reshape(-1, 3)
         tips = np.array([static_equilibrium(model, u).tip_pose[:3, 3] for u in grid])
         assert found.position_error <= np.linalg.norm(tips - target, axis=1).min() + 1e-5
@@ -87,12 +92,13 @@ def test_a_start_next_to_the_strain_limit_is_answered():
         )
     for start in (below, below - 1e-7):
         found = tension_for_tip_position(model, [0.2, 0.1, 0.0], start=[start, 0.0, 0.0])
-        assert not found.reachable and "the nearest tip found is" in found.reason
+        assert not found.reachable
+        assert "the nearest tip found is" in found.reason
         np.testing.assert_allclose(found.tension, [start, 0.0, 0.0], atol=1e-8)
 
 
 @pytest.mark.parametrize(
-    "pose, options, message",
+    ("pose", "options", "message"),
     [
         (np.diag([1.0, 1.0, 1.1, 1.0]), {}, "pose should be a rigid transform"),
         (np.eye(4), {"start": np.zeros(9)}, r"start should have shape \(10,\)"),

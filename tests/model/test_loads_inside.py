@@ -26,7 +26,8 @@ def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
         for case in reference("statics")
         if any(case["gravity"]) or any(case["tip_wrench_world"])
     ]
-    assert len(cases) == 5 and any(any(case["tip_wrench_world"][:3]) for case in cases)
+    assert len(cases) == 5
+    assert any(any(case["tip_wrench_world"][:3]) for case in cases)
     for case in cases[loaded]:
         changes = {**INSIDE, "quadrature.intervals": 48}
         changes |= {"effects.gravity.acceleration": case["gravity"]} if any(case["gravity"]) else {}
@@ -37,7 +38,9 @@ def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
                 "effects.tip_load.force": force.tolist(),
             }
         found = static_equilibrium(build("paper", changes), case["tension"])
-        assert found.converged and found.stable and found.residual < 1e-14
+        assert found.converged
+        assert found.stable
+        assert found.residual < 1e-14
         np.testing.assert_array_equal(found.q, case["tension"])
         np.testing.assert_allclose(found.tip_pose[:3, 3], case["tip_position"], atol=1e-6)
         np.testing.assert_allclose(found.tip_pose[:3, :3], case["tip_rotation"], atol=2e-6)
@@ -59,13 +62,17 @@ def test_tensions_that_buckle_a_loaded_arm_are_told(build):
     and many coordinates go."""
     model = build("three_tendon", {**INSIDE, **HELD_STRAIGHT})
     found = static_equilibrium(model, BENT)
-    assert not found.converged and "buckles" in found.reason and found.stable
+    assert not found.converged
+    assert "buckles" in found.reason
+    assert found.stable
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 5, "span": "rod"}]
     outside = static_equilibrium(
         build("three_tendon", {**HELD_STRAIGHT, "strain.passive": passive}), BENT
     )
     full = static_equilibrium(model, 0.99 * found.load * BENT)
-    assert full.converged and full.stable and not outside.converged
+    assert full.converged
+    assert full.stable
+    assert not outside.converged
     with pytest.raises(
         StrainLimitError,
         match="no strain balances these coordinates and loads beyond .* the arm buckles",

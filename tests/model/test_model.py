@@ -50,7 +50,9 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     difference = (
         model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]
     ) / (2 * h)
-    assert found.shape == (3, 6) and Phi.shape == (3, 6, q.size) and np.abs(difference).max() > 1.0
+    assert found.shape == (3, 6)
+    assert Phi.shape == (3, 6, q.size)
+    assert np.abs(difference).max() > 1.0
     np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * np.abs(difference).max())
     assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
 

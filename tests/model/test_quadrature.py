@@ -49,7 +49,8 @@ def true_error(scene, intervals, fine=64):
     for tension in corners(scene):
         near = static_equilibrium(exact, tension)
         found = static_equilibrium(coarse, tension, near.q)
-        assert near.converged and found.converged
+        assert near.converged
+        assert found.converged
         largest = max(
             largest,
             float(np.linalg.norm(found.tip_pose[:3, 3] - near.tip_pose[:3, 3])) / coarse.length,
@@ -128,7 +129,7 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
 
 
 @pytest.mark.parametrize(
-    "changes, message",
+    ("changes", "message"),
     [
         ({"strain__strains": ["torsion"]}, "gives no coordinates"),
         (

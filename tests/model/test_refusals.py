@@ -52,7 +52,7 @@ def set_state(simulation, **changes):
 
 
 @pytest.mark.parametrize(
-    "call, message",
+    ("call", "message"),
     [
         (lambda s: s.model.terms(OK, OK, BAD), "tension should be finite"),
         (lambda s: static_equilibrium(s.model, BAD), "tension should be finite"),
@@ -96,11 +96,12 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
     before = numbers(moving)
     with pytest.raises((ValueError, TypeError)) as caught:
         call(moving)
-    assert message in str(caught.value) and numbers(moving) == before
+    assert message in str(caught.value)
+    assert numbers(moving) == before
 
 
 @pytest.mark.parametrize(
-    "theirs, ours, message",
+    ("theirs", "ours", "message"),
     [
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),
         ({"strain.passive": [{"strains": ["bend_y"], "order": 3, "span": "rod"}]}, {}, "state.q "),
@@ -130,7 +131,8 @@ def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, messag
         ):
             with pytest.raises(ValueError) as caught:
                 call()
-            assert message in str(caught.value) and numbers(arm) == before
+            assert message in str(caught.value)
+            assert numbers(arm) == before
 
 
 def test_files_that_hold_no_state_are_refused(moving, tmp_path):

@@ -112,7 +112,7 @@ def frequencies(model):
     return np.sqrt(eigh(terms.stiffness, terms.mass, eigvals_only=True))
 
 
-@pytest.mark.parametrize("section, known", SECTIONS)
+@pytest.mark.parametrize(("section", "known"), SECTIONS)
 def test_cantilevers_about_both_axes_and_torsion(section, known):
     """A small force F at the tip bends by F L^3 / (3 E I), and a moment T twists by T L / (G J); J
     is tabled to 4 digits."""
@@ -125,7 +125,7 @@ def test_cantilevers_about_both_axes_and_torsion(section, known):
     np.testing.assert_allclose(np.arctan2(pose[2, 1], pose[1, 1]), 0.5, rtol=3e-4)
 
 
-@pytest.mark.parametrize("section, known", SECTIONS)
+@pytest.mark.parametrize(("section", "known"), SECTIONS)
 def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
     """Euler-Bernoulli, less Rayleigh's share of rotary inertia to first order, and sqrt(G J / (rho
     Ip)) of a twisted bar."""
@@ -150,7 +150,7 @@ def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
     )
 
 
-@pytest.mark.parametrize("correction", (1.0, 0.53))
+@pytest.mark.parametrize("correction", [1.0, 0.53])
 def test_a_short_tube_bends_and_shears_as_timoshenko_says(correction):
     """At L / d = 6: F L^3 / (3 E I) + F L / (k G A)."""
     area, bending, *_ = tube(0.006, 0.005)
@@ -241,7 +241,7 @@ def beam_with_masses(places, mass, rotary, bending, line_mass, line_rotary):
 
 
 @pytest.mark.parametrize(
-    "where", ({"number": 1}, {"number": 6}, {"number": 20}, {"places": [0.09, 0.21]})
+    "where", [{"number": 1}, {"number": 6}, {"number": 20}, {"places": [0.09, 0.21]}]
 )
 def test_discs_are_lumped_masses_with_rotary_inertia(where):
     area, bending, *_ = tube(0.006, 0.005)
@@ -255,7 +255,7 @@ def test_discs_are_lumped_masses_with_rotary_inertia(where):
 
 
 @pytest.mark.parametrize(
-    "where", ({"number": 7}, {"number": 20}, {"places": [0.113, 0.222, 0.287]})
+    "where", [{"number": 7}, {"number": 20}, {"places": [0.113, 0.222, 0.287]}]
 )
 def test_weight_of_discs_on_few_intervals(where):
     """Sag under small weight, sum m g x^2 (3 L - x) / (6 E I), on intervals that the places do not
@@ -325,7 +325,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("changes, message", REFUSED)
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
 def test_mistakes_are_refused_by_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         arm(TUBE, **changes)
@@ -360,10 +360,7 @@ def test_numbers_of_sections_are_parameters():
         for key, value in one.changes(one.least).items()
     }
     changed = mixed.replace(drawn).segments
-    assert (
-        changed[0].section.bending == (0.15, 0.35) and changed[0].section.retardation_time == 0.02
-    )
-    assert (
-        changed[1].young_modulus == 0.5 * mixed.segments[1].young_modulus
-        and changed[1].damping == 2.0 * mixed.segments[1].damping
-    )
+    assert changed[0].section.bending == (0.15, 0.35)
+    assert changed[0].section.retardation_time == 0.02
+    assert changed[1].young_modulus == 0.5 * mixed.segments[1].young_modulus
+    assert changed[1].damping == 2.0 * mixed.segments[1].damping

@@ -25,7 +25,9 @@ def test_every_scene_balances_the_forces(name):
     for u in np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size)):
         found = static_equilibrium(model, u)
         terms = model.terms(found.q, np.zeros_like(found.q), u)
-        assert found.converged and found.residual <= RESIDUAL and found.reason == ""
+        assert found.converged
+        assert found.residual <= RESIDUAL
+        assert found.reason == ""
         force = terms.actuation @ u - terms.elastic_force + terms.external_force
         assert np.abs(force).max() < 1e-8 * np.abs(terms.elastic_force).max()
         np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
@@ -41,7 +43,8 @@ def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
     limit = 5e5 / 3 * np.pi * 0.01**4 / 2 / (3 * 0.008**2)
     assert static_equilibrium(model, np.full(3, -0.99 * limit)).converged
     found = static_equilibrium(model, np.full(3, -1.01 * limit))
-    assert not found.converged and "no longer stable (bifurcation" in found.reason
+    assert not found.converged
+    assert "no longer stable (bifurcation" in found.reason
     assert found.load * 1.01 == pytest.approx(1.0, abs=2e-3)
 
 
@@ -86,9 +89,12 @@ def test_what_redundant_tendons_leave_out_is_told():
     assert model.coordinate_count == 3
     for u in ([30.0, 0.0, 0.0, 0.0], [20.0, 0.0, 5.0, 0.0]):
         found, exact = static_equilibrium(model, u), static_equilibrium(explicit, u)
-        assert found.converged and exact.converged and exact.tip_error < 0.02 * found.tip_error
+        assert found.converged
+        assert exact.converged
+        assert exact.tip_error < 0.02 * found.tip_error
         off = np.linalg.norm(found.tip_pose[:3, 3] - exact.tip_pose[:3, 3])
-        assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
+        assert found.tip_error > 1e-4
+        assert found.tip_error == pytest.approx(off, rel=0.02)
 
 
 @pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])

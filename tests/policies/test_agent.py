@@ -109,7 +109,8 @@ def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name
     (folder / name).write_bytes(pickle.dumps(Malice(ran)))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
-    assert not ran.exists() and len(str(error.value).splitlines()) == 1
+    assert not ran.exists()
+    assert len(str(error.value).splitlines()) == 1
 
 
 def test_objects_among_an_agents_arrays_are_not_unpickled(tmp_path, trained):
@@ -171,7 +172,7 @@ def table(**changes):
 
 
 @pytest.mark.parametrize(
-    "spoil, said",
+    ("spoil", "said"),
     [
         (
             weights(lambda found: {**found, BIAS: np.float32(np.nan) * found[BIAS]}),
@@ -232,7 +233,8 @@ def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, 
     spoil(folder, *trained)
     with pytest.raises(ValueError, match=said) as error:
         agent.load_agent(str(folder), make())
-    assert str(folder) in str(error.value) and len(str(error.value).splitlines()) == 1
+    assert str(folder) in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
 
 
 def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
@@ -261,7 +263,7 @@ def ppo(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "task, options, said",
+    ("task", "options", "said"),
     [
         ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with observation = "),
         ("TipPose", {"preview": []}, "was trained with observation = "),
@@ -300,7 +302,7 @@ def gravity(acceleration):
 
 
 @pytest.mark.parametrize(
-    "task, trained, judged, said",
+    ("task", "trained", "judged", "said"),
     [
         ("TipPose", {}, {}, None),
         (
@@ -334,6 +336,5 @@ def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(
         warnings.simplefilter("always", agent.TrainingWarning)
         load_policy(folder, make(**usual, **judged))
     texts = [str(warning.message) for warning in found if warning.category is agent.TrainingWarning]
-    assert len(texts) == (said is not None) and all(
-        f"{said}" in text and "policy_options()" in text for text in texts
-    )
+    assert len(texts) == (said is not None)
+    assert all(f"{said}" in text and "policy_options()" in text for text in texts)

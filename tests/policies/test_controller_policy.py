@@ -118,7 +118,8 @@ def test_controllers_are_told_what_is_and_do_what_they_decide(kind, task):
         asked = np.stack([memory.decision.tension for memory in state])
         observation = env.step(action)[0]
         np.testing.assert_allclose(inner.unwrapped.episodes.tension, asked, rtol=1e-6)
-    assert len(probe.seen) == 5 * rows and np.ptp(asked) > 0.1
+    assert len(probe.seen) == 5 * rows
+    assert np.ptp(asked) > 0.1
 
 
 def test_rows_that_begin_forget_and_the_others_do_not():
@@ -147,7 +148,8 @@ def test_a_state_that_is_never_given_back_is_warned_of_once():
     ) as told:
         for _ in range(3):
             policy.predict(observation)
-    assert len(told) == 1 and told[0].filename == __file__
+    assert len(told) == 1
+    assert told[0].filename == __file__
 
 
 def test_observations_that_say_too_little_are_refused():
@@ -175,7 +177,7 @@ def test_preview_times_increase(preview):
 
 
 @pytest.mark.parametrize(
-    "task, controller, latency, preview, told",
+    ("task", "controller", "latency", "preview", "told"),
     [
         (
             "TipPose",

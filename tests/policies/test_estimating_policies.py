@@ -31,7 +31,7 @@ def position_error(env, policy, seed=0, skip=1.0):
 
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize(
-    "name, most", [("filtered:predictive@fast", 1e-3), ("filtered:tracking@fast", 2e-3)]
+    ("name", "most"), [("filtered:predictive@fast", 1e-3), ("filtered:tracking@fast", 2e-3)]
 )
 def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     env, policy = made(name, regime=regime)
@@ -85,7 +85,7 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
 
 
 @pytest.mark.parametrize(
-    "more, options",
+    ("more", "options"),
     [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
 )
 def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, options):

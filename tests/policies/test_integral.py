@@ -56,7 +56,8 @@ def test_ways_are_seen_with_their_integral_now_and_ahead():
             seen["target_error"], np.tile((1.0 + share) * way, (2, 1)), rtol=1e-6
         )
         np.testing.assert_allclose(seen["preview"], np.tile((2.0 + share) * way, (2, 2)), rtol=1e-6)
-        assert (seen["tip_position"] == 0.5).all() and policy.last.dtype == np.float32
+        assert (seen["tip_position"] == 0.5).all()
+        assert policy.last.dtype == np.float32
         assert state.policy == calls
     assert (groups(envs, given)["target_error"] == way).all()  # as it was
 

@@ -24,7 +24,7 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "text, kind, known",
+    ("text", "kind", "known"),
     [
         ("tracking", Controller, {"name": "tracking", "estimator": None, "belief": None}),
         ("adaptive:tracking", Controller, {"name": "tracking", "estimator": "adaptive"}),
@@ -43,11 +43,13 @@ def here(tmp_path, monkeypatch):
 )
 def test_every_name_is_one_of_three(here, text, kind, known):
     found = PolicyName.parse(text, "TipPose")
-    assert type(found) is kind and found.text == text and vars(found).items() >= known.items()
+    assert type(found) is kind
+    assert found.text == text
+    assert vars(found).items() >= known.items()
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    ("text", "said"),
     [
         (
             "run",

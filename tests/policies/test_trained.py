@@ -26,7 +26,7 @@ SHIPPED = sorted(
 
 
 @pytest.mark.parametrize(
-    "name, task",
+    ("name", "task"),
     [
         pytest.param(
             *agent,

@@ -89,25 +89,20 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     )
     known = policy_environment(env)
     one, other = episodes_of(known), episodes_of(env)
-    assert (
-        known.observation_space == env.observation_space and known.action_space == env.action_space
-    )
-    assert (
-        one.period == 0.04
-        and np.array_equal(one.limits, other.limits)
-        and one.model.scene == other.model.scene
-    )
-    assert (
-        one.options.randomize.noise == other.options.randomize.noise
-        and not one.options.randomize.numbers
-    )
+    assert known.observation_space == env.observation_space
+    assert known.action_space == env.action_space
+    assert one.period == 0.04
+    assert np.array_equal(one.limits, other.limits)
+    assert one.model.scene == other.model.scene
+    assert one.options.randomize.noise == other.options.randomize.noise
+    assert not one.options.randomize.numbers
     assert one.options.target is None
     told = load_scene("three_tendon").replace({"segments.0.young_modulus": 1e6})
     assert episodes_of(policy_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
 
 
 @pytest.mark.parametrize(
-    "members, said",
+    ("members", "said"),
     [
         ({"act": lambda self, action: action + np.nan}, "action"),
         ({"act": lambda self, action: action[..., :2]}, "action"),

@@ -24,7 +24,8 @@ class MemoryFile:
         self.places.append(place)
 
     def write(self, rollout, arm="arm", *, continues=False):
-        assert not self.closed and arm in self.arms
+        assert not self.closed
+        assert arm in self.arms
         self.written.append((arm, rollout, continues))
 
     def close(self):
@@ -70,20 +71,18 @@ def test_every_episode_is_recorded_from_reset_to_end(file):
     env = RecordRollout(make(), "unused.rrd", flush_period=None)
     assert env.rollout is None
     seen = play(env, 2)
-    assert file.samples() == [6, 6] and env.rollout is file.written[-1][1]
+    assert file.samples() == [6, 6]
+    assert env.rollout is file.written[-1][1]
     for episode, (arm, rollout, continues) in enumerate(file.written):
         tension, error = zip(*seen[6 * episode : 6 * episode + 6], strict=True)
-        assert (
-            arm == "arm"
-            and not continues
-            and rollout.title == f"episode {episode}, target random, seed {episode}"
-        )
+        assert arm == "arm"
+        assert not continues
+        assert rollout.title == f"episode {episode}, target random, seed {episode}"
         np.testing.assert_array_equal(rollout.tension, tension)
         np.testing.assert_array_equal(rollout.scalars["position_error"], error)
         np.testing.assert_array_equal(rollout.action, [[np.nan] * 3] + [ACTION] * 5)
-        assert (
-            np.isnan(rollout.scalars["reward"][0]) and (rollout.scalars["reward"][1:] > 0.0).all()
-        )
+        assert np.isnan(rollout.scalars["reward"][0])
+        assert (rollout.scalars["reward"][1:] > 0.0).all()
 
 
 def test_parts_are_written_during_the_episode(file):
@@ -101,11 +100,13 @@ def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(file):
     recorder.step(ACTION)
     recorder.step(ACTION)
     recorder.close()
-    assert file.samples() == [2, 3] and file.closed
+    assert file.samples() == [2, 3]
+    assert file.closed
 
 
 @pytest.mark.parametrize(
-    "mode, samples", [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])]
+    ("mode", "samples"),
+    [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])],
 )
 def test_rows_are_recorded_in_every_mode(mode, samples, file):
     """The step of a reset belongs to no episode; what ends and is reset in one step lacks its last
@@ -137,7 +138,8 @@ def actions(seed=0):
 def test_an_episode_is_collected_as_it_happened(env):
     given = actions()
     rollout = collect(env, lambda observation: next(given), seed=3)
-    assert rollout.samples == STEPS + 1 and rollout.title == "seed 3"
+    assert rollout.samples == STEPS + 1
+    assert rollout.title == "seed 3"
     again, given = env.unwrapped, actions()
     _, info = env.reset(seed=3)
     for sample in range(STEPS + 1):

@@ -33,7 +33,8 @@ def connect(bus):
 
 def test_tensions_are_currents(bus, connect, wait_until):
     robot = connect()
-    assert robot.command_unit == "N" and [motor.table[11] for motor in bus.motors.values()] == [
+    assert robot.command_unit == "N"
+    assert [motor.table[11] for motor in bus.motors.values()] == [
         0,
         0,
         0,
@@ -45,9 +46,8 @@ def test_tensions_are_currents(bus, connect, wait_until):
     np.testing.assert_allclose(measured.tension, sent)
     np.testing.assert_allclose(measured.tendon_length, 0.0)
     assert robot.senses == ("tension", "tendon_length")
-    assert (
-        robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193
-    ) and robot.read().time > measured.time
+    assert robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193
+    assert robot.read().time > measured.time
     robot.close()
     assert_limp(bus, wait_until)
 
@@ -61,12 +61,14 @@ def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
     robot = connect()
     robot.write(np.full(3, 5.0))
     robot.read()
-    assert bus.motors[1].table[98] == 5 and not bus.motors[1].has_stopped
+    assert bus.motors[1].table[98] == 5
+    assert not bus.motors[1].has_stopped
     bus.clock.time += 0.15
     assert bus.motors[1].has_stopped
     robot.write(np.full(3, 1.0))
     robot.read()
-    assert bus.motors[1].goal_current == 2 and not bus.motors[1].has_stopped
+    assert bus.motors[1].goal_current == 2
+    assert not bus.motors[1].has_stopped
 
 
 @pytest.mark.parametrize("lose", [lambda bus: bus.silent.add(2), lambda bus: bus.unplug()])
@@ -75,11 +77,9 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, w
     robot.clock = Clock(real=False)
     env = RobotEnv(drawing(), robot, settle=0.0)
     report = run_policy(pulling(lambda count: lose(bus) if count == 5 else None), env, 3.0)
-    assert (
-        "failed: " in report.stop.cause
-        and not report.finished
-        and report.stop.slack == bool(bus.silent)
-    )
+    assert "failed: " in report.stop.cause
+    assert not report.finished
+    assert report.stop.slack == bool(bus.silent)
     if report.stop.slack:
         assert_limp(bus, wait_until)
         assert [motor.goal_current for motor in bus.motors.values()] == [

@@ -26,14 +26,15 @@ def play_episode(env, seed=3, steps=40):
     found = [(first, info["position_error"])]
     for action in np.random.default_rng(0).uniform(-1.0, 1.0, (steps, 3)):
         observation, _, terminated, truncated, info = env.step(action)
-        assert not (terminated or truncated)
+        assert not terminated
+        assert not truncated
         found.append((observation, info["position_error"]))
     env.close()
     return found
 
 
 @pytest.mark.parametrize(
-    "scene, drawn, task",
+    ("scene", "drawn", "task"),
     [
         (
             "three_tendon",
@@ -57,10 +58,8 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
         scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False
     )
     real = RobotEnv(gym.make(f"TendonRod-{task}-v0", **options), robot, settle=0.0)
-    assert (
-        real.observation_space == alike.observation_space
-        and real.action_space == alike.action_space
-    )
+    assert real.observation_space == alike.observation_space
+    assert real.action_space == alike.action_space
     for (expected, error), (found, distance) in zip(
         play_episode(alike), play_episode(real), strict=True
     ):
@@ -69,7 +68,8 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
         )
         np.testing.assert_allclose(found, expected, atol=1e-6)
         assert distance == pytest.approx(error, abs=1e-9)
-    assert real.stopped.slack and not real.stopped.failures
+    assert real.stopped.slack
+    assert not real.stopped.failures
 
 
 def test_lengths_and_strains_count_from_the_arm_at_rest(arm_of_test, drawing):
@@ -99,16 +99,18 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
         True,
         "somebody pressed the button",
     )
-    assert (observation == first).all() and arm.is_slack
+    assert (observation == first).all()
+    assert arm.is_slack
     env.reset(seed=0)
-    assert not env.step(np.ones(3))[3] and not arm.is_slack
+    assert not env.step(np.ones(3))[3]
+    assert not arm.is_slack
     env.close()
     with pytest.raises(gym.error.ClosedEnvironmentError):
         env.reset()
 
 
 @pytest.mark.parametrize(
-    "options, changes, message",
+    ("options", "changes", "message"),
     [
         (
             {"observation": "full"},
@@ -134,7 +136,8 @@ def test_what_does_not_fit_is_said(options, changes, message, arm_of_test, drawi
         setattr(robot, name, value)
     with pytest.raises(ConfigurationError) as error:
         RobotEnv(drawing(**options), robot)
-    assert "environment: robot is Arm, " in str(error.value) and message in str(error.value)
+    assert "environment: robot is Arm, " in str(error.value)
+    assert message in str(error.value)
 
 
 def test_robots_begin_at_rest_and_are_not_copied(arm_of_test, drawing):
@@ -179,7 +182,7 @@ def moving(arm, motion):
 
 
 @pytest.mark.parametrize(
-    "motion, rest, seconds",
+    ("motion", "rest", "seconds"),
     [
         (noise(3e-3), REST_SPEED, 3.2),
         (noise([0.0, 0.0, 2e-3]), REST_SPEED, 3.2),  # of a camera, along its axis
@@ -198,7 +201,7 @@ def test_rest_is_found_in_noise(motion, rest, seconds, arm_of_test, drawing):
 
 
 @pytest.mark.parametrize(
-    "motion, rest, message",
+    ("motion", "rest", "message"),
     [
         (swing(0.01), REST_SPEED, r"its tip moves at 0\.0132 m/s, 60 s after the first command"),
         (
@@ -218,7 +221,8 @@ def test_an_arm_that_does_not_rest_is_let_go(motion, rest, message, arm_of_test,
     env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, rest_speed=rest)
     with pytest.raises(RobotStopped, match=f"the arm does not come to rest: .*{message}"):
         env.reset(seed=0)
-    assert arm.is_slack and env.stopped.slack
+    assert arm.is_slack
+    assert env.stopped.slack
     env.close()
 
 
@@ -229,7 +233,8 @@ def test_an_arm_that_has_moved_is_waited_for_whatever_settle_says(arm_of_test, d
     assert arm.clock.now() == 0.0
     env.step(np.ones(3))
     env.reset(seed=0)
-    assert 6.2 <= arm.clock.now() <= 6.6 and env.zero == {}
+    assert 6.2 <= arm.clock.now() <= 6.6
+    assert env.zero == {}
     env.close()
 
 
@@ -237,9 +242,8 @@ def test_a_slow_rate_is_no_rest_before_the_pretension(arm_of_test, drawing):
     arm = arm_of_test()
     env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.1, rate=0.1)
     env.reset(seed=0)
-    assert arm.clock.now() == pytest.approx(7.2, abs=0.05) and arm.sent[-1][1] == pytest.approx(
-        [0.5, 0.5, 0.5]
-    )
+    assert arm.clock.now() == pytest.approx(7.2, abs=0.05)
+    assert arm.sent[-1][1] == pytest.approx([0.5, 0.5, 0.5])
     env.close()
 
 

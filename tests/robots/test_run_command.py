@@ -76,14 +76,11 @@ def test_a_run_leaves_a_log_and_prints_its_errors(tmp_path, capsys):
         ]
     )
     said = capsys.readouterr().out
-    assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M) and re.search(
-        r"^angle error: [\d.]+ deg", said, re.M
-    )
-    assert (
-        f"written: {out}\n" in said
-        and "50 periods, 0 overruns" in said
-        and "the run ended: tendons slack after" in said
-    )
+    assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M)
+    assert re.search(r"^angle error: [\d.]+ deg", said, re.M)
+    assert f"written: {out}\n" in said
+    assert "50 periods, 0 overruns" in said
+    assert "the run ended: tendons slack after" in said
     assert out.read_text().count("\n") - 2 == 50
 
 
@@ -107,9 +104,9 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
         exit.value.code
     )
     said = capsys.readouterr().out
-    assert (
-        "position error" not in said and f"written: {out}\n" not in said and not out.exists()
-    )  # there was none
+    assert "position error" not in said
+    assert f"written: {out}\n" not in said
+    assert not out.exists()
 
 
 def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
@@ -130,7 +127,9 @@ def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
             ]
         )
     said = capsys.readouterr()
-    assert exit.value.code == 130 and "\nstopped" in said.err and out.read_text().count("\n") > 20
+    assert exit.value.code == 130
+    assert "\nstopped" in said.err
+    assert out.read_text().count("\n") > 20
     assert re.search(rf"written: {out}\ninterrupted: tendons slack after \d+ ms\n\n$", said.out)
 
 
@@ -142,7 +141,7 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name, options, message",
+    ("name", "options", "message"),
     [
         (
             "no_module:Arm",
@@ -164,7 +163,8 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
 def test_robots_that_there_are_not_are_refused(name, options, message):
     with pytest.raises((ValueError, TypeError)) as error:
         load_robot(name, options)
-    assert message in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
@@ -185,12 +185,13 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
         "strain_2_shear_z",
         "strain_rate_0_torsion",
     }
-    assert report.finished and {*log.dtype.names} >= names
+    assert report.finished
+    assert {*log.dtype.names} >= names
     (motion,) = read_recordings([path], load_scene("three_tendon"), TIP)
-    assert motion.name == "first" and motion.period == pytest.approx(0.02)
-    assert (motion.command[1:, 0] == log["tension_0"]).all() and (
-        motion.positions[1:, 0, 0] == log["tip_x"]
-    ).all()
+    assert motion.name == "first"
+    assert motion.period == pytest.approx(0.02)
+    assert (motion.command[1:, 0] == log["tension_0"]).all()
+    assert (motion.positions[1:, 0, 0] == log["tip_x"]).all()
 
 
 def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_out(tmp_path):
@@ -211,7 +212,8 @@ def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_o
     times, measured_times, tips = (
         [float(row[name]) for row in first] for name in ("time", "measured_time", "tip_x")
     )
-    assert times == [-0.02, 0.0] and np.diff(measured_times) == pytest.approx(0.02)
+    assert times == [-0.02, 0.0]
+    assert np.diff(measured_times) == pytest.approx(0.02)
     assert 1e-6 < abs(tips[1] - tips[0]) < 0.01  # the noise differs
     path.write_text(text[:-2])
     with pytest.warns(UserWarning, match=f"line {len(rows) + 1} was cut off"):
@@ -256,9 +258,7 @@ def test_a_full_disk_stops_the_run_and_keeps_the_rows(
 
     monkeypatch.setattr(env._log, "_writer", Full())
     report = run_policy(pulling(), env, 1.0)
-    assert (
-        report.stop.cause == f"the log {path} cannot be written: No space left on device"
-        and report.stop.slack
-        and arm.is_slack
-    )
+    assert report.stop.cause == f"the log {path} cannot be written: No space left on device"
+    assert report.stop.slack
+    assert arm.is_slack
     assert len(path.read_text().splitlines()) >= 10

@@ -32,7 +32,7 @@ def out_of_reach():
 
 
 @pytest.mark.parametrize(
-    "faults, then, raised, cause, sent",
+    ("faults", "then", "raised", "cause", "sent"),
     [
         ({}, at(99, lost), None, "the run ended", 30),
         (
@@ -79,18 +79,17 @@ def test_every_end_lets_the_tendons_go(
     else:
         with pytest.raises(raised):
             run_policy(pulling(then), env, 0.6)
-    assert (
-        cause in env.stopped.cause
-        and env.stopped.slack
-        and arm.is_slack
-        and arm.closed
-        and env.stopped.seconds <= SOON
-    )
+    assert cause in env.stopped.cause
+    assert env.stopped.slack
+    assert arm.is_slack
+    assert arm.closed
+    assert env.stopped.seconds <= SOON
     heights = np.array([command.max() for _, command in arm.sent[-6:]])
     assert (np.diff(heights) < 0.0).all()  # a ramp, and no blow
     log = columns_of_log(tmp_path / "run.csv")
     np.testing.assert_allclose(log["time"], 0.02 * np.arange(sent), atol=1e-9)
-    assert (log["tension_0"] == log["commanded_0"]).all() and (log["tension_0"] > 1.0).all()
+    assert (log["tension_0"] == log["commanded_0"]).all()
+    assert (log["tension_0"] > 1.0).all()
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     for number, handler in zip((signal.SIGTERM, signal.SIGHUP), before, strict=True):
         signal.signal(number, handler)
@@ -99,16 +98,17 @@ def test_every_end_lets_the_tendons_go(
 def test_a_port_that_is_lost_is_tried_again(arm_of_test, drawing, pulling):
     arm = arm_of_test(write=lambda count: lost() if 5 <= count < 9 else None)
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert "writing failed" in report.stop.cause and len(report.stop.failures) == 3
-    assert report.stop.slack and report.stop.seconds <= SOON and arm.is_slack
+    assert "writing failed" in report.stop.cause
+    assert len(report.stop.failures) == 3
+    assert report.stop.slack
+    assert report.stop.seconds <= SOON
+    assert arm.is_slack
     arm = arm_of_test(write=at(5, lost))
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert (
-        not report.stop.slack
-        and not report.finished
-        and arm.closed
-        and safety.TRYING - SOON <= report.stop.seconds <= safety.TRYING + SOON
-    )
+    assert not report.stop.slack
+    assert not report.finished
+    assert arm.closed
+    assert safety.TRYING - SOON <= report.stop.seconds <= safety.TRYING + SOON
 
 
 def test_every_later_stop_tries_again(arm_of_test, drawing):
@@ -120,7 +120,9 @@ def test_every_later_stop_tries_again(arm_of_test, drawing):
     assert not env.stop("somebody pressed the button").slack
     del arm.faults["write"]
     env.close()
-    assert arm.is_slack and env.stopped.slack and env.stopped.cause == "somebody pressed the button"
+    assert arm.is_slack
+    assert env.stopped.slack
+    assert env.stopped.cause == "somebody pressed the button"
 
 
 def test_measurements_that_are_not_new_are_no_readings(arm_of_test, drawing, pulling):
@@ -130,7 +132,9 @@ def test_measurements_that_are_not_new_are_no_readings(arm_of_test, drawing, pul
     )  # a tracker that has lost sight
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0, patience=1), 0.6)
     assert report.stop.cause == "no reading for 40 ms: patience is 1 control periods of 20 ms"
-    assert report.stop.slack and report.stop.seconds <= SOON and report.timing.periods == 12
+    assert report.stop.slack
+    assert report.stop.seconds <= SOON
+    assert report.timing.periods == 12
 
 
 def test_a_loop_that_is_too_slow_is_stopped(arm_of_test, drawing, pulling):
@@ -143,11 +147,9 @@ def test_a_loop_that_is_too_slow_is_stopped(arm_of_test, drawing, pulling):
         report.stop.cause
         == "the loop is 70 ms behind its deadlines: patience is 3 control periods of 20 ms"
     )
-    assert (
-        report.stop.slack
-        and report.stop.seconds <= SOON
-        and report.timing.periods == report.timing.overruns == 7
-    )
+    assert report.stop.slack
+    assert report.stop.seconds <= SOON
+    assert report.timing.periods == report.timing.overruns == 7
 
 
 def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing, pulling):
@@ -160,7 +162,8 @@ def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing, pulling):
         ),
     ):
         run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 60.0)
-    assert arm.closed and not arm.sent
+    assert arm.closed
+    assert not arm.sent
 
 
 @pytest.mark.parametrize("what", ["read", "write", "policy"])
@@ -180,10 +183,12 @@ def test_the_watchdog_lets_go_where_something_hangs(
     loop = threading.Thread(target=run_policy, args=(policy, env, 5.0), daemon=True)
     loop.start()
     wait_until(lambda: env.stopped and env.stopped.slack and "no reading" in env.stopped.cause)
-    assert arm.is_slack and loop.is_alive()  # while it still hangs
+    assert arm.is_slack
+    assert loop.is_alive()
     gate.set()
     wait_until(lambda: not loop.is_alive())
-    assert arm.closed and arm.is_slack
+    assert arm.closed
+    assert arm.is_slack
 
 
 CHILD = """
@@ -228,7 +233,7 @@ def measurement_of_a_tip(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0
 
 
 @pytest.mark.parametrize(
-    "measured, cause",
+    ("measured", "cause"),
     [
         (
             Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)),
@@ -259,7 +264,8 @@ def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test
     env = RobotEnv(drawing(), arm, settle=0.0)
     with pytest.raises(RobotStopped, match="reading failed") as stopped:
         env.reset()
-    assert cause in str(stopped.value) and arm.is_slack
+    assert cause in str(stopped.value)
+    assert arm.is_slack
     env.close()
 
 
@@ -267,11 +273,9 @@ def test_what_write_cannot_return_stops_the_robot(arm_of_test, drawing, pulling)
     arm = arm_of_test()
     arm.write = lambda command, write=arm.write: (write(command), [2000, 3000, 3000])[1]
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert (
-        "it should be what was sent, in N, or nothing" in report.stop.cause
-        and report.stop.slack
-        and arm.is_slack
-    )
+    assert "it should be what was sent, in N, or nothing" in report.stop.cause
+    assert report.stop.slack
+    assert arm.is_slack
 
 
 @pytest.mark.parametrize(
@@ -306,4 +310,5 @@ def test_a_late_period_does_not_move_the_next_deadlines():
     np.testing.assert_allclose(begun, [0.02, 0.07, 0.071, 0.08, 0.1], atol=1e-12)
     timing = pacer.timing
     assert (timing.periods, timing.overruns) == (5, 2)
-    assert timing.worst == pytest.approx(0.03) and timing.p50 == pytest.approx(0.0, abs=1e-12)
+    assert timing.worst == pytest.approx(0.03)
+    assert timing.p50 == pytest.approx(0.0, abs=1e-12)

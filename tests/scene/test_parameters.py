@@ -45,7 +45,7 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
 
 
 @pytest.mark.parametrize(
-    "name, message",
+    ("name", "message"),
     [
         (
             "segments.0.yong_modulus",
@@ -96,7 +96,8 @@ def test_ranges_are_of_values_factors_offsets_and_entries_of_vectors(scene):
     assert factor.changes(2.0) == {
         f"segments.{i}.density": 2.0 * scene.segments[i].density for i in (0, 1)
     }
-    assert mass.changes(0.05) == {"effects.tip_load.mass": 0.05} and (
+    assert mass.changes(0.05) == {"effects.tip_load.mass": 0.05}
+    assert (
         down.least,
         down.greatest,
     ) == (-9.0, -8.0)

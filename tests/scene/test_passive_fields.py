@@ -39,11 +39,9 @@ def naming(path, count=3, **more):
 def test_saved_fields_read_back_equal(shipped, tmp_path):
     shipped.save(path := tmp_path / "arm.fields.json")
     again = read_fields(path)
-    assert (
-        again.digest == shipped.digest
-        and again.errors == dict(shipped.errors)
-        and again.effects == shipped.effects
-    )
+    assert again.digest == shipped.digest
+    assert again.errors == dict(shipped.errors)
+    assert again.effects == shipped.effects
     np.testing.assert_array_equal(again.coefficients, shipped.coefficients)
     assert [file.name for file in tmp_path.iterdir()] == ["arm.fields.json"]
 
@@ -62,7 +60,7 @@ def test_a_file_beside_a_scene_is_named_relative_to_it(shipped, tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    "passive, message",
+    ("passive", "message"),
     [
         ({"fields": 3, "file": "missing.json"}, "strain.passive.file is 'missing.json'"),
         ({"fields": 3, "digest": "0123456789abcdef"}, "names passive fields that this arm has not"),
@@ -76,7 +74,7 @@ def test_mistakes_name_their_key(passive, message):
 
 
 @pytest.mark.parametrize(
-    "change, message",
+    ("change", "message"),
     [
         (lambda table: {}, r"strain\.passive\.file is .*odd\.fields\.json"),
         (
@@ -115,7 +113,7 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes, words",
+    ("changes", "words"),
     [
         ({"segments.0.young_modulus": 4e6}, "young_modulus of"),
         ({"tendons.2.tension_limits": [-50.0, 10.0]}, "N, not -50 to 10 N"),
@@ -130,7 +128,7 @@ def test_what_fields_were_not_made_for_is_warned_of(changes, words):
 
 @pytest.mark.parametrize(
     "changes",
-    ({}, {"segments.0.density": 900.0}, {"tendons.0.tension_limits": [0.0, 5.0]}, GRAVITY),
+    [{}, {"segments.0.density": 900.0}, {"tendons.0.tension_limits": [0.0, 5.0]}, GRAVITY],
 )
 def test_what_they_were_made_for_is_not(changes):
     with warnings.catch_warnings():
@@ -140,8 +138,6 @@ def test_what_they_were_made_for_is_not(changes):
 
 def test_loaded_scenes_get_fields_made_under_loads(shipped):
     loaded = find_fields(ARM.replace(GRAVITY))
-    assert (
-        shipped.effects == Effects()
-        and loaded.effects.gravity is not None
-        and loaded.digest != shipped.digest
-    )
+    assert shipped.effects == Effects()
+    assert loaded.effects.gravity is not None
+    assert loaded.digest != shipped.digest

@@ -59,7 +59,8 @@ def test_radii_meet_their_points_and_never_overshoot():
         RADII.size_and_slope(np.array(RADII.arc_length), LENGTH)[0], RADII.size, rtol=1e-14
     )
     radius, _ = RADII.size_and_slope(np.linspace(0, LENGTH, 500), LENGTH)
-    assert radius.min() >= 0.01 and radius.max() <= 0.02
+    assert radius.min() >= 0.01
+    assert radius.max() <= 0.02
 
 
 def test_misfits_say_what_is_wrong():
@@ -69,7 +70,7 @@ def test_misfits_say_what_is_wrong():
 
 
 @pytest.mark.parametrize(
-    "kind, columns, message",
+    ("kind", "columns", "message"),
     [
         (
             TaperTable,

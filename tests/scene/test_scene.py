@@ -115,7 +115,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("changes, message", REFUSED)
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
 def test_mistakes_are_refused_by_name(scene, changes, message):
     before = scene_to_dict(scene)
     with pytest.raises(ConfigurationError) as caught:
@@ -161,16 +161,15 @@ def test_replace_sets_dotted_keys_and_leaves_the_original(scene):
         5.0,
         None,
     )
-    assert changed.strain.passive_coordinates == "raw" and changed.effects.gravity.acceleration == (
+    assert changed.strain.passive_coordinates == "raw"
+    assert changed.effects.gravity.acceleration == (
         0.0,
         0.0,
         -9.81,
     )
-    assert (
-        scene.quadrature.intervals is None
-        and scene.effects.gravity is None
-        and scene.tendons[1].end == 0.35
-    )
+    assert scene.quadrature.intervals is None
+    assert scene.effects.gravity is None
+    assert scene.tendons[1].end == 0.35
     assert changed.replace({"effects.gravity": None}).effects == scene.effects
 
 
@@ -186,18 +185,18 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
         match="^scene: effects.wind is an unknown key .*valid: .*gravity, .*tip_load",
     ):
         load_scene("paper").replace({"effects.wind.speed": 1.0})
-    assert register_effect("wind")(Wind) is Wind and register_effect("wind")(Wind) is Wind
+    assert register_effect("wind")(Wind) is Wind
+    assert register_effect("wind")(Wind) is Wind
     scene = load_scene("paper").replace(
         {"effects.wind.speed": 1, "effects.gravity.acceleration": [0, 0, 1]}
     )
-    assert scene.effects.wind == Wind(speed=1.0) and list(scene.effects.chosen()) == [
+    assert scene.effects.wind == Wind(speed=1.0)
+    assert list(scene.effects.chosen()) == [
         "gravity",
         "wind",
     ]
-    assert (
-        scene_to_dict(scene)["effects"]["wind"] == {"speed": 1.0}
-        and Scene(**scene_to_dict(scene)) == scene
-    )
+    assert scene_to_dict(scene)["effects"]["wind"] == {"speed": 1.0}
+    assert Scene(**scene_to_dict(scene)) == scene
     assert load_scene("paper").effects.wind is None
     with pytest.raises(
         TypeError,
@@ -218,11 +217,12 @@ def test_breakpoints_are_every_end_and_border_once(scene):
         }
     )
     np.testing.assert_allclose(breakpoints(close), [0, 0.1, 0.2, 0.35, 0.42, 0.5], atol=1e-11)
-    assert breakpoints(close)[0] == 0 and breakpoints(close)[-1] == rod_length(close)
+    assert breakpoints(close)[0] == 0
+    assert breakpoints(close)[-1] == rod_length(close)
 
 
 @pytest.mark.parametrize(
-    "changes, columns",
+    ("changes", "columns"),
     [
         ({}, 3),
         ({"segments.0.damping": 0.0}, 2),
@@ -238,7 +238,8 @@ def test_extrapolation_columns_follow_the_damping_unless_given(changes, columns)
 @pytest.mark.parametrize("name", scene_names())
 def test_shipped_scene_loads_and_round_trips(name, tmp_path):
     scene = load_scene(name)
-    assert scene.name == name and scene.description
+    assert scene.name == name
+    assert scene.description
     assert (SHIPPED / f"{name}.toml").read_text(encoding="utf-8").startswith("# ")
     step = 0.002 if name == "catheter" else 0.02
     assert (scene.integrator.step, extrapolation_columns(scene)) == (step, 3)
@@ -282,7 +283,7 @@ def test_paper_tendons_follow_the_papers_table():
 
 
 @pytest.mark.parametrize(
-    "content, message",
+    ("content", "message"),
     [
         (b"", "segments is missing: it is required"),
         (b"name = 2024-01-01", "name is datetime.date.*: it should be a valid string"),

@@ -65,7 +65,7 @@ def said(scene):
 
 
 @pytest.mark.parametrize(
-    "base, factor, words",
+    ("base", "factor", "words"),
     [
         (
             SILICONE,
@@ -117,7 +117,8 @@ def said(scene):
 )
 def test_other_units_get_a_word(base, factor, words):
     text = said(arm(base, factor))
-    assert text and all(word in text for word in words), text
+    assert text, text
+    assert all(word in text for word in words), text
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_numbers_arrays_and_paths_are_taken_as_they_come():
 
 
 @pytest.mark.parametrize(
-    "changes, said",
+    ("changes", "said"),
     [
         (
             {"cont": 2},
@@ -111,7 +111,7 @@ def test_changes_are_values_of_toml_or_texts():
 
 
 @pytest.mark.parametrize(
-    "content, said",
+    ("content", "said"),
     [
         (None, "cannot be read: No such file"),
         (b"a = ", "is not valid TOML"),
@@ -127,7 +127,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
 
 
 @pytest.mark.parametrize(
-    "text, metres",
+    ("text", "metres"),
     [
         ("1mm", 1e-3),
         ("0.05 cm", 5e-4),
@@ -138,13 +138,12 @@ def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
     ],
 )
 def test_lengths_are_read_and_what_is_written_reads_back(text, metres):
-    assert is_length(text) and read_length(text) == pytest.approx(metres) == read_length(
-        length_text(metres)
-    )
+    assert is_length(text)
+    assert read_length(text) == pytest.approx(metres) == read_length(length_text(metres))
 
 
 @pytest.mark.parametrize(
-    "text", ("1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", "")
+    "text", ["1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", ""]
 )
 def test_what_is_no_length_is_refused(text):
     with pytest.raises(ValueError, match="should be a positive length with its unit"):
@@ -158,18 +157,19 @@ def test_dialects(tmp_path, text):
     path = tmp_path / "table.csv"
     path.write_text(text)
     where, header, ((row, cells),) = table = read_table(path)
-    assert (
-        header == ["a", "b"] and cells == ["1", "2"] and table.numbers([("b", 0.001)]) == [[0.002]]
-    )
+    assert header == ["a", "b"]
+    assert cells == ["1", "2"]
+    assert table.numbers([("b", 0.001)]) == [[0.002]]
     line = (
         text.splitlines().index(next(line for line in text.splitlines() if line.startswith("a")))
         + 1
     )
-    assert where.startswith(f"{path}, line {line} ") and row == f"{path}, line {line + 1}"
+    assert where.startswith(f"{path}, line {line} ")
+    assert row == f"{path}, line {line + 1}"
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    ("text", "said"),
     [("a,b\n1\n", "line 2: there are 1 cells"), ('a,b\n1,2\n"1,2\n', "line 3 cannot be read")],
 )
 def test_tables_that_cannot_be_read_are_refused(tmp_path, text, said):
@@ -179,31 +179,31 @@ def test_tables_that_cannot_be_read_are_refused(tmp_path, text, said):
 
 
 @pytest.mark.parametrize(
-    "value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4))
+    "value", [[1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4)]
 )
 def test_numbers_of_any_kind_become_float64(value):
     found = checked_array("q", value, (3,))
-    assert (
-        found.dtype == np.float64 and found.flags.c_contiguous and found.tolist() == [1.0, 2.0, 3.0]
-    )
+    assert found.dtype == np.float64
+    assert found.flags.c_contiguous
+    assert found.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_the_result_is_a_copy_and_contiguous():
     given = np.arange(12.0).reshape(3, 4).T
     found = checked_array("table", given, (None, 3))
     found[0, 0] = 99.0
-    assert found.flags.c_contiguous and found.shape == (4, 3) and given[0, 0] == 0.0
+    assert found.flags.c_contiguous
+    assert found.shape == (4, 3)
+    assert given[0, 0] == 0.0
 
 
 def test_numbers_become_floats_and_counts_of_numpy_are_taken():
-    assert (
-        type(checked_number("step", np.float32(2), 0.0, "a positive number")) is float
-        and checked_count("points", np.int32(3), 1) == 3
-    )
+    assert type(checked_number("step", np.float32(2), 0.0, "a positive number")) is float
+    assert checked_count("points", np.int32(3), 1) == 3
 
 
 @pytest.mark.parametrize(
-    "check, value, allowed, error, message",
+    ("check", "value", "allowed", "error", "message"),
     [
         (checked_array, [1.0, 2.0], [(3,)], ValueError, r"q should have shape \(3,\), not \(2,\)"),
         (

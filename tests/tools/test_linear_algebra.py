@@ -51,12 +51,13 @@ def test_another_thread_neither_waits_nor_restores_what_the_first_has_set():
     with one_thread():
         other.start()
         other.join()
-        assert seen == [{1}] and counts() == {1}
+        assert seen == [{1}]
+        assert counts() == {1}
     assert counts() == {2}
 
 
 @pytest.mark.usefixtures("two_threads")
-@pytest.mark.parametrize("rows, threads", [(1, 2), (2, 1), (MOST_ROWS, 1), (MOST_ROWS + 1, 2)])
+@pytest.mark.parametrize(("rows", "threads"), [(1, 2), (2, 1), (MOST_ROWS, 1), (MOST_ROWS + 1, 2)])
 def test_policy_networks_act_on_a_few_rows_with_one_thread(rows, threads):
     box = gym.spaces.Box(-1.0, 1.0, (3,), np.float32)
     seen = []
@@ -73,4 +74,5 @@ def test_policy_networks_act_on_a_few_rows_with_one_thread(rows, threads):
     observations = np.tile(np.array([0.5, 2.0, -3.0], np.float32), (rows, 1))
     actions, _ = network.predict(observations)
     np.testing.assert_array_equal(actions, np.clip(observations, -1.0, 1.0))
-    assert seen == [{threads}] and counts() == {2}
+    assert seen == [{threads}]
+    assert counts() == {2}

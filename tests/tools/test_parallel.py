@@ -28,12 +28,12 @@ def test_results_come_in_order_from_as_many_processes(options):
             **options,
         )
     values, processes, threads = zip(*results, strict=True)
-    assert values == (0, 1, 4, 9, 16, 25) and sorted(told) == list(enumerate(results)), (
-        "as soon as it is there"
+    assert values == (0, 1, 4, 9, 16, 25), "as soon as it is there"
+    assert sorted(told) == list(enumerate(results)), "as soon as it is there"
+    assert (os.getpid() not in processes) == (options == {"workers": 2}), (
+        "as digits of sums depend on it"
     )
-    assert (os.getpid() not in processes) == (options == {"workers": 2}) and set.union(
-        *threads
-    ) == {1}, "as digits of sums depend on it"
+    assert set.union(*threads) == {1}, "as digits of sums depend on it"
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -70,8 +70,6 @@ def test_a_cluster_gives_the_same_results_one_by_one():
     finally:
         cluster.shutdown()
     values, processes, _ = zip(*results, strict=True)
-    assert (
-        values == (0, 1, 4, 9, 16, 25)
-        and os.getpid() not in (*processes, alone)
-        and sorted(told) == [*range(6)]
-    )
+    assert values == (0, 1, 4, 9, 16, 25)
+    assert os.getpid() not in (*processes, alone)
+    assert sorted(told) == [*range(6)]

@@ -34,20 +34,24 @@ def test_a_file_gets_few_lines_with_name_share_and_time(stream, total):
         for _ in range(total):
             bar.update()
     lines = written.getvalue().splitlines()
-    assert len(lines) <= MOST_LINES and len(lines) >= min(total, MOST_LINES // 2)
+    assert len(lines) <= MOST_LINES
+    assert len(lines) >= min(total, MOST_LINES // 2)
     shares = []
     for line in lines:
         name, share, seconds = line.replace(" %, ", "|").replace(": ", "|").rsplit("|", 2)
-        assert name == "circle|episodes" and seconds.endswith(" s to go"), line
+        assert name == "circle|episodes", line
+        assert seconds.endswith(" s to go"), line
         shares.append(int(share))
-    assert shares == sorted(set(shares)) and "\r" not in written.getvalue()
+    assert shares == sorted(set(shares))
+    assert "\r" not in written.getvalue()
 
 
 def test_a_terminal_gets_a_bar_that_is_drawn_anew(stream):
     written = stream(Terminal)
     with progress_bar(3, "circle", "episode") as bar:
         bar.update(3)
-    assert type(bar) is tqdm and "\rcircle: " in written.getvalue()
+    assert type(bar) is tqdm
+    assert "\rcircle: " in written.getvalue()
 
 
 def test_quiet_is_quiet(stream, monkeypatch):

@@ -91,16 +91,15 @@ def test_the_search_finds_the_least_cost(tmp_path):
     search = Bowl(trials=40)
     best, trials = tune(search, tmp_path, workers=1), done(search, tmp_path)
     found = best.user_attrs["values"]
-    assert len(trials) == 40 and any(trial.state.name == "PRUNED" for trial in trials)
-    assert (
-        found["c"] == "x"
-        and found["a"] == pytest.approx(0.5, rel=0.6)
-        and found["b"] == pytest.approx(30, rel=0.6)
-    )
+    assert len(trials) == 40
+    assert any(trial.state.name == "PRUNED" for trial in trials)
+    assert found["c"] == "x"
+    assert found["a"] == pytest.approx(0.5, rel=0.6)
+    assert found["b"] == pytest.approx(30, rel=0.6)
     assert tomllib.loads((tmp_path / "best.toml").read_text()) == found
     rows = [
         float(row["cost"])
-        for row in csv.DictReader(open(tmp_path / "trials.csv"))
+        for row in csv.DictReader((tmp_path / "trials.csv").read_text().splitlines())
         if row["state"] == "complete"
     ]
     assert min(rows) == best.value < trials[0].value
@@ -115,9 +114,8 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
             tune(Bowl(trials=trials), tmp_path / name, workers=1)
     run_trial(Bowl(trials=12), tmp_path / "one")
     one, other = (done(Bowl(trials=12), tmp_path / name) for name in ("one", "other"))
-    assert len(one) == len(other) == 12 and [trial.params for trial in one] == [
-        trial.params for trial in other
-    ]
+    assert len(one) == len(other) == 12
+    assert [trial.params for trial in one] == [trial.params for trial in other]
     with pytest.raises(
         ValueError, match="one has another search, seed was 0 and is 1: give another --out"
     ):
@@ -130,7 +128,7 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "kind, changes, message",
+    ("kind", "changes", "message"),
     [
         (ControllerSearch, {"search": {}}, "search is {}: it should have at least 1 item"),
         (
@@ -182,16 +180,18 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
     main(["tune", str(file), "--trials", "3", "--out", str(out)])
     printed = capsys.readouterr().out
     assert "3 trials: 3 complete, 0 pruned" in printed
-    costs = [float(row["cost"]) for row in csv.DictReader(open(out / "trials.csv"))]
-    assert len({*costs}) > 1 and 0.0 < min(costs) < 10.0
+    costs = [
+        float(row["cost"]) for row in csv.DictReader((out / "trials.csv").read_text().splitlines())
+    ]
+    assert len({*costs}) > 1
+    assert 0.0 < min(costs) < 10.0
     if table is CONTROLLER:
         best = PolicyName.parse(str(out / "best.toml"), "TipPose")
-        assert best.parameters.keys() == CONTROLLER["search"].keys() and best.estimator == "kalman"
+        assert best.parameters.keys() == CONTROLLER["search"].keys()
+        assert best.estimator == "kalman"
     else:
-        assert (
-            read_training(out / "best.toml").steps == 128
-            and (out / "trial_0" / "best" / "weights.npz").exists()
-        )
+        assert read_training(out / "best.toml").steps == 128
+        assert (out / "trial_0" / "best" / "weights.npz").exists()
         assert not (Path(out) / "trial_0" / "last").exists(), "nothing goes on from it"
 
 

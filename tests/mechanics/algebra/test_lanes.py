@@ -90,13 +90,14 @@ def test_sums_and_extremes_agree_with_numpy(seed):
 
 
 @pytest.mark.parametrize("where", range(LANES))
-@pytest.mark.parametrize("others", (0.0, np.inf, -np.inf))
+@pytest.mark.parametrize("others", [0.0, np.inf, -np.inf])
 def test_extremes_are_nan_if_any_lane_is(where, others):
     x = np.full(LANES, others)
     x[where] = np.nan
     with np.errstate(invalid="ignore"):
         _, out = reduce_pack(x)
-    assert np.isnan(out[1]) and np.isnan(out[2])
+    assert np.isnan(out[1])
+    assert np.isnan(out[2])
 
 
 class Inner(Struct):
@@ -164,7 +165,9 @@ def test_copies_stand_on_their_own(copied):
     struct = outer()
     twin, out = copied(struct), np.zeros(7)
     read(twin, out)
-    assert struct.inner.values[0] == 0.0 and twin.inner.values[0] == 1.0 and out[4] == 4.0
+    assert struct.inner.values[0] == 0.0
+    assert twin.inner.values[0] == 1.0
+    assert out[4] == 4.0
 
 
 @pytest.mark.no_jit

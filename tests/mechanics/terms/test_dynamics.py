@@ -40,7 +40,7 @@ def assert_close(found, expected, relative):
     np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("dof", (10, 16))
+@pytest.mark.parametrize("dof", [10, 16])
 @pytest.mark.parametrize("case", range(4))
 def test_terms_agree_with_an_independent_model(dof, case, build, reference, check_terms):
     """Automatic differentiation of the rod's Lagrangian, see tests/data; at 48 intervals a
@@ -113,7 +113,7 @@ def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     )
 
 
-@pytest.mark.parametrize("name", ("paper", "four_tendon", "paper_48dof"))
+@pytest.mark.parametrize("name", ["paper", "four_tendon", "paper_48dof"])
 def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
     """At rest for the statics-based strain; everywhere for an explicit basis, which needs to know
     the tension.

@@ -74,7 +74,8 @@ def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(
     name, changes, random_state, check_derivatives
 ):
     model = on_few_intervals(name, changes)
-    assert isinstance(model.arm.strain, Loaded) and not model.arm.effects.count
+    assert isinstance(model.arm.strain, Loaded)
+    assert not model.arm.effects.count
     check_derivatives(model, *random_state(model, 2))
 
 
@@ -128,14 +129,15 @@ def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, ra
     assert model.arm.strain.has_potential
     scale = np.sqrt(np.diag(terms.stiffness))
     G = terms.stiffness / np.outer(scale, scale)
-    assert np.abs(G - G.T).max() < 1e-12 and np.linalg.eigvalsh(G)[0] > 0.0
+    assert np.abs(G - G.T).max() < 1e-12
+    assert np.linalg.eigvalsh(G)[0] > 0.0
     if model.arm.strain.is_tensions:
         np.testing.assert_allclose(
             terms.actuation, terms.stiffness, atol=1e-12 * np.abs(terms.stiffness).max()
         )
 
 
-@pytest.mark.parametrize("dof", (10, 16))
+@pytest.mark.parametrize("dof", [10, 16])
 @pytest.mark.parametrize("case", range(3))
 def test_terms_agree_with_an_independent_model(dof, case, reference, check_terms):
     """Automatic differentiation of the rod's energy, on 16 intervals a piece, see tests/data; at 32
