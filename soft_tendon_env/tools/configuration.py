@@ -23,9 +23,9 @@ from soft_tendon_env.tools.files import read_bytes
 from soft_tendon_env.tools.forks import hold_over_forks
 
 Key = tuple[str | int, ...]
-_validating = threading.RLock()
-# pydantic has locks of its own, which a child must not find locked
-hold_over_forks(_validating)
+_pydantic = threading.RLock()
+# pydantic has locks of its own while it validates and serialises; a child must not find them locked
+hold_over_forks(_pydantic)
 
 POSITION = re.compile(r"\[(\d+|\*)\]")
 """A position in an array in brackets, `[3]`, or `[*]` for every one."""
@@ -74,13 +74,23 @@ class Configuration(BaseModel):
     def __init__(self, /, **values: Any):
         frozen = {name: _freeze(value) for name, value in values.items()}
         try:
-            with _validating:
+            with _pydantic:
                 super().__init__(**frozen)
         except ValidationError as error:
             problems = list[Problem]()
             for details in error.errors():
                 problems += _problems(type(self), details)
             raise ConfigurationError(problems, type(self).__name__) from None
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """Plain values by name, see pydantic."""
+        with _pydantic:
+            return super().model_dump(**options)
+
+    def model_dump_json(self, **options: Any) -> str:
+        """JSON of plain values by name, see pydantic."""
+        with _pydantic:
+            return super().model_dump_json(**options)
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """Keys that have other values than by default."""

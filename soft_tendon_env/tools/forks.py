@@ -16,6 +16,7 @@ import functools
 import importlib
 import os
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -91,6 +92,9 @@ def _take_locks() -> None:
 
     An import may compile: while one goes on elsewhere, none of the locks is kept.
     """
+    # The first call in a process holds a lock of its own; afterwards there is nothing to lock.
+    with contextlib.suppress(OSError):
+        tempfile.gettempdir()
     _thread.held = contextlib.ExitStack()
     deadline = time.monotonic() + PATIENCE
     while True:
