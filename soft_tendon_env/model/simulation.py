@@ -510,8 +510,10 @@ def _slopes(values: Array, step: Array) -> Array:
 
 
 def _jumps(side: Array, other: Array) -> NDArray[np.bool_]:
-    """Where the difference to one side is a jump beside that to the other; a difference beside none
-    is a kink, as where friction holds something at rest."""
+    """Mask of entries whose difference to one side is a jump beside that to the other.
+
+    A difference beside none is no jump but a kink, as where friction holds something at rest.
+    """
     is_far_larger = abs(side) > JUMP_RATIO * abs(other)
     moves = (other != 0.0) | np.isinf(side)
     return np.asarray(is_far_larger & moves)
