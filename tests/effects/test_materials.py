@@ -68,7 +68,7 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
     elastic = model.terms(q, 0 * q).elastic_force
     work.inputs.before[:], work.inputs.since[0] = work.strain.xi, step
     for i in range(1, 4):
-        external_force(model.arm, False, work)
+        external_force(model.arm, work)
         left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
         np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
