@@ -7,8 +7,8 @@ the substep; the rod's D and G may be those at the start of the step, see extrap
 
 The tensions x of elastic tendons at its end are those of the rates y' = B^T v' at which they are
 then pulled in, with v' = v + dv + A^-1 h F (x' - x) and F the forces by x: x = clip(k (u' - s - h
-y), 0, strength), a complementarity problem of n_a unknowns. So is the friction of tendons that rub,
-see sliding. That is implicit Euler of a monotone force, stable however stiff.
+y), 0, strength), see tendon_ends. That is implicit Euler of a monotone force, stable however stiff.
+The friction of tendons is that of its end too, see sliding.
 """
 
 from soft_tendon_env.compiler.compilation import kernel, phase

@@ -23,10 +23,10 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, sprea
 from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_columns
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK, UNSETTLED
 from soft_tendon_env.mechanics.motion.tendon_ends import bound_tensions
-from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK
+from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_speed
 
 MOST = 100  # Newton steps
-SAME = 1e-9  # of the logarithm of a tension, by which it may be off its directions
+SAME = 1e-7  # of the logarithm of a tension, by which it may be off what slides: a step squares it
 
 
 @phase
@@ -70,7 +70,7 @@ def begin_sliding(arm, balance, v, delta, sliding):
         begin, end = places_of(arm, i)
         for k in range(begin, end):
             slide[k] = row_product(balance.borders.row, k, sliding.change)
-            sliding.direction[k] = slide[k] / math.hypot(slide[k], slow)
+            sliding.direction[k] = slide[k] / smooth_speed(slide[k], slow)
 
 
 @kernel(inline=True)
@@ -142,7 +142,7 @@ def add_tendon(arm, i, balance, h, columns, sliding):
         if turn == 0.0:
             continue
         z = sliding.direction[k]
-        speed = math.hypot(sliding.rate[k], path.stiction_speed)
+        speed = smooth_speed(sliding.rate[k], path.stiction_speed)
         lead = sliding.rate[k] / speed
         slope = (1.0 - z * lead) / speed
         sliding.lead[k] = lead
@@ -235,7 +235,7 @@ def follow_change(arm, borders, stretched, sliding):
             moved = row_product(borders.row, k, sliding.change)
             z = min(max(sliding.lead[k] + sliding.slope[k] * moved, -1.0), 1.0)
             rate = sliding.rate[k] + moved
-            off += turn * (rate / math.hypot(rate, slow) - z)
+            off += turn * (rate / smooth_speed(rate, slow) - z)
             turned += turn * (z - sliding.direction[k])
             most = max(most, abs(off), share * abs(turned))
             sliding.direction[k] = z

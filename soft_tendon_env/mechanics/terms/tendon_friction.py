@@ -56,6 +56,12 @@ def tendons_rub(arm):
     return arm.effects.transmission.friction > 0.0
 
 
+@kernel(inline=True)
+def smooth_speed(rate, slow):
+    """Regularised size of a speed, sqrt(v^2 + v_s^2), by which v has the direction z."""
+    return math.sqrt(rate * rate + slow * slow)
+
+
 @kernel
 def tangent_at(arm, i, pack, z, m, strain):
     """Unit tangent of a tendon at the z-th point of interval m of a pack, and its rate of turning
@@ -178,7 +184,7 @@ def find_shares(arm, strain, tendons, friction):
         turned = 0.0
         for k in range(begin, end):
             turn = math.copysign(friction.turn[k], tendons.tension[i])
-            turned += turn * friction.rate[k] / math.hypot(friction.rate[k], slow)
+            turned += turn * friction.rate[k] / smooth_speed(friction.rate[k], slow)
             place = k - i * blocks * LANES
             block = place // PER_PACK * 2 + place % 2
             m = place % PER_PACK // 2
@@ -216,7 +222,7 @@ def add_friction_damping(arm, tendons, friction, borders, damping):
         end = i * points + PER_PACK * arm.tendons.pack_end[i]
         for k in range(begin, end):
             turn = math.copysign(borders.turn[k], tension)
-            speed = math.hypot(friction.rate[k], slow)
+            speed = smooth_speed(friction.rate[k], slow)
             z = friction.rate[k] / speed
             turned += turn * z
             slope = (1.0 - z * z) / speed
