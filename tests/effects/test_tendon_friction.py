@@ -114,10 +114,12 @@ def energies(scene, command, stiffness, strength, duration):
 
 def arms(count):
     """Seed, strain and whether tendons are elastic, of random arms; all but four are slow."""
+    cases = []
     for seed in range(count):
         marks = [] if seed < 4 else [pytest.mark.slow]
         strain = (EXPLICIT, STATICS)[seed % 2]
-        yield pytest.param(seed, strain, seed % 4 > 1, marks=marks)
+        cases.append(pytest.param(seed, strain, seed % 4 > 1, marks=marks))
+    return cases
 
 
 @pytest.mark.parametrize(("seed", "strain", "elastic"), arms(40))
