@@ -118,11 +118,10 @@ def _substitute_back(a, n, x):
 
 
 @kernel
-def solve_columns(a, n, columns):
+def solve_columns(a, n, wide, columns):
     """Overwrites the right-hand sides of a system, `columns` after the n coefficients of each row,
-    by its solutions, by elimination without pivoting; False if a pivot is not positive. Rows of `a`
-    are whole packs; for matrices whose symmetric part is positive definite."""
-    wide = a.size // n
+    by its solutions, by elimination without pivoting; False if a pivot is not positive. Row i of
+    `a` begins at i * wide, whole packs; for matrices whose symmetric part is positive definite."""
     used = row_stride(n + columns)
     for j in range(n):
         pivot = a[j * wide + j]

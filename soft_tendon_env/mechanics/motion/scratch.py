@@ -84,8 +84,12 @@ class Sliding(Struct):
     change: Annotated[np.ndarray, "row"]  # of the rates v by a Newton step
     turning: Annotated[np.ndarray, "row"]  # derivative of mu z dphi up to a border
     pulling: Annotated[np.ndarray, "row"]  # less that of the tension there
-    wide_row: Annotated[np.ndarray, "wide"]  # n coefficients, the right-hand side, n_a more
-    system: Annotated[np.ndarray, "n x wide"]
+    left: Annotated[np.ndarray, "n_a x points"]  # what the share of the tension gains there
+    acceleration: Annotated[np.ndarray, "n"]  # in the substep before; 0 in the first of a step
+    # rows of n coefficients, the right-hand side, and n_a more: of the borders of one tendon, and
+    # the system, whose rows are filled up to whole packs too
+    falls: Annotated[np.ndarray, "points x wide"]
+    system: Annotated[np.ndarray, "row x wide"]
 
 
 SMOOTH = 0

@@ -19,13 +19,17 @@ each step, see implicit_euler.
 import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_columns
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK, UNSETTLED
 from soft_tendon_env.mechanics.motion.tendon_ends import bound_tensions
 from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_speed
 
 MOST = 100  # Newton steps
+SMALL_TURN = 0.25  # of a logarithm, up to which its series is right to 3e-13
+HALF, THIRD, FOURTH, FIFTH = (1.0 / order for order in (2, 3, 4, 5))
+SIXTH, SEVENTH, EIGHTH, NINTH = (1.0 / order for order in (6, 7, 8, 9))
+"""Reciprocals of the orders of that series: products are quicker than quotients."""
 SAME = 1e-7  # of the logarithm of a tension, by which it may be off what slides: a step squares it
 
 
@@ -40,11 +44,12 @@ def slide_tendons(arm, command, balance, h, scratch):
     columns = 1
     if path.elastic:
         columns += arm.tendons.size
-    begin_sliding(arm, balance, scratch.v, scratch.delta, sliding)
+    wide = sliding.system.size // sliding.change.size
+    begin_sliding(arm, balance, h, scratch)
     sliding.status[0] = UNSETTLED
     for _ in range(MOST):
         fill_sliding(arm, balance, h, columns, scratch)
-        if not solve_columns(sliding.system, n, columns):
+        if not solve_columns(sliding.system, n, wide, columns):
             sliding.status[0] = NOT_POSITIVE
             return
         take_change(n, sliding)
@@ -55,22 +60,32 @@ def slide_tendons(arm, command, balance, h, scratch):
             scratch.delta[a] += sliding.change[a]
         if off <= SAME:
             sliding.status[0] = OK
+            for a in range(n):
+                sliding.acceleration[a] = scratch.delta[a] / h
             return
 
 
 @kernel
-def begin_sliding(arm, balance, v, delta, sliding):
-    """Begins with the rates v (n) and tensions of the substep's beginning."""
-    copy(v, sliding.change)
-    slide = sliding.rate
+def begin_sliding(arm, balance, h, scratch):
+    """Begins with the tensions of the substep's beginning and the rates to which the accelerations
+    of the substep before lead."""
+    sliding = scratch.sliding
+    delta = scratch.delta
+    rows = balance.borders.row
+    rates = sliding.rate
+    directions = sliding.direction
+    ahead = sliding.change
     slow = arm.effects.transmission.stiction_speed
     copy(balance.tendons.tension, sliding.tension)
-    delta[:] = 0.0
+    for a in range(delta.size):
+        delta[a] = h * sliding.acceleration[a]
+        ahead[a] = scratch.v[a] + delta[a]
     for i in range(arm.tendons.size):
         begin, end = places_of(arm, i)
         for k in range(begin, end):
-            slide[k] = row_product(balance.borders.row, k, sliding.change)
-            sliding.direction[k] = slide[k] / smooth_speed(slide[k], slow)
+            rate = row_product(rows, k, ahead)
+            rates[k] = rate
+            directions[k] = rate / smooth_speed(rate, slow)
 
 
 @kernel(inline=True)
@@ -98,7 +113,7 @@ def fill_sliding(arm, balance, h, columns, scratch):
     delta = scratch.delta
     n = delta.size
     stride = row_stride(n + 1)
-    wide = sliding.system.size // n
+    wide = sliding.system.size // stride
     for a in range(n):
         row = scratch.system[a * stride : a * stride + n]
         out = sliding.system[a * wide : (a + 1) * wide]
@@ -106,82 +121,126 @@ def fill_sliding(arm, balance, h, columns, scratch):
         out[n] = scratch.system[a * stride + n] - product(row, delta)
         for j in range(1, columns):
             out[n + j] = 0.0
+    is_elastic = arm.effects.transmission.elastic
     for i in range(arm.tendons.size):
-        add_tendon(arm, i, balance, h, columns, sliding)
+        if not is_elastic and sliding.tension[i] == 0.0:
+            continue
+        begin, end = places_of(arm, i)
+        begun = balance.tendons.tension[i]
+        linearise_tension(arm, balance.borders, (i, begin, end), begun, h, sliding)
+        if is_elastic:
+            # the tension itself pulls along w_0
+            sliding.falls[n] += h * (sliding.tension[i] - begun)
+            for k in range(begin, end):
+                change = sliding.falls[(k - begin) * wide + n + 1 : (k - begin + 1) * wide]
+                change[:] = 0.0
+                change[i] = h * sliding.left[k]
+            sliding.falls[n + 1 + i] += h
+        used = row_stride(n + columns)
+        add_products(balance.borders.row[begin * stride : end * stride], used, n, sliding)
 
 
 @kernel
-def add_tendon(arm, i, balance, h, columns, sliding):
-    """Adds the friction of a tendon, and of an elastic one its tension, to the linear problem."""
-    path = arm.effects.transmission
-    borders = balance.borders
+def linearise_tension(arm, borders, tendon, begun, h, sliding):
+    """What a tendon's tension falls by at its borders, times -h, with derivatives: rows of
+    sliding.falls; and the change of the shares that are left, sliding.left."""
+    i, begin, end = tendon
+    slow = arm.effects.transmission.stiction_speed
     stride = sliding.change.size
-    n = sliding.system.size // sliding.wide_row.size
-    used = row_stride(n + columns)
-    tension = sliding.tension[i]
-    begun = balance.tendons.tension[i]
-    begin, end = places_of(arm, i)
-    row = sliding.wide_row
+    wide = sliding.system.size // stride
+    n = arm.strain.size
+    tension = h * sliding.tension[i]
+    rows = borders.row
+    turns = borders.turn
+    rates = sliding.rate
+    directions = sliding.direction
+    leads = sliding.lead
+    slopes = sliding.slope
+    falls = sliding.falls
+    lefts = sliding.left
     turning = sliding.turning
     pulling = sliding.pulling
-    row[:] = 0.0
-    if path.elastic:
-        row[n] = tension - begun
-        row[n + 1 + i] = 1.0
-        add_outer(borders.row, begin, h, used, row, sliding.system)
-    elif tension == 0.0:
-        return
     turning[:] = 0.0
     pulling[:] = 0.0
-    turned = 0.0  # mu z dphi up to the border, and by how much the rates' own z have more
-    late = 0.0
-    left_before = 1.0
+    late = 0.0  # by how much the rates' own mu z dphi, up to the border, is more
+    left = 1.0
     late_before = 0.0
     for k in range(begin, end):
-        turn = math.copysign(borders.turn[k], begun)
-        if turn == 0.0:
-            continue
-        z = sliding.direction[k]
-        speed = smooth_speed(sliding.rate[k], path.stiction_speed)
-        lead = sliding.rate[k] / speed
+        turn = math.copysign(turns[k], begun)
+        z = directions[k]
+        rate = rates[k]
+        speed = smooth_speed(rate, slow)
+        lead = rate / speed
         slope = (1.0 - z * lead) / speed
-        sliding.lead[k] = lead
-        sliding.slope[k] = slope
-        turned += turn * z
-        late += turn * (lead - z)
-        left = math.exp(-turned)
-        # T_k - T_k-1 and its derivative
-        for m in range(0, stride, LANES):
-            turns = load(turning, m) + (turn * slope) * load(borders.row, k * stride + m)
-            pulls = (tension * left) * turns
-            store(turning, m, turns)
-            store(row, m, pulls - load(pulling, m))
-            store(pulling, m, pulls)
-        row[n] = tension * ((left - left_before) - (left * late - left_before * late_before))
-        if path.elastic:
-            row[n + 1 + i] = left - left_before
-        add_outer(borders.row, k, h, used, row, sliding.system)
+        leads[k] = lead
+        slopes[k] = slope
         left_before = left
+        left = left_before * decay(turn * z)
+        lefts[k] = left - left_before
+        late += turn * (lead - z)
+        at = (k - begin) * wide
+        for m in range(0, stride, LANES):
+            turned = load(turning, m) + (turn * slope) * load(rows, k * stride + m)
+            pulled = (tension * left) * turned
+            store(falls, at + m, pulled - load(pulling, m))
+            store(turning, m, turned)
+            store(pulling, m, pulled)
+        fall = (left - left_before) - (left * late - left_before * late_before)
+        falls[at + n] = tension * fall
         late_before = late
 
 
 @kernel(inline=True)
-def add_outer(rows, k, h, used, row, system):
-    """Adds h w_k row^T to a system, with `used` numbers of each row."""
-    wide = row.size
-    n = system.size // wide
-    stride = row_stride(n + 1)
-    for a in range(n):
-        share = h * rows[k * stride + a]
+def decay(x):
+    """exp(-x), where x is small by its series."""
+    if abs(x) > SMALL_TURN:
+        return math.exp(-x)
+    # 1 - x (1 - x/2 (1 - x/3 (...))), up to x^9
+    rest = 1.0 - NINTH * x
+    rest = 1.0 - EIGHTH * x * rest
+    rest = 1.0 - SEVENTH * x * rest
+    rest = 1.0 - SIXTH * x * rest
+    rest = 1.0 - FIFTH * x * rest
+    rest = 1.0 - FOURTH * x * rest
+    rest = 1.0 - THIRD * x * rest
+    rest = 1.0 - HALF * x * rest
+    return 1.0 - x * rest
+
+
+@kernel
+def add_products(rows, used, n, sliding):
+    """Adds the sum over a tendon's borders of w_k falls_k^T to the system, of which rows have
+    `used` numbers."""
+    stride = sliding.change.size
+    wide = sliding.system.size // stride
+    system = sliding.system
+    falls = sliding.falls
+    count = rows.size // stride
+    # four rows at once: w_k is filled up to whole packs with zeros, and the system with rows
+    for a in range(0, n, 4):
         for m in range(0, used, LANES):
             at = a * wide + m
-            store(system, at, load(system, at) + share * load(row, m))
+            first = load(system, at)
+            second = load(system, at + wide)
+            third = load(system, at + 2 * wide)
+            fourth = load(system, at + 3 * wide)
+            for k in range(count):
+                fall = load(falls, k * wide + m)
+                w = load(rows, k * stride + a)
+                first = first + lane(w, 0) * fall
+                second = second + lane(w, 1) * fall
+                third = third + lane(w, 2) * fall
+                fourth = fourth + lane(w, 3) * fall
+            store(system, at, first)
+            store(system, at + wide, second)
+            store(system, at + 2 * wide, third)
+            store(system, at + 3 * wide, fourth)
 
 
 @kernel
 def take_change(n, sliding):
     """The solution of the linear problem, a change of the rates, into sliding.change."""
-    wide = sliding.wide_row.size
+    wide = sliding.system.size // sliding.change.size
     for a in range(n):
         sliding.change[a] = sliding.system[a * wide + n]
 
@@ -193,7 +252,7 @@ def stretch_sliding(path, command, balance, h, scratch):
     sliding = scratch.sliding
     ends = scratch.ends
     n = scratch.delta.size
-    wide = sliding.wide_row.size
+    wide = sliding.system.size // sliding.change.size
     for j in range(command.size):
         for a in range(n):
             ends.answer[j, a] = sliding.system[a * wide + n + 1 + j]
@@ -218,6 +277,13 @@ def follow_change(arm, borders, stretched, sliding):
     (n_a) [N]."""
     path = arm.effects.transmission
     slow = path.stiction_speed
+    rows = borders.row
+    turns = borders.turn
+    leads = sliding.lead
+    slopes = sliding.slope
+    rates = sliding.rate
+    directions = sliding.direction
+    change = sliding.change
     most = 0.0
     for i in range(arm.tendons.size):
         if sliding.tension[i] == 0.0 and not path.elastic:
@@ -229,15 +295,13 @@ def follow_change(arm, borders, stretched, sliding):
         if path.elastic:
             share = abs(stretched[i]) / path.strength[i]
         for k in range(begin, end):
-            turn = borders.turn[k]
-            if turn == 0.0:
-                continue
-            moved = row_product(borders.row, k, sliding.change)
-            z = min(max(sliding.lead[k] + sliding.slope[k] * moved, -1.0), 1.0)
-            rate = sliding.rate[k] + moved
+            turn = turns[k]
+            moved = row_product(rows, k, change)
+            z = min(max(leads[k] + slopes[k] * moved, -1.0), 1.0)
+            rate = rates[k] + moved
             off += turn * (rate / smooth_speed(rate, slow) - z)
-            turned += turn * (z - sliding.direction[k])
+            turned += turn * (z - directions[k])
             most = max(most, abs(off), share * abs(turned))
-            sliding.direction[k] = z
-            sliding.rate[k] = rate
+            directions[k] = z
+            rates[k] = rate
     return most
