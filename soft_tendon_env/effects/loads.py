@@ -20,7 +20,6 @@ from soft_tendon_env.effects.base import (
     DeadLoads,
     Discretisation,
     Effect,
-    register_effect,
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import (
@@ -52,6 +51,7 @@ from soft_tendon_env.mechanics.terms.transposed_kinematics import (
 )
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import (
     Direction,
     Frequency,
@@ -71,7 +71,7 @@ ALWAYS = (0.0, 0.0, 0.0)
 """Numbers of a load without a signal."""
 
 
-@register_effect("gravity")
+@register("effect", "gravity")
 class Gravity(Effect):
     """`[effects.gravity]`: weight of the rod and its payload, in the world frame."""
 
@@ -108,7 +108,7 @@ def gravity_wrench(gravity, nodes):
         store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
 
 
-@register_effect("tip_load")
+@register("effect", "tip_load")
 class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
@@ -206,7 +206,7 @@ class Load(Configuration):
     )
 
 
-@register_effect("disturbance")
+@register("effect", "disturbance")
 class Disturbance(Effect):
     """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those
     under the loads at time 0."""
@@ -310,7 +310,7 @@ def limit_disturbance_step(disturbance, nodes, longest):
                     longest[0] = min(longest[0], edge - nodes.time)
 
 
-@register_effect("moving_base")
+@register("effect", "moving_base")
 class MovingBase(Effect):
     """`[effects.moving_base]`: motion of the base from its pose in the scene, along the world's
     axes and about a fixed axis.

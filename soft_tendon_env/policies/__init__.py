@@ -2,7 +2,6 @@
 Stable-Baselines3's `predict`."""
 
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
-from soft_tendon_env.policies.algorithms import register_algorithm
 from soft_tendon_env.policies.controller_policy import (
     ControllerPolicy,
     make_policy,
@@ -26,6 +25,5 @@ __all__ += [
     "make_policy",
     "observation_options",
     "policy_options",
-    "register_algorithm",
     "save_agent",
 ]

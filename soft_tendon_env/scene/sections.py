@@ -10,7 +10,8 @@ Timoshenko and J. N. Goodier, Theory of Elasticity, 1970, chapter 10):
 - inertia per length rho diag(Iy + Iz, Iy, Iz, A, A, A).
 
 The shear correction factor k is 1 unless a section says otherwise: a solid circle has none, and a
-tube without a hole is one. To add a section, write its class here and name it in `AnySection`.
+tube without a hole is one. A section is a class under `@register("section", "name")`, here or in a
+user's own file as `examples/own_section.py`.
 """
 
 from abc import abstractmethod
@@ -18,11 +19,12 @@ from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.scene.routing import Size, Taper
 from soft_tendon_env.tools.configuration import Configuration, Problem
+from soft_tendon_env.tools.registry import TableRegistry, register
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
 # viscosity of the six strains in eta, (6, 1): 3 along the rod (Trouton's ratio)
@@ -40,9 +42,14 @@ class Section(Configuration):
     first of them as radius.
 
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
+
+    Attributes:
+        sizes: names of the fields that are sizes.
+        has_material: whether it is of one material, whose numbers the segment has then.
     """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
+    has_material: ClassVar[bool] = True
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
@@ -75,6 +82,14 @@ class Section(Configuration):
                 values[i] = size
         return values, slopes
 
+    def sizes_along(self, length: float) -> Array:
+        """Sizes [m] at many places of a segment, all extremes of tables among them: (sizes, m)."""
+        # between the points of a table a size has no other extremes
+        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
+        places = np.concatenate([length * PLACES, *tables])
+        values, _ = self.at(places, length)
+        return values
+
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Radius [m] of the circle around the section, and its derivative along the rod [-], each
         (m,)."""
@@ -102,6 +117,10 @@ class Section(Configuration):
                 yield Problem((name,), text)
 
 
+SECTIONS: TableRegistry[Section] = TableRegistry("section", Section)
+"""Registered cross-sections, by the `type` that tables name."""
+
+
 class Solid(Section):
     """Base of the sections of one material."""
 
@@ -127,6 +146,7 @@ class Solid(Section):
         return np.stack([elasticity, viscosity, inertia])
 
 
+@register("section", "tube")
 class Tube(Solid):
     """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole
     displaces fluid, and holds none."""
@@ -149,10 +169,7 @@ class Tube(Solid):
         yield from super().misfits(length)
         if not self.inner_radius:
             return
-        # also the points of tables, between which a size has no other extremes
-        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
-        places = np.concatenate([length * PLACES, *tables])
-        (outer, inner), _ = self.at(places, length)
+        outer, inner = self.sizes_along(length)
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
             text = (
@@ -164,7 +181,7 @@ class Tube(Solid):
 
 class Flat(Solid):
     """Base of the sections that are as wide along y as their `width`, and along z as their
-    `height`."""
+    `height`, which are the first two of their sizes."""
 
     sizes: ClassVar[tuple[str, ...]] = ("width", "height")
 
@@ -172,6 +189,7 @@ class Flat(Solid):
     height: Size  # along z [m]
 
 
+@register("section", "rectangle")
 class Rectangle(Flat):
     """Solid rectangle. Torsion is Timoshenko and Goodier's (170), summed to round-off."""
 
@@ -195,12 +213,13 @@ class Rectangle(Flat):
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         values, slopes = self.at(arc_length, length)
-        diagonal = np.hypot(*values)
-        slope = 0.5 * (values * slopes).sum(axis=0) / diagonal
+        sides = values[:2]
+        diagonal = np.hypot(*sides)
+        slope = 0.5 * (sides * slopes[:2]).sum(axis=0) / diagonal
         return 0.5 * diagonal, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
-        (width, height), _ = self.at(arc_length, length)
+        (width, height, *_), _ = self.at(arc_length, length)
         perimeter = 2.0 * (width + height)
         area = width * height
         return np.stack([width, height, perimeter, area])
@@ -209,6 +228,7 @@ class Rectangle(Flat):
         return np.clip(np.sqrt(2.0) * circle, -1.0, 1.0)
 
 
+@register("section", "ellipse")
 class Ellipse(Flat):
     """Solid ellipse."""
 
@@ -243,6 +263,7 @@ def _both(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else (value, value)
 
 
+@register("section", "stiffness")
 class Stiffness(Section):
     """Stiffnesses themselves, as measured or from a finite element model, the same along the
     segment.
@@ -250,6 +271,8 @@ class Stiffness(Section):
     The segment then has no `young_modulus`, `poisson_ratio`, `density` and `damping`. Damping is
     Kelvin-Voigt with one time constant, Upsilon = `retardation_time` Sigma.
     """
+
+    has_material: ClassVar[bool] = False
 
     type: Literal["stiffness"] = "stiffness"
     bending: tuple[Positive, Positive]  # (E Iy, E Iz) [N m^2]
@@ -281,7 +304,8 @@ class Stiffness(Section):
         return np.stack([sigma, self.retardation_time * sigma, inertia])
 
 
-AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
+AnySection = Annotated[SerializeAsAny[Section], BeforeValidator(SECTIONS.parse)]
+"""A cross-section, also as a table with its `type`."""
 
 
 class Discs(Configuration):
