@@ -59,7 +59,10 @@ class EpisodesEnv:
         threads: int | None,
         render_mode: str | None,
     ) -> None:
-        """Make the rows and their renderer. Raises ConfigurationError, and as make_renderer."""
+        """Make the rows and their renderer.
+
+        Raises ConfigurationError, and as make_renderer.
+        """
         self.render_mode = render_mode
         parsed = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, parsed, rows, threads)
@@ -304,7 +307,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Make an environment. Raises ConfigurationError, ValueError or TypeError."""
+        """Make an environment.
+
+        Raises ConfigurationError, ValueError or TypeError.
+        """
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
@@ -502,7 +508,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode by its name or itself. Raises ConfigurationError."""
+    """An autoreset mode by its name or itself.
+
+    Raises ConfigurationError.
+    """
     if isinstance(mode, AutoresetMode):
         return mode
     if mode not in MODES:

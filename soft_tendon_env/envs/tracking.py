@@ -85,7 +85,10 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
 
 
 def _weight_of(value: Any) -> Weight:
-    """A weight of itself, a table or a number. Raises ConfigurationError."""
+    """A weight of itself, a table or a number.
+
+    Raises ConfigurationError.
+    """
     if isinstance(value, Weight):
         return value
     if isinstance(value, dict):

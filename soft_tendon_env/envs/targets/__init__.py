@@ -282,7 +282,10 @@ def register_target(target: Class) -> Class:
 
 
 def _by_name(target: Any) -> Any:
-    """The target of a name or a table; else itself. Raises ConfigurationError."""
+    """The target of a name or a table; else itself.
+
+    Raises ConfigurationError.
+    """
     settings = {"type": target} if isinstance(target, str) else target
     if not isinstance(settings, dict):
         return target
