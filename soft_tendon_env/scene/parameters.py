@@ -190,8 +190,10 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
 
 
 def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Keys and ranges, as they are written, of a number, or of the entries of a vector. Raises
-    ConfigurationError for a list of another length."""
+    """Keys and ranges, as they are written, of a number, or of the entries of a vector.
+
+    Raises ConfigurationError for a list of another length.
+    """
     children = _matching(f"{name}.*", entries)
     places = sorted({key.rpartition(".")[2] for key in children})
     is_vector = bool(places) and places[-1].isdecimal()
@@ -256,7 +258,10 @@ def _misfit(key: str, value: Any) -> str:
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
-    """Parameter that a name stands for. Raises ConfigurationError."""
+    """Parameter that a name stands for.
+
+    Raises ConfigurationError.
+    """
     keys = list[str]()
     # a part of a name may list several entries
     choices = [part.split(",") for part in name.split(".")]
@@ -323,7 +328,10 @@ def _is_relative(value: Any) -> bool:
 
 
 def _interval(key: str, value: Any) -> tuple[float, float]:
-    """Least and greatest of a number or a pair. Raises ConfigurationError."""
+    """Least and greatest of a number or a pair.
+
+    Raises ConfigurationError.
+    """
     pair = value if isinstance(value, list | tuple) else (value, value)
     if len(pair) == 2 and all(map(_is_number, pair)):
         least, greatest = pair

@@ -130,7 +130,10 @@ class PassiveFields:
         return ""
 
     def save(self, path: Path) -> None:
-        """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
+        """Saves them as JSON.
+
+        The file appears whole or not at all. Raises OSError.
+        """
         arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
         table = {
             "arm": self.arm,
@@ -197,7 +200,10 @@ def _read_at(path: Path, _changed: int) -> PassiveFields:
 
 
 def _read_once(path: Path) -> PassiveFields:
-    """Fields of a file, read again only where it changed. Raises OSError, ValueError."""
+    """Fields of a file, read again only where it changed.
+
+    Raises OSError, ValueError.
+    """
     return _read_at(path, path.stat().st_mtime_ns)
 
 
@@ -245,8 +251,9 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
 
 def fields_of(scene: Scene) -> PassiveFields:
-    """Passive fields that a scene with `Snapshots` names. Warns where they were made for other
-    loads.
+    """Passive fields that a scene with `Snapshots` names.
+
+    Warns where they were made for other loads.
 
     Args:
         scene: the arm.
@@ -284,7 +291,10 @@ def fields_of(scene: Scene) -> PassiveFields:
 
 
 def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
-    """Fields of the file that is named, or else of the arm. Raises ConfigurationError."""
+    """Fields of the file that is named, or else of the arm.
+
+    Raises ConfigurationError.
+    """
     try:
         if passive.file is not None:
             return _read_once(Path(passive.file))

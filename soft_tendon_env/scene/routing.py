@@ -120,8 +120,10 @@ Size = Annotated[
 
 
 class TendonRouting(AlongRod):
-    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the
-    section."""
+    """Base of the tendon routings.
+
+    Arc lengths are measured from the rod's base; y, z span the section.
+    """
 
     @abstractmethod
     def offset_and_slope(

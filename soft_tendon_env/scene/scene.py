@@ -210,8 +210,10 @@ class Segment(Configuration):
 
 
 class Tendon(Configuration):
-    """Tendon (threadlike actuator) that acts between two arc lengths of the rod. Positive tension
-    pulls."""
+    """Tendon (threadlike actuator) that acts between two arc lengths of the rod.
+
+    Positive tension pulls.
+    """
 
     # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting,
     # ...
@@ -353,8 +355,10 @@ def segment_borders(scene: Scene) -> Array:
 
 
 def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
-    """Index of the segment that each arc length [m] lies in. A border belongs to the segment that
-    begins there, the tip to the last."""
+    """Index of the segment that each arc length [m] lies in.
+
+    A border belongs to the segment that begins there, the tip to the last.
+    """
     inner_borders = segment_borders(scene)[1:-1]
     return np.searchsorted(inner_borders, arc_length, side="right")
 

@@ -36,8 +36,9 @@ PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what
 
 
 class Section(Configuration):
-    """Base of the cross-sections. Its `sizes` are numbers or tapers; round on the outside, with the
-    first of them as radius.
+    """Base of the cross-sections.
+
+    Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
 
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
     """
@@ -128,8 +129,10 @@ class Solid(Section):
 
 
 class Tube(Solid):
-    """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole
-    displaces fluid, and holds none."""
+    """Round tube; without a hole it is the solid circle.
+
+    In a fluid its ends are closed: its hole displaces fluid, and holds none.
+    """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius", "inner_radius")
 
@@ -173,7 +176,10 @@ class Flat(Solid):
 
 
 class Rectangle(Flat):
-    """Solid rectangle. Torsion is Timoshenko and Goodier's (170), summed to round-off."""
+    """Solid rectangle.
+
+    Torsion is Timoshenko and Goodier's (170), summed to round-off.
+    """
 
     type: Literal["rectangle"] = "rectangle"
 
@@ -286,6 +292,7 @@ AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminat
 
 class Discs(Configuration):
     """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid.
+
     They add no stiffness.
 
     Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly,

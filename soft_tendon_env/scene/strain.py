@@ -96,8 +96,7 @@ class StaticsBased(Configuration):
 
     @property
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields that have coordinates of their own, 0 without
-        any."""
+        """Highest Legendre order of the fields that have coordinates of their own, 0 without any."""
         if isinstance(self.passive, Snapshots):
             return SNAPSHOT_ORDER
         return max((modes.order for modes in self.passive), default=0)
