@@ -15,8 +15,7 @@ OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened const
 
 
 class Allocation(NamedTuple):
-    """x (m,), the multipliers (m,) to start the next one from, and whether the program was
-    solved."""
+    """x (m,), the multipliers (m,) to start the next one from, and whether the program was solved."""
 
     x: Array
     multipliers: Array

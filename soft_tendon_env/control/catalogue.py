@@ -1,5 +1,6 @@
-"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does",
-Mine).
+"""Controllers by task and name.
+
+To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does", Mine).
 
 A controller is made from a model, which is what it believes of the arm, and from what the actuators
 can do.

@@ -137,7 +137,9 @@ class ReferenceGovernor:
         self, now: ControllerInput, memory: tuple[StaticMemory, Any] | None = None
     ) -> ControllerOutput:
         """Tensions of the controller for a target within reach; memory: of statics and controller.
-        `report` also has "out_of_reach" [m]."""
+
+        `report` also has "out_of_reach" [m].
+        """
         static_memory, controller_memory = memory or (None, None)
         nearest: StaticMemory = self.statics.act(now, static_memory).memory
         reference = now.reference

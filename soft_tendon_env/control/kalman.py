@@ -149,8 +149,9 @@ class ExtendedKalmanFilter:
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """Estimates the state after a period: prediction and update. Begins anew where the model
-        has no motion like that.
+        """Estimates the state after a period: prediction and update.
+
+        Begins anew where the model has no motion like that.
 
         Args:
             measured: at the end of the period.

@@ -70,8 +70,10 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class TipPose(Objective):
-    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres. Targets are
-    moved by body displacements."""
+    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres.
+
+    Targets are moved by body displacements.
+    """
 
     angle_weight: float = 0.1
 
@@ -112,8 +114,10 @@ class TipPose(Objective):
 
 @dataclass(frozen=True)
 class TipPosition(Objective):
-    """The way from tip to target in the tip frame; the tip may point anywhere. Targets are moved in
-    the world frame."""
+    """The way from tip to target in the tip frame; the tip may point anywhere.
+
+    Targets are moved in the world frame.
+    """
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         way = _position(reference, time) - tip_pose[:3, 3]

@@ -102,8 +102,10 @@ def energy_left_inverse(terms: Terms) -> Array:
 
 
 def euclidean_left_inverse(terms: Terms) -> Array:
-    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed. Without full actuation it depends on the
-    units of the coordinates."""
+    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed.
+
+    Without full actuation it depends on the units of the coordinates.
+    """
     return np.asarray(np.linalg.pinv(terms.actuation, rtol=DEPENDENT))
 
 

@@ -106,8 +106,10 @@ class Predictive(ModelController):
         self._simulation = Simulation(model)
 
     def act(self, now: ControllerInput, memory: Plan | None = None) -> ControllerOutput:
-        """First tensions of the improved plan. Where the model cannot follow its plan, the last
-        ones are held and the plan begins anew."""
+        """First tensions of the improved plan.
+
+        Where the model cannot follow its plan, the last ones are held and the plan begins anew.
+        """
         last = np.clip(now.tension, self.least, self.greatest)
         plan = self._continued(last, memory)
         error = self._input_error(memory, now)

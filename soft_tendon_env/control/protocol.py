@@ -79,8 +79,11 @@ class Controller(Protocol):
     """A feedback or feedforward law: tensions from the measured state and the reference."""
 
     def act(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
-        """The tensions of this period. `memory` is the last output's, None when an episode begins.
-        Raises nothing for finite arrays."""
+        """The tensions of this period.
+
+        `memory` is the last output's, None when an episode begins. Raises nothing for finite
+        arrays.
+        """
 
 
 class ModelController:
@@ -169,5 +172,4 @@ class Estimator(Protocol):
     history: int  # how many of the tensions asked for last
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """The state now; `last` is the estimate of the period before, None when an episode
-        begins."""
+        """The state now; `last` is the estimate of the period before, None when an episode begins."""

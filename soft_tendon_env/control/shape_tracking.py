@@ -29,8 +29,10 @@ LOOSE = 1e-6
 
 
 class ShapeController(ModelController):
-    """Base of the controllers of shapes. Raises ValueError for an explicit basis, whose coordinates
-    are no tensions."""
+    """Base of the controllers of shapes.
+
+    Raises ValueError for an explicit basis, whose coordinates are no tensions.
+    """
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         super().__init__(model, limits, period)
@@ -59,8 +61,9 @@ class ShapeFeedforward(ShapeController):
 
 
 class ShapeTracking(ShapeController):
-    """Shape tracking by implicit feedback and tension allocation. Raises ValueError as
-    ShapeController and `natural_frequency`.
+    """Shape tracking by implicit feedback and tension allocation.
+
+    Raises ValueError as ShapeController and `natural_frequency`.
 
     settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes
     settle at the rate (1 + kp) / kd at least. With 0.4 and 10 the gains are about the paper's, kp =

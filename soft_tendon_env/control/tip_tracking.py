@@ -98,8 +98,7 @@ class TipTracking(ModelController):
         )
 
     def _next_velocity(self, aim: Aim, next_aim: Aim, integral: Array, q_dot: Array) -> Array:
-        """Velocity (k,) that the law asks for at the end of the period: the target's, and
-        feedback."""
+        """Velocity (k,) that the law asks for at the end of the period: the target's, and feedback."""
         gains = self.gains
         velocity = aim.jacobian @ q_dot
         # of the target over the period that has passed, of which `velocity` is the end
