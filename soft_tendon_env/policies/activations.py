@@ -61,7 +61,10 @@ ACTIVATIONS: Mapping[str, Callable[[Single], Single]] = {
 
 
 def activation_name(name: object) -> str:
-    """The name, if it is one of ACTIVATIONS. Raises ValueError that lists them."""
+    """The name, if it is one of ACTIVATIONS.
+
+    Raises ValueError that lists them.
+    """
     if not (isinstance(name, str) and name in ACTIVATIONS):
         raise ValueError(
             f"activation_fn is {name!r}: it should be the name of an activation function in"

@@ -76,7 +76,10 @@ OF_COORDINATES = {"coordinates", "rates", "target_coordinates"}
 
 
 def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Plain options of an environment as they are. Raises ConfigurationError."""
+    """Plain options of an environment as they are.
+
+    Raises ConfigurationError.
+    """
     Options.parse(options, "options")
     return options
 
@@ -162,7 +165,10 @@ def trained_folder() -> Path:
 
 
 def _agents_table() -> dict[str, Any]:
-    """agents.toml of the agents that ship. Raises ValueError, FileNotFoundError."""
+    """agents.toml of the agents that ship.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return read_toml(trained_folder() / "agents.toml")
 
 
@@ -219,7 +225,10 @@ def find_agent(name: str, task: str) -> Path:
 
 
 def read_config(folder: Path) -> AgentConfig:
-    """Configuration of the agent in a folder. Raises ValueError, FileNotFoundError."""
+    """Configuration of the agent in a folder.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return AgentConfig.parse(read_json(folder / CONFIG), str(folder / CONFIG))
 
 

@@ -1,5 +1,7 @@
 """Algorithms that train agents, by name, and the kind of policy network that each of them trains.
-To add one of your own, see `register_algorithm`."""
+
+To add one of your own, see `register_algorithm`.
+"""
 
 from typing import Any, Literal, TypeVar
 

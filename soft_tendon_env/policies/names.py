@@ -129,7 +129,10 @@ class PolicyName:
 
 
 def _tuned_controller(text: str, task: str) -> "Controller":
-    """The controller that a file of parameters has. Raises ValueError."""
+    """The controller that a file of parameters has.
+
+    Raises ValueError.
+    """
     tuned = TunedController.parse(read_toml(Path(text)), text)
     named = PolicyName.parse(tuned.policy, task)
     if not isinstance(named, Controller):
@@ -268,12 +271,18 @@ class Agent(PolicyName):
 
     @property
     def config(self) -> AgentConfig:
-        """The configuration of its training. Raises ValueError, OSError."""
+        """The configuration of its training.
+
+        Raises ValueError, OSError.
+        """
         return read_config(find_agent(self.text, self.task))
 
     @property
     def arm(self) -> dict[str, Any]:
-        """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
+        """Options of the arm that it was trained on, all of them.
+
+        Raises ValueError, OSError.
+        """
         options = Options.parse(undisturbed(self.config.options), "options")
         return options.model_dump(mode="json", include=set(ARM))
 
@@ -306,7 +315,10 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
-        """Callable that makes the policy. Raises ValueError where there is no such thing."""
+        """Callable that makes the policy.
+
+        Raises ValueError where there is no such thing.
+        """
         try:
             module = importlib.import_module(self.module)
             made: Callable[..., Any] = getattr(module, self.name)

@@ -74,7 +74,10 @@ def _array_name(key: str, field: str) -> str:
 
 
 def save_normalization(path: Path, normalization: Normalization) -> None:
-    """Write `mean` and `variance` of every part, `clip` and `epsilon`. Raises OSError."""
+    """Write `mean` and `variance` of every part, `clip` and `epsilon`.
+
+    Raises OSError.
+    """
     arrays = {}
     for key, moments in normalization.moments.items():
         for field, value in moments._asdict().items():
@@ -126,7 +129,10 @@ def read_normalization(path: Path, space: gym.Space[Any]) -> Normalization:
 
 
 def _take_moments(arrays: dict[str, Array]) -> dict[str, Moments]:
-    """Takes the moments of all parts out of named arrays. Raises KeyError."""
+    """Takes the moments of all parts out of named arrays.
+
+    Raises KeyError.
+    """
     keys = []
     for name in arrays:
         key, _, field = name.rpartition(".")

@@ -51,7 +51,10 @@ def acting_arrays(state: Mapping[str, Any]) -> dict[str, Single]:
 
 
 def read_weights(path: Path) -> dict[str, Single]:
-    """Arrays by name of an .npz file, without unpickling. Raises ValueError, OSError."""
+    """Arrays by name of an .npz file, without unpickling.
+
+    Raises ValueError, OSError.
+    """
     arrays = read_arrays(path, "weights alone")
     for name, array in arrays.items():
         if array.dtype != np.float32:
