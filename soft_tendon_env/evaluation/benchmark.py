@@ -55,8 +55,10 @@ class BenchmarkPolicy(Configuration):
     told: bool = False
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
-        """Policies of which it consists, by seed of training; None: the only one. Raises
-        ValueError, OSError for what is none."""
+        """Policies of which it consists, by seed of training; None: the only one.
+
+        Raises ValueError, OSError for what is none.
+        """
         (files,) = agents_of(task, [self.policy]).values()
         if files.keys() == {None}:
             files = trained_alike(PolicyName.parse(self.policy, task))
@@ -135,7 +137,10 @@ class Benchmark(Workers):
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
-        """Labels and cells of a policy. Raises ValueError, OSError where it cannot play."""
+        """Labels and cells of a policy.
+
+        Raises ValueError, OSError where it cannot play.
+        """
         reasons = list[str]()
         plays = False
         members = entrant.members(self.task)
@@ -202,7 +207,9 @@ def misfit(
     regime: str,
 ) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can.
-    Raises ValueError."""
+
+    Raises ValueError.
+    """
     parsed = Options.parse(dict(options), "options")
     allowed = REGIMES[regime]
     if isinstance(policy, Agent):
@@ -222,8 +229,10 @@ def misfit(
 def standings_by_regime(
     benchmark: Benchmark, experiment: Experiment[Label]
 ) -> dict[str, Standings]:
-    """Standings by policy and setting, of every regime, once the experiment was played. Raises
-    ValueError, OSError."""
+    """Standings by policy and setting, of every regime, once the experiment was played.
+
+    Raises ValueError, OSError.
+    """
     standings = dict[str, dict[tuple[str, str], Standing]]()
     in_order = sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting))
     for label in in_order:

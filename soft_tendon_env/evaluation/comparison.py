@@ -94,9 +94,11 @@ def make_cell(
     options: dict[str, Any],
     error: str = TIME,
 ) -> Cell:
-    """A policy under a condition, which overrides what the options have drawn. TIME: its first
-    episode on the arm of the model, with nothing beside it, for times per action and for
-    recordings. Raises ValueError."""
+    """A policy under a condition, which overrides what the options have drawn.
+
+    TIME: its first episode on the arm of the model, with nothing beside it, for times per action
+    and for recordings. Raises ValueError.
+    """
     if error == TIME:
         return Cell(
             task,
@@ -141,8 +143,10 @@ def compare(
 def standings_of(
     experiment: Experiment[tuple[str, str]], files: Files
 ) -> tuple[Standings, Summaries]:
-    """Standings by policy and model error; and summaries, with the times per action. Raises
-    ValueError, OSError."""
+    """Standings by policy and model error; and summaries, with the times per action.
+
+    Raises ValueError, OSError.
+    """
     errors = dict.fromkeys(error for _, error in experiment.cells)
     standings = dict[tuple[str, str], Standing]()
     summaries = dict[tuple[str, str], Summary]()

@@ -147,7 +147,9 @@ SETTINGS: dict[str, Condition] = {
 
 def model_error(names: str) -> Condition:
     """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g".
-    Raises ValueError for unknown names, and where two set the same value."""
+
+    Raises ValueError for unknown names, and where two set the same value.
+    """
     parts = list[Condition]()
     for name in names.split(AND):
         if name not in MODEL_ERRORS:

@@ -34,9 +34,11 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
 
 
 def trained_alike(policy: PolicyName) -> dict[int | None, str]:
-    """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ... beside
-    its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
-    trained alike."""
+    """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ...
+
+    beside its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
+    trained alike.
+    """
     folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
@@ -82,8 +84,10 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
-    """Runs seed_0, seed_1, ... of a folder by seed, in their order. Raises FileNotFoundError where
-    there are none."""
+    """Runs seed_0, seed_1, ...
+
+    of a folder by seed, in their order. Raises FileNotFoundError where there are none.
+    """
     runs = list[tuple[int, Path]]()
     for path in folder.glob("seed_*"):
         match = SEED.fullmatch(path.name)
@@ -98,7 +102,10 @@ def seed_folders(folder: Path) -> dict[int, Path]:
 
 
 def read_run(run: Path) -> dict[str, Any]:
-    """Configuration of a run. Raises ValueError, FileNotFoundError without one."""
+    """Configuration of a run.
+
+    Raises ValueError, FileNotFoundError without one.
+    """
     path = run / "config.json"
     if not path.is_file():
         raise FileNotFoundError(

@@ -39,8 +39,9 @@ Label = TypeVar("Label", bound=Hashable)
 
 
 class Cell(NamedTuple):
-    """Unit of work: a policy under a condition, over its episodes. Plain values, which other
-    processes and machines can get.
+    """Unit of work: a policy under a condition, over its episodes.
+
+    Plain values, which other processes and machines can get.
 
     options: of the environment. seconds: length of an episode; errors count from `skip` [s] on.
     alone: played with nothing beside it, for times per action. rows: episodes are side by side,
@@ -59,8 +60,10 @@ class Cell(NamedTuple):
     controller_scene: Mapping[str, Any] | None = None
 
     def open(self) -> tuple[Policy, Any]:
-        """The policy and its environment: a single one, or with a row per seed. Raises
-        ConfigurationError, ValueError, OSError."""
+        """The policy and its environment: a single one, or with a row per seed.
+
+        Raises ConfigurationError, ValueError, OSError.
+        """
         steps = episode_steps(self.seconds, self.skip, self.options)
         options: dict[str, Any] = {"max_episode_steps": steps, **self.options}
         name = PolicyName.parse(self.policy, self.task)
@@ -77,8 +80,10 @@ class Cell(NamedTuple):
             return name.load(env, scene, other_effects=has_other_effects), env
 
     def key(self, code: str) -> str:
-        """Digest of all that the result depends on, with the sources' `code`. Raises
-        ConfigurationError, ValueError, OSError."""
+        """Digest of all that the result depends on, with the sources' `code`.
+
+        Raises ConfigurationError, ValueError, OSError.
+        """
         options = Options.parse(self.options, "options")
         policy = PolicyName.parse(self.policy, self.task)
         both = resolved_scene(options), believed_scene(policy, self.controller_scene)
@@ -134,7 +139,10 @@ def code_digest() -> str:
 
 
 def measure(cell: Cell) -> list[EpisodeScore]:
-    """Scores of a cell, one per seed. Raises ValueError, OSError."""
+    """Scores of a cell, one per seed.
+
+    Raises ValueError, OSError.
+    """
     policy, env = cell.open()
     try:
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
@@ -216,7 +224,10 @@ class Experiment(Generic[Label]):
             )
 
     def scores(self, label: Label) -> list[EpisodeScore]:
-        """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
+        """Scores of a cell's episodes.
+
+        Raises ValueError for a damaged result, OSError.
+        """
         path = self._paths[label]
         try:
             return list(map(score_from, read_json(path)["scores"]))

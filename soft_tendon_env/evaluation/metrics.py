@@ -132,14 +132,19 @@ def record(score: Any) -> dict[str, Any]:
 
 
 def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
-    """Score from its `record`. Raises KeyError, TypeError for another."""
+    """Score from its `record`.
+
+    Raises KeyError, TypeError for another.
+    """
     errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
     return EpisodeScore(**{**saved, "errors": errors})
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
-    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also
-    where the episode ended before that."""
+    """Score of an episode; errors count from `skip` [s] on.
+
+    Raises TypeError, ValueError, also where the episode ended before that.
+    """
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
     first = math.ceil(skip / episode.period - 1e-9)
     steps = len(episode.reward)

@@ -68,8 +68,10 @@ class Overview(NamedTuple):
 
 
 def draw_overview(overview: Overview, path: Path) -> None:
-    """Draw shapes, paths, errors and numbers into one picture. Raises ValueError for rollouts
-    without target poses, OSError."""
+    """Draw shapes, paths, errors and numbers into one picture.
+
+    Raises ValueError for rollouts without target poses, OSError.
+    """
     figure = plt.figure(figsize=SIZE, layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=HEIGHTS, width_ratios=WIDTHS)
     figure.suptitle(overview.headline, fontsize=HEADLINE, fontweight="bold")
@@ -121,7 +123,10 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
 
 
 def target_path(rollout: Rollout) -> Array:
-    """Positions (samples, 3) [m] of a rollout's target. Raises ValueError where it has no poses."""
+    """Positions (samples, 3) [m] of a rollout's target.
+
+    Raises ValueError where it has no poses.
+    """
     if rollout.target_pose is None:
         raise ValueError("rollouts should have target_pose, as those of TipPose have")
     return shapes.positions(rollout.target_pose)
@@ -132,8 +137,7 @@ def draw_paths(
     overview: Overview,
     looks: Mapping[str, Style],
 ) -> None:
-    """Draw the paths of all tips and of their target, as seen along the straight arm from its
-    tip."""
+    """Draw the paths of all tips and of their target, as seen along the straight arm from its tip."""
     first = next(iter(overview.rollouts.values()))
     across = first.model.scene.base.pose[:3, 1:3]  # (3, 2), from the world to the picture
     target = target_path(first) @ across

@@ -69,8 +69,10 @@ class Page:
                 around_markers(self._path, name)
 
     def write(self, name: str, text: str) -> None:
-        """Replaces what stands between the lines of a name, with a stamp before it. Raises as
-        `around_markers`, OSError."""
+        """Replaces what stands between the lines of a name, with a stamp before it.
+
+        Raises as `around_markers`, OSError.
+        """
         if self._path is not None:
             before, after = around_markers(self._path, name)
             with replacing(self._path) as path:
@@ -79,8 +81,10 @@ class Page:
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """Text before and after the markers in a file, with them. Raises ValueError,
-    FileNotFoundError."""
+    """Text before and after the markers in a file, with them.
+
+    Raises ValueError, FileNotFoundError.
+    """
     begin = f"<!-- {name} -->"
     end = f"<!-- /{name} -->"
     content = read_text(path)

@@ -83,7 +83,10 @@ def _draw_panel(
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a picture, print its path, and close the figure. Raises OSError."""
+    """Write a picture, print its path, and close the figure.
+
+    Raises OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DOTS)
     plt.close(figure)
@@ -91,7 +94,10 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def set_log_scale(axes: Axes, axis: Axis) -> None:
-    """Make an axis logarithmic, with labels at 1, 2, 5, 10, ... and room around."""
+    """Make an axis logarithmic, with labels at 1, 2, 5, 10, ...
+
+    and room around.
+    """
     axes.set(**{"xscale" if axis is axes.xaxis else "yscale": "log"})
     axes.margins(0.1)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

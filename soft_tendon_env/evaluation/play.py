@@ -94,9 +94,11 @@ def play_steps(
     env: Env,
     seeds: Sequence[int],
 ) -> Iterator[Step]:
-    """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector
-    environment has a row per seed, any other one seed. `env` stands where the step left it when a
-    step is yielded."""
+    """Steps of an episode per seed, without end: the reset comes first, with zeros.
+
+    A vector environment has a row per seed, any other one seed. `env` stands where the step left it
+    when a step is yielded.
+    """
     rows = len(seeds)
     # of an int Gymnasium would make the seeds of rows itself
     seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]

@@ -98,8 +98,10 @@ def episode_steps(
     skip: float,
     options: Mapping[str, Any],
 ) -> int:
-    """Control periods of an episode in an environment with these options. Raises
-    ConfigurationError, ValueError."""
+    """Control periods of an episode in an environment with these options.
+
+    Raises ConfigurationError, ValueError.
+    """
     period = Options.parse(options, "options").control_period
     steps = seconds / period
     if steps > MOST_STEPS:

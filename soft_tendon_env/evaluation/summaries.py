@@ -83,9 +83,10 @@ def bootstrap_interval(
 
 @dataclass(frozen=True)
 class Summary:
-    """Scores of several episodes together. Where some diverged, the numbers are those of the
-    others, NaN if none lived; but for the mean return, the goals reached and the time, which are of
-    all.
+    """Scores of several episodes together.
+
+    Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
+    return, the goals reached and the time, which are of all.
 
     Attributes:
         errors: `rms` over all samples of all episodes (these are alike in number), the others means
@@ -108,7 +109,10 @@ class Summary:
 
 
 def summarise(scores: Sequence[EpisodeScore]) -> Summary:
-    """Summary of episodes of one policy and task. Raises ValueError without any."""
+    """Summary of episodes of one policy and task.
+
+    Raises ValueError without any.
+    """
     if not scores:
         raise ValueError("scores should have at least one episode")
     # errors and metrics are of the episodes that lived

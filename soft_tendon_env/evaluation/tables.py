@@ -1,5 +1,7 @@
-"""Tables of summaries and standings, in Markdown and as CSV. Millimetres, degrees and milliseconds
-where people read them, SI in CSV."""
+"""Tables of summaries and standings, in Markdown and as CSV.
+
+Millimetres, degrees and milliseconds where people read them, SI in CSV.
+"""
 
 import csv
 import math
@@ -63,8 +65,10 @@ def summary_table(
     summaries: Mapping[str, Summary],
     models: Mapping[str, str],
 ) -> str:
-    """Table with a row per summary: errors, settled, metrics, time of an action. models: by name,
-    the policies' use of a model at run time, see `entrants.model_in_the_loop`."""
+    """Table with a row per summary: errors, settled, metrics, time of an action.
+
+    models: by name, the policies' use of a model at run time, see `entrants.model_in_the_loop`.
+    """
     rows = []
     for name, summary in summaries.items():
         rows.append({label: name, **summary_cells(summary), MODEL: models[name]})
