@@ -46,9 +46,11 @@ ROUND_OFF = 1e-9  # of a step of current, which is no step less
 
 @dataclass(eq=False)
 class DynamixelRobot:
-    """Dynamixel motors, one for each tendon, which take tensions [N]. Currents give the measured
-    tensions. Positions give the lengths of the tendons, as if these did not stretch; at the
-    beginning the tendons should be just taut. `tip_pose` gives the pose of the tip.
+    """Dynamixel motors, one for each tendon, which take tensions [N].
+
+    Currents give the measured tensions. Positions give the lengths of the tendons, as if these did
+    not stretch; at the beginning the tendons should be just taut. `tip_pose` gives the pose of the
+    tip.
 
     Raises ValueError for bad arguments, OSError where the port cannot be opened, ConnectionError
     where a motor does not answer.
@@ -115,8 +117,10 @@ class DynamixelRobot:
             )
 
     def read(self) -> Measurement:
-        """Currents and positions of all motors in one packet, and the tip's pose. Raises
-        ConnectionError."""
+        """Currents and positions of all motors in one packet, and the tip's pose.
+
+        Raises ConnectionError.
+        """
         current, _, position = self._read_present()
         tip = None if self.tip_pose is None else self.tip_pose()
         turned = (self._zero - position) / TICKS  # [rad], in which the motors wind
@@ -167,7 +171,10 @@ class DynamixelRobot:
             self._port.closePort()
 
     def _read_present(self) -> Array:
-        """Present currents, velocities and positions (3, n_a) in steps. Raises ConnectionError."""
+        """Present currents, velocities and positions (3, n_a) in steps.
+
+        Raises ConnectionError.
+        """
         self._ask("the motors", lambda: (None, self._reader.txRxPacket(), 0))
         self._heard = perf_counter()
         answers = [bytes(self._reader.data_dict[motor]) for motor in self.ids]
@@ -175,7 +182,10 @@ class DynamixelRobot:
         return np.array(rows, dtype=float).T
 
     def _set(self, motor: int, register: int, value: int) -> None:
-        """Set a register of one byte of a motor, or of EVERYBODY. Raises ConnectionError."""
+        """Set a register of one byte of a motor, or of EVERYBODY.
+
+        Raises ConnectionError.
+        """
 
         def write() -> tuple[None, int, int]:
             result, error = self._packets.write1ByteTxRx(self._port, motor, register, value)

@@ -146,8 +146,10 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """A new episode, which begins with the robot at rest. Raises RobotStopped if it does not
-        come to rest."""
+        """A new episode, which begins with the robot at rest.
+
+        Raises RobotStopped if it does not come to rest.
+        """
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
@@ -223,8 +225,10 @@ def _misfit(robot: Robot, episodes: Episodes) -> str:
 
 class MeasuredArm(Arms):
     """The robot as one row of arms, whose steps command it and whose reading is what it measures.
+
     still: greatest speed [m/s] at rest. The simulated arm goes on beside it under the commands that
-    were sent: it is what recordings show, and nothing of it is observed."""
+    were sent: it is what recordings show, and nothing of it is observed.
+    """
 
     def __init__(
         self,
@@ -258,8 +262,10 @@ class MeasuredArm(Arms):
         self.zero = dict[str, Array]()  # by field, added to what the robot measures
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Let the robot begin, from slack tendons. Raises RobotStopped, also where it does not come
-        to rest."""
+        """Let the robot begin, from slack tendons.
+
+        Raises RobotStopped, also where it does not come to rest.
+        """
         super().place(members, q, tension)
         self.robot.begin()
         self.pacer = Pacer(self.robot.clock, self.pacer.period)

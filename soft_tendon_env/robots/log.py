@@ -45,8 +45,10 @@ def check_log(path: Path) -> None:
 
 
 class RobotLog:
-    """Writes a log, which has every row as soon as it is there. Without any there is no file in the
-    end. Raises as `check_log`, OSError."""
+    """Writes a log, which has every row as soon as it is there.
+
+    Without any there is no file in the end. Raises as `check_log`, OSError.
+    """
 
     def __init__(
         self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int

@@ -42,8 +42,11 @@ ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
 class Clock:
-    """Monotonic clock. real: that of the machine; else it stands still but while somebody waits,
-    for simulations at any speed."""
+    """Monotonic clock.
+
+    real: that of the machine; else it stands still but while somebody waits, for simulations at any
+    speed.
+    """
 
     def __init__(self, real: bool = True) -> None:
         self.real = real
@@ -85,8 +88,10 @@ class Timing(NamedTuple):
 
 
 class Pacer:
-    """Absolute deadlines every `period` [s] from now on. A late period does not move the next ones:
-    the loop catches up by short ones."""
+    """Absolute deadlines every `period` [s] from now on.
+
+    A late period does not move the next ones: the loop catches up by short ones.
+    """
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock = clock
@@ -274,7 +279,10 @@ class SafeRobot:
         return self._sent.copy() if sent is None else sent
 
     def _checked_answer(self, answer: Any) -> Array:
-        """Command (n_a,) that a robot says it sent. Raises ValueError for one that cannot be."""
+        """Command (n_a,) that a robot says it sent.
+
+        Raises ValueError for one that cannot be.
+        """
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
@@ -292,8 +300,10 @@ class SafeRobot:
         raise RobotStopped(self.stop(cause).cause) from error
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go slack, and waits until they are, or cannot be. The first cause
-        counts; later calls wait, and try again."""
+        """Lets the tendons go slack, and waits until they are, or cannot be.
+
+        The first cause counts; later calls wait, and try again.
+        """
         if not self._closed:
             done = threading.Event()
             self._orders.put((cause, done))
@@ -333,8 +343,10 @@ class SafeRobot:
             done.set()
 
     def _go_slack(self, stop: Stop) -> None:
-        """The ramp, and the last command again as long as it fails. Steps are left out where the
-        robot takes longer for one."""
+        """The ramp, and the last command again as long as it fails.
+
+        Steps are left out where the robot takes longer for one.
+        """
         self.stopped = stop
         first = self._sent
         step = RAMP / RAMP_STEPS  # [s]
@@ -364,8 +376,10 @@ class SafeRobot:
             stop.failures.append(first_line(error))
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
-        """Sends a command (n_a,); returns what `write` does. After a stop nothing but slack is
-        sent."""
+        """Sends a command (n_a,); returns what `write` does.
+
+        After a stop nothing but slack is sent.
+        """
 
         def send() -> Any:
             if self.stopped is not None and not slackens:

@@ -26,9 +26,10 @@ EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are su
 
 
 class SimulatedRobot:
-    """Simulated arm as a robot. It rests under the tensions nearest to zero until the first call,
-    and each call simulates it up to the present. It measures every field of Measurement except
-    tensions.
+    """Simulated arm as a robot.
+
+    It rests under the tensions nearest to zero until the first call, and each call simulates it up
+    to the present. It measures every field of Measurement except tensions.
 
     Rate limits and lag are those of the scene's [effects.actuators].
 
@@ -87,7 +88,10 @@ class SimulatedRobot:
         self._sensors.begin(0, seed)
 
     def read(self) -> Measurement:
-        """The arm now. Raises SimulationDiverged where its simulation does not go on."""
+        """The arm now.
+
+        Raises SimulationDiverged where its simulation does not go on.
+        """
         time = self._go_on()
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
@@ -95,8 +99,10 @@ class SimulatedRobot:
         return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
 
     def write(self, command: Array) -> Array:
-        """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`,
-        ValueError or TypeError for other shapes."""
+        """Commands (n_a,) [N, or m] that will arrive after the latency.
+
+        Raises as `read`, ValueError or TypeError for other shapes.
+        """
         sent = checked_array("command", command, self._acting.shape)
         arrival = self._go_on() + self._latency
         self._coming.append((arrival, self._actuation.acting(sent, 0)))
