@@ -242,8 +242,10 @@ def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
 
 
 def _bootstrap(estimate: Fit, cluster: Array) -> Array:
-    """Coordinates (draws, k) of resampled estimates, by one Newton step each. cluster: index of
-    each reading (N,)."""
+    """Coordinates (draws, k) of resampled estimates, by one Newton step each.
+
+    cluster: index of each reading (N,).
+    """
     random = np.random.default_rng(0)
     clusters = int(cluster.max()) + 1
     weight = estimate.sigma**-2

@@ -233,8 +233,7 @@ def summary(estimate: Estimate) -> str:
 
 
 def _rows(estimate: Estimate) -> Iterator[tuple[Parameter, float, float, float, bool]]:
-    """Every parameter with its value, the ends of its interval, and whether the data contain
-    it."""
+    """Every parameter with its value, the ends of its interval, and whether the data contain it."""
     spread = estimate.intervals
     return zip(
         estimate.parameters, estimate.value, spread.low, spread.high, spread.identified, strict=True

@@ -152,7 +152,10 @@ def _check_once(parameters: Sequence[Parameter]) -> None:
 
 
 def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
-    """Key, and bounds of a written text. Raises ValueError."""
+    """Key, and bounds of a written text.
+
+    Raises ValueError.
+    """
     key, _, ends = text.partition("=")
     if not ends:
         return key.strip(), None
@@ -267,8 +270,10 @@ def _difference(
 
 
 def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
-    """Parameter of the scene that is asked for. Raises ValueError where bounds must be given,
-    ConfigurationError."""
+    """Parameter of the scene that is asked for.
+
+    Raises ValueError where bounds must be given, ConfigurationError.
+    """
     (numbers,) = scene_parameters(scene, [key])
     value = numbers.value
     # angles that differ among the tendons have a common factor, as other numbers
@@ -296,8 +301,10 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
 
 
 def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Scene) -> Parameter:
-    """A parameter with given bounds in place of its own and of its prior. Raises ValueError where
-    they leave out the scene's number."""
+    """A parameter with given bounds in place of its own and of its prior.
+
+    Raises ValueError where they leave out the scene's number.
+    """
     low, high = bounds or (usual.low, usual.high)
     # a factor does not reach a number of the other sign
     is_unreachable = usual.is_factor and low * high <= 0.0

@@ -79,8 +79,10 @@ class Plants:
         self.moves_arm = [parameter.quantity not in still for parameter in self.parameters]
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
-        """A scene with the numbers at coordinates (k,) of the parameters. Raises
-        ConfigurationError."""
+        """A scene with the numbers at coordinates (k,) of the parameters.
+
+        Raises ConfigurationError.
+        """
         changes = dict[str, Any]()
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             value = parameter.at(coordinate)
@@ -136,13 +138,17 @@ class Readings:
         self.cluster = reading_cluster[self.seen]
 
     def positions(self, x: Array) -> Array:
-        """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError,
-        ConfigurationError."""
+        """Simulated positions (samples, m, 3) [m] at coordinates x (k,).
+
+        Raises NoHoldError, ConfigurationError.
+        """
         return self.plants.measurement(x).positions(self._poses(x))
 
     def residual(self, x: Array, poses: Array | None = None) -> Array:
         """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given.
-        Raises as `positions`."""
+
+        Raises as `positions`.
+        """
         if poses is None:
             poses = self._poses(x)
         simulated = self.plants.measurement(x).positions(poses)
@@ -225,8 +231,10 @@ class Readings:
         return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
-        """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises
-        NoHoldError."""
+        """Coordinates (n,) at every sample of a recording under commands (samples, n_a).
+
+        Raises NoHoldError.
+        """
         recording = self.recordings[i]
         try:
             return self._simulated(model, command, i)

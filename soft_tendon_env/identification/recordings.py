@@ -138,7 +138,10 @@ def _position_names(markers: MarkerSet) -> list[str]:
 
 
 def _commands(table: Table, sources: Mapping[str, Source], scene: Scene) -> Array:
-    """Commands (rows, n_a) in the scene's unit. Raises ValueError for an empty one."""
+    """Commands (rows, n_a) in the scene's unit.
+
+    Raises ValueError for an empty one.
+    """
     columns = [sources[name] for name in _command_names(scene)]
     command = table.numbers(columns)
     empty = np.argwhere(np.isnan(command))
