@@ -113,7 +113,10 @@ class TrainingMonitor(ABC):
         return observation
 
     def begin(self, config: dict[str, Any]) -> None:
-        """Begin before the first step of this process. config: the record for config.json."""
+        """Begin before the first step of this process.
+
+        config: the record for config.json.
+        """
         self._started = time.perf_counter()
         self._config = config
         write_json(self.folder / CONFIG, config, say=False)
@@ -226,7 +229,10 @@ class TrainingMonitor(ABC):
 
 
 class TrainingCallback(TrainingMonitor, BaseCallback):
-    """Monitor of a training with Stable-Baselines3. Raises ValueError, OSError."""
+    """Monitor of a training with Stable-Baselines3.
+
+    Raises ValueError, OSError.
+    """
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         BaseCallback.__init__(self)

@@ -116,7 +116,10 @@ def train(
 
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
-    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
+    """Agent as it is at the beginning, or as a checkpoint has it.
+
+    Raises ValueError, OSError.
+    """
     # best where several trainings run side by side, and makes them repeatable
     torch.set_num_threads(1)
     if checkpoint is None:
@@ -125,7 +128,10 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
-    """Learn what is left. Raises UserError where weights become infinite or undefined."""
+    """Learn what is left.
+
+    Raises UserError where weights become infinite or undefined.
+    """
     training = callback.training
     done = model.num_timesteps
     if done >= training.steps:
@@ -161,7 +167,10 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 
 def make_model(training: Training) -> BaseAlgorithm:
-    """Agent that has learned nothing yet, with its environment. Raises ValueError."""
+    """Agent that has learned nothing yet, with its environment.
+
+    Raises ValueError.
+    """
     network_kind(training.algorithm)  # raises where its agents could not act later
     env = make_training_env(training)
     arguments: dict[str, Any] = dict(training.hyperparameters)
