@@ -45,8 +45,10 @@ class RerunViewer(RerunStream):
 
 
 class LiveRows:
-    """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the
-    viewer's window does no harm."""
+    """Shows rows of running episodes in the viewer, no faster than their own clock.
+
+    Closing the viewer's window does no harm.
+    """
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
@@ -65,8 +67,7 @@ class LiveRows:
             recorder.begin()
 
     def step(self, members: Iterable[int]) -> None:
-        """Send where the rows `members` are after a step, and wait until it is time for the
-        next."""
+        """Send where the rows `members` are after a step, and wait until it is time for the next."""
         for recorder in self._shown(members):
             recorder.step()
         now = time.perf_counter()

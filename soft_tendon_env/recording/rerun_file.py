@@ -8,7 +8,9 @@ from soft_tendon_env.recording.rollout import Rollout
 
 
 class RerunFile(RerunStream):
-    """A Rerun file that opens as a 3-D view beside plots. Also a context manager.
+    """A Rerun file that opens as a 3-D view beside plots.
+
+    Also a context manager.
 
     Whatever `write` has returned from stays readable if the process is killed, unless in the very
     moment of another write; `close` adds the index that `rerun rrd verify` asks for.

@@ -47,7 +47,10 @@ class DrawnArm:
     series: dict[str, list[str]] = field(default_factory=dict)
 
     def add_series(self, series: dict[str, list[str]]) -> bool:
-        """Add names of numbers by kind. Returns whether any is new."""
+        """Add names of numbers by kind.
+
+        Returns whether any is new.
+        """
         is_new = False
         for kind, names in series.items():
             before = self.series.get(kind, [])

@@ -86,7 +86,10 @@ class RerunStream:
         raise TypeError(f"what is written to {self._where} cannot be copied: {text}")
 
     def close(self) -> None:
-        """Complete the recording. Nothing can be written afterwards."""
+        """Complete the recording.
+
+        Nothing can be written afterwards.
+        """
         if self._recording is not None:
             self._recording.disconnect()
             self._recording = None
@@ -482,8 +485,10 @@ def _moments(known: DrawnArm, rollout: Rollout) -> Array:
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:
-    """Curves (samples, m_i, 3) sample by sample. Made in Arrow: from lists of arrays Rerun takes
-    ten times as long."""
+    """Curves (samples, m_i, 3) sample by sample.
+
+    Made in Arrow: from lists of arrays Rerun takes ten times as long.
+    """
     kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
     samples = len(curves[0])
     points = np.concatenate(curves, axis=1, dtype=np.float32)
