@@ -1,2 +1,1 @@
-"""Tools of the whole package that know nothing of arms: argument validation, configuration,
-files."""
+"""Tools of the whole package that know nothing of arms: argument validation, configuration, files."""

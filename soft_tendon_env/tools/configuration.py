@@ -60,8 +60,9 @@ class ConfigurationError(ValueError):
 
 
 class Configuration(BaseModel):
-    """Base of every configuration class: frozen, strict, finite numbers only. Raises
-    `ConfigurationError`.
+    """Base of every configuration class: frozen, strict, finite numbers only.
+
+    Raises `ConfigurationError`.
 
     Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as
     tuples, paths as strings.
@@ -104,8 +105,10 @@ class Configuration(BaseModel):
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """The configuration of a plain table; `source` is the file to name in errors. Raises
-        `ConfigurationError`."""
+        """The configuration of a plain table; `source` is the file to name in errors.
+
+        Raises `ConfigurationError`.
+        """
         try:
             return cls(**values)
         except ConfigurationError as error:
@@ -166,8 +169,10 @@ def not_registered(name: str, valid: Iterable[str]) -> str:
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not
-    TOML."""
+    """The tables of a TOML file.
+
+    Raises ConfigurationError where it cannot be read or is not TOML.
+    """
     try:
         return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except OSError as error:
@@ -210,8 +215,10 @@ def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
 
 
 def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
-    """Keys or positions of a table or an array that a part of a path means. Raises
-    ConfigurationError, which names the path."""
+    """Keys or positions of a table or an array that a part of a path means.
+
+    Raises ConfigurationError, which names the path.
+    """
     problem = None
     places: Sequence[Any] = ()
     if isinstance(node, dict):
@@ -235,8 +242,10 @@ def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
-    """Values by key of texts "dotted.key=value", as in TOML or else the text itself. Raises
-    ValueError, also for a key given twice."""
+    """Values by key of texts "dotted.key=value", as in TOML or else the text itself.
+
+    Raises ValueError, also for a key given twice.
+    """
     values: dict[str, Any] = {}
     for change in changes:
         key, equals, text = map(str.strip, change.partition("="))

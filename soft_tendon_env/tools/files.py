@@ -25,16 +25,20 @@ PACKAGE = Path(__file__).parents[1]
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """All of a regular file: what is read from a device, a pipe or a socket may never end. Raises
-    OSError."""
+    """All of a regular file: what is read from a device, a pipe or a socket may never end.
+
+    Raises OSError.
+    """
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
-    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises
-    ValueError, FileNotFoundError."""
+    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`.
+
+    Raises ValueError, FileNotFoundError.
+    """
     try:
         content = read_bytes(path)
         errors = (
@@ -48,7 +52,10 @@ def read_text(path: Path, errors: str = "strict") -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object. Raises ValueError, FileNotFoundError."""
+    """A JSON object.
+
+    Raises ValueError, FileNotFoundError.
+    """
     try:
         value = json.loads(text := read_text(path))
     except json.JSONDecodeError as error:
@@ -95,13 +102,18 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file. Raises OSError."""
+    """SHA-256 of a file.
+
+    Raises OSError.
+    """
     return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def sources_digest(*patterns: str) -> str:
     """16 hex digits that change with the files of the package that match one of the patterns.
-    Raises OSError."""
+
+    Raises OSError.
+    """
     files = sorted(file for pattern in patterns for file in PACKAGE.glob(pattern))
     return hashlib.sha256(
         "".join(f"{file.relative_to(PACKAGE)} {digest(file)}\n" for file in files).encode()
@@ -109,8 +121,10 @@ def sources_digest(*patterns: str) -> str:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a folder and those in it, by its name from there on. Raises
-    OSError."""
+    """SHA-256 of every file of a folder and those in it, by its name from there on.
+
+    Raises OSError.
+    """
     return {
         path.relative_to(folder).as_posix(): digest(path)
         for path in sorted(folder.rglob("*"))
@@ -119,8 +133,10 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
-    """Whether the files that `source` names are those that it was written with. Raises ValueError,
-    FileNotFoundError."""
+    """Whether the files that `source` names are those that it was written with.
+
+    Raises ValueError, FileNotFoundError.
+    """
     for path, expected in ((folder / name, expected) for name, expected in files.items()):
         if not path.is_file():
             raise FileNotFoundError(
@@ -169,8 +185,10 @@ def data_folders(name: str) -> list[Path]:
 
 
 def new_data_folder(name: str) -> Path:
-    """The first of these folders that can be written, created when missing. Raises OSError where
-    there is none."""
+    """The first of these folders that can be written, created when missing.
+
+    Raises OSError where there is none.
+    """
     refused = ""
     for parent in cache_parents():
         try:
@@ -181,7 +199,10 @@ def new_data_folder(name: str) -> Path:
 
 
 def make_writable(folder: Path) -> Path:
-    """The folder, created when missing. Raises OSError where no file can be written in it."""
+    """The folder, created when missing.
+
+    Raises OSError where no file can be written in it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
     return folder

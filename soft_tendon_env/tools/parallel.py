@@ -114,8 +114,10 @@ _SCRIPTS = set[Path]()
 def _on_this_machine(
     jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool
 ) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. Linear algebra has one thread, here
-    too: sums of several have other digits."""
+    """Results of `_run`, each with its place, as they come.
+
+    Linear algebra has one thread, here too: sums of several have other digits.
+    """
     import joblib
     from threadpoolctl import threadpool_limits
 
@@ -132,8 +134,10 @@ def _on_this_machine(
 def _on_cluster(
     jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str
 ) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops
-    those that still run."""
+    """Results of `_run`, each with its place, as they come.
+
+    The end of the connection to Ray stops those that still run.
+    """
     with ray_cluster(cluster, workers, "runs side by side"):
         import ray
 

@@ -22,7 +22,10 @@ class ProgressLines(tqdm):
     """Progress as lines of text, for streams in which a bar cannot be drawn anew."""
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
-        """Print the state as a line. False: nothing is left on the stream to be cleared."""
+        """Print the state as a line.
+
+        False: nothing is left on the stream to be cleared.
+        """
         if msg is None:
             print(self, file=self.fp, flush=True)
         return False

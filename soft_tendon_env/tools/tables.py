@@ -27,8 +27,11 @@ PREAMBLE = 100
 
 
 class Table(NamedTuple):
-    """Table of text. where: the header stands, with the separator that was recognised; rows: where
-    each stands, and its cells."""
+    """Table of text.
+
+    where: the header stands, with the separator that was recognised; rows: where each stands, and
+    its cells.
+    """
 
     where: str
     header: list[str]
@@ -48,8 +51,10 @@ class Table(NamedTuple):
 
 
 def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
-    """A cell as a number, NaN where there is none. Raises ValueError for other text and
-    infinity."""
+    """A cell as a number, NaN where there is none.
+
+    Raises ValueError for other text and infinity.
+    """
     if text.casefold() in ABSENT:
         return math.nan
     value = math.nan
@@ -101,8 +106,10 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises
-    csv.Error."""
+    """Cells of a line; where spaces separate, any number of them does, and tabs.
+
+    Raises csv.Error.
+    """
     if separator == " ":
         line = " ".join(line.split())
     reader = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
@@ -162,8 +169,10 @@ def _separator_count(line: str) -> int:
 
 
 def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float]]:
-    """The rows of a CSV file of numbers; NaN for what is empty. `needed`: columns. Raises
-    ValueError, FileNotFoundError."""
+    """The rows of a CSV file of numbers; NaN for what is empty.
+
+    `needed`: columns. Raises ValueError, FileNotFoundError.
+    """
     if not read_text(path).endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
     table = read_table(path)

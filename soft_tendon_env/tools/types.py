@@ -96,7 +96,10 @@ def is_length(text: str) -> bool:
 
 
 def read_length(text: object) -> float:
-    """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
+    """Metres of a text such as "1mm" or "0.05 cm".
+
+    Raises ValueError.
+    """
     metres = math.nan
     match = LENGTH.fullmatch(str(text))
     if match is not None:
