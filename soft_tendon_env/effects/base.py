@@ -137,8 +137,10 @@ class Effect(Configuration):
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError
-        where it has none, as by default."""
+        """Potential energy [J], 0 of an effect between commands and tensions.
+
+        Raises ValueError where it has none, as by default.
+        """
         if self.is_actuation and self.command_unit == "N":
             return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -150,8 +152,11 @@ class Effect(Configuration):
 
 
 def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
-    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for
-    them; warns of one that reads the time, but limits no step."""
+    """The parameters of an effect that acts by kernels.
+
+    Raises TypeError where no kernel is for them; warns of one that reads the time, but limits no
+    step.
+    """
     parameters = effect.parameters(rod)
     kind = type(parameters).__name__
     kernels = kernels_of(type(parameters))
@@ -174,8 +179,10 @@ def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
 
 
 def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
-    """Numbers of the transmission that an effect gives. Raises TypeError for other names or types
-    than kernels read."""
+    """Numbers of the transmission that an effect gives.
+
+    Raises TypeError for other names or types than kernels read.
+    """
     known = {key: type(value) for key, value in DIRECT.fields().items() if key != "filter"}
     numbers = effect.transmission(rod)
     for key, value in numbers.items():
@@ -245,8 +252,7 @@ class Effects(Configuration):
         super().__init__(**chosen)
 
     def chosen(self) -> dict[str, Effect]:
-        """Effects that the scene has, by name, in the order of their names: that in which they
-        act."""
+        """Effects that the scene has, by name, in the order of their names: that in which they act."""
         return dict(self.__pydantic_extra__ or {})
 
     def acting(self) -> dict[str, Effect]:
@@ -254,8 +260,10 @@ class Effects(Configuration):
         return {name: effect for name, effect in self.chosen().items() if effect.acts}
 
     def table(self, rod: Discretisation) -> EffectTable:
-        """Table of the acting effects for the kernels, in the order of their names. Raises
-        TypeError where one has no kernel."""
+        """Table of the acting effects for the kernels, in the order of their names.
+
+        Raises TypeError where one has no kernel.
+        """
         parameters = list[Struct]()
         states = list[Array]()
         numbers = dict[str, Any]()
@@ -284,8 +292,10 @@ class Effects(Configuration):
         return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises
-        ValueError where one has none."""
+        """Potential energy [J] of all effects, `arm.state` being those of all in turn.
+
+        Raises ValueError where one has none.
+        """
         energy = 0.0
         first = 0
         for effect in self.chosen().values():

@@ -172,7 +172,10 @@ def tip_load_wrench(tip_load, nodes):
 
 
 class Pulse(Configuration):
-    """1 for a time, before and after it 0. Integrator steps end where it begins and ends."""
+    """1 for a time, before and after it 0.
+
+    Integrator steps end where it begins and ends.
+    """
 
     type: Literal["pulse"] = "pulse"
     start: Positive = Field(description="begin [s], after 0")
@@ -184,7 +187,10 @@ class Pulse(Configuration):
 
 
 class Sine(Configuration):
-    """sin(2 pi frequency t + phase). The arm rests under its value at time 0."""
+    """sin(2 pi frequency t + phase).
+
+    The arm rests under its value at time 0.
+    """
 
     type: Literal["sine"] = "sine"
     frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
@@ -208,8 +214,10 @@ class Load(Configuration):
 
 @register_effect("disturbance")
 class Disturbance(Effect):
-    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those
-    under the loads at time 0."""
+    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`.
+
+    Equilibria and resets are those under the loads at time 0.
+    """
 
     is_uniform: ClassVar[bool] = True
 

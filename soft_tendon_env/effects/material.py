@@ -1,5 +1,4 @@
-"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic
-memory."""
+"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic memory."""
 
 import math
 from typing import ClassVar

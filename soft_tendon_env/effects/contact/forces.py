@@ -292,8 +292,7 @@ def samples_of(intervals, i):
 
 @kernel(inline=True)
 def add_to_nodes(nodes, sample, ends, touch):
-    """The wrenches of a sample's force on both nodes of its interval; the base takes what it
-    gets."""
+    """The wrenches of a sample's force on both nodes of its interval; the base takes what it gets."""
     i = ends.interval
     t = sample.t
     radius = sample.radius
