@@ -30,8 +30,10 @@ class ContactForces(NamedTuple):
 
 
 def contact_forces(model: Model, state: State) -> ContactForces:
-    """Contact forces, clearance and penetration in a state. Raises ValueError where the model has
-    no contact."""
+    """Contact forces, clearance and penetration in a state.
+
+    Raises ValueError where the model has no contact.
+    """
     work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")

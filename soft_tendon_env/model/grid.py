@@ -506,8 +506,7 @@ def _leading_strains(free: tuple[Strain, ...]) -> tuple[int, ...]:
 
 
 def _panel_weights(size: int) -> Array:
-    """Closed Newton-Cotes weights (size + 1,) on [-1, 1], which integrate all powers up to
-    `size`."""
+    """Closed Newton-Cotes weights (size + 1,) on [-1, 1], which integrate all powers up to `size`."""
     nodes = np.linspace(-1.0, 1.0, size + 1)
     powers = np.arange(size + 1)
     of_nodes = nodes ** powers[:, None]

@@ -73,8 +73,10 @@ class Model:
         return Model(scene, self.grid, arm, self._idle if sizes[0] == sizes[1] else [])
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
-        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`. Raises
-        TypeError or ConfigurationError."""
+        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`.
+
+        Raises TypeError or ConfigurationError.
+        """
         scene_parameters(self.scene, changes)
         made = self.with_scene(scene_with_numbers(self.scene, changes))
         if misfit := self.misfit(made):
@@ -243,8 +245,7 @@ class Model:
         return self.grid.points[self.grid.real].ravel(), self.grid.unpacked(self.packed_strain(q))
 
     def packed_strain(self, q: ArrayLike) -> Array:
-        """The strain at the points in the kernels' flat layout (points * 6,), see
-        mechanics.types."""
+        """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
         with self.configuration(q) as work:
             return work.strain.xi.copy()
 
@@ -257,7 +258,9 @@ class Model:
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
         """Kinetic, elastic and load energy; effects (m,): internal states, by default at rest.
-        Raises ValueError without a potential."""
+
+        Raises ValueError without a potential.
+        """
         rod, grid, rate = (
             self.arm.rod,
             self.grid,
@@ -327,8 +330,10 @@ class Model:
         return np.asarray(np.sqrt(self.bending_energy / np.diag(self.metric)))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
-        """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming
-        `name`."""
+        """Arc lengths (m,) [m] along the rod, checked.
+
+        Raises TypeError or ValueError naming `name`.
+        """
         places = checked_array(name, np.zeros(0) if np.size(value) == 0 else value, (None,))
         if places.size and not (places.min() >= 0.0 and places.max() <= self.length * (1 + 1e-12)):
             raise ValueError(
@@ -354,7 +359,10 @@ class Model:
 
     @contextmanager
     def configuration(self, q: ArrayLike) -> Iterator[Workspace]:
-        """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
+        """A workspace with strains and poses at q (n,).
+
+        Raises StrainLimitError.
+        """
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)

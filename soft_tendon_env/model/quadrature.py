@@ -349,7 +349,10 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
 
 
 def _tip(model: Model, q: Array) -> Array:
-    """Position (3,) [m] of the tip at q (n,). Raises StrainLimitError."""
+    """Position (3,) [m] of the tip at q (n,).
+
+    Raises StrainLimitError.
+    """
     pose = model.tip_pose(q)
     return pose[:3, 3]
 

@@ -67,8 +67,10 @@ JUMP_RATIO = 1e3
 
 
 class SimulationDiverged(RuntimeError):
-    """Raised where no step of the smallest allowed size succeeds. `state` is the last good one,
-    `cause` says why."""
+    """Raised where no step of the smallest allowed size succeeds.
+
+    `state` is the last good one, `cause` says why.
+    """
 
     def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
         super().__init__(state, cause, command, unit)  # what it is pickled as
@@ -148,8 +150,10 @@ class Linearization(NamedTuple):
 
 
 class Simulation:
-    """Simulation of a model, one control step at a time. Commands are held over a step (zero-order
-    hold); arguments are checked."""
+    """Simulation of a model, one control step at a time.
+
+    Commands are held over a step (zero-order hold); arguments are checked.
+    """
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
@@ -174,8 +178,9 @@ class Simulation:
         effects: Given = None,
         tension: Given = None,
     ) -> State:
-        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises
-        ValueError, TypeError, StrainLimitError.
+        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state.
+
+        Raises ValueError, TypeError, StrainLimitError.
 
         effects (m,): the effects' internal states, see State; by default those of an arm that
         tensions (n_a,) [N], by default zero, have held at q since long before.
@@ -233,8 +238,10 @@ class Simulation:
 
     @property
     def state(self) -> State:
-        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError
-        leave the simulation as it was."""
+        """A copy of the present state.
+
+        Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was.
+        """
         return state_of(self.model, self._motion, self._step)
 
     @state.setter
@@ -524,7 +531,9 @@ def period_derivatives(
     model: Model, start: Motion, inputs: Array, taken: Array, following: State
 ) -> Linearization:
     """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`.
-    Raises LinAlgError."""
+
+    Raises LinAlgError.
+    """
     # steps of the differences, by the unit of every input
     effects = model.scene.effects
     scale = model.coordinate_scale()

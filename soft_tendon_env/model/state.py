@@ -55,7 +55,10 @@ class State:
 
     @classmethod
     def load(cls, path: str | Path) -> State:
-        """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
+        """Loads a state that `save` wrote.
+
+        Raises TypeError, OSError or ValueError.
+        """
         saved = read_arrays(path, STATE)
         try:
             time, step, names = (
@@ -69,8 +72,10 @@ class State:
 
 
 def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
-    """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError,
-    ValueError where it is not of the model."""
+    """Motion of a state, in arrays of its own, and the step [s] to try next.
+
+    Raises TypeError, ValueError where it is not of the model.
+    """
     checked_type("state", state, State, "see Simulation.state")
     q, q_dot = (
         checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,))
