@@ -206,7 +206,10 @@ def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None
 
 
 def checked_fidelity(fidelity: str) -> str:
-    """A fidelity that there is. Raises ValueError."""
+    """A fidelity that there is.
+
+    Raises ValueError.
+    """
     if is_length(fidelity):
         read_length(fidelity)
     elif fidelity not in (*PRESETS, AS_SCENE):

@@ -38,7 +38,9 @@ DIGITS = 16
 
 
 def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
-    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError.
+    """Choice of a trial of the arm, from the cache or made now.
+
+    Raises ConfigurationError.
 
     least: number of coordinates that it has at least.
     """

@@ -31,8 +31,10 @@ def has_strengths(effects: Effects) -> bool:
 
 
 def scaled_effects(effects: Effects, factor: float) -> Effects:
-    """Effects whose `strengths` are so many times as large. Raises ConfigurationError where one
-    cannot be that strong."""
+    """Effects whose `strengths` are so many times as large.
+
+    Raises ConfigurationError where one cannot be that strong.
+    """
     tables: dict[str, Any] = effects.model_dump()
     for name, effect in effects.chosen().items():
         table = tables[name]

@@ -125,7 +125,9 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
 
 def fields_path(scene: Scene) -> Path:
     """File of a scene's fields in the user's cache, named by its arm, tension limits and loads.
-    Raises OSError where it has no folder."""
+
+    Raises OSError where it has no folder.
+    """
     made_for = [
         arm_of(scene),
         [tendon.tension_limits for tendon in scene.tendons],

@@ -105,8 +105,10 @@ class Trial:
     def __init__(
         self, scene: Scene, share: float, reach: float = 1.0, progress: Progress | None = None
     ) -> None:
-        """share: of the rod's length, that models should be judged by. reach: multiple of the
-        scene's loads that inputs have. Raises ConfigurationError."""
+        """share: of the rod's length, that models should be judged by.
+
+        reach: multiple of the scene's loads that inputs have. Raises ConfigurationError.
+        """
         self.scene = scene.replace({"effects": scene.effects.everywhere()})
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
