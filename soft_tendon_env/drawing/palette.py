@@ -66,8 +66,11 @@ class Style(NamedTuple):
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
-    """The style of a policy, by any of its names. Where others have `taken` its colour, another
-    lightness of it; where its name says nothing, or no lightness is left, the next free colour."""
+    """The style of a policy, by any of its names.
+
+    Where others have `taken` its colour, another lightness of it; where its name says nothing, or
+    no lightness is left, the next free colour.
+    """
     words = re.split(r"[^a-z0-9]+", policy.lower())
     colours = [other.colour for other in taken]
     kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)

@@ -88,8 +88,10 @@ class Pieces(NamedTuple):
 
 
 class ArmRenderer:
-    """Draws frames of one arm in parallel projection. It has a figure of its own, so that every
-    thread or process can have a renderer."""
+    """Draws frames of one arm in parallel projection.
+
+    It has a figure of its own, so that every thread or process can have a renderer.
+    """
 
     def __init__(
         self,
@@ -97,8 +99,10 @@ class ArmRenderer:
         width: int = 640,
         height: int = 480,
     ) -> None:
-        """Frames of width x height pixels. Raises gymnasium's DependencyNotInstalled if matplotlib
-        is missing."""
+        """Frames of width x height pixels.
+
+        Raises gymnasium's DependencyNotInstalled if matplotlib is missing.
+        """
         try:
             from matplotlib.backends.backend_agg import FigureCanvasAgg
             from matplotlib.figure import Figure
@@ -294,8 +298,7 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
 
 
 def outline(segment: Segment, places: Array) -> Array:
-    """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND,
-    m)."""
+    """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND, m)."""
     half = 0.5 * segment.shape.hull(places, segment.length)[:2]
     corners = segment.shape.outline(CIRCLE)
     return (half[:, None] * corners[..., None]).reshape(CIRCLE.size, -1)
@@ -339,8 +342,7 @@ def solid(
     colour: Array,
     turn: Array,
 ) -> Pieces:
-    """The visible quadrilaterals of a closed surface, lit from above left; turn: see
-    `viewpoint`."""
+    """The visible quadrilaterals of a closed surface, lit from above left; turn: see `viewpoint`."""
     towards = turn[2]
     normal = normals(corners)
     is_visible = normal @ towards > 0.0

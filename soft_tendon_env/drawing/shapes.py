@@ -152,8 +152,7 @@ def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
 
 
 def _square() -> Array:
-    """The square from (-1, -1, 0) to (1, 1, 0) in small pieces, seen counterclockwise from
-    above."""
+    """The square from (-1, -1, 0) to (1, 1, 0) in small pieces, seen counterclockwise from above."""
     side = np.linspace(-1.0, 1.0, FINENESS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
     z = np.zeros_like(x)
