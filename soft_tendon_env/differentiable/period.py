@@ -162,5 +162,8 @@ def control_period(
 
 
 def _check(name: str, values: torch.Tensor, shape: tuple[int | None, ...]) -> Array:
-    """Values of a tensor as an array of that shape. Raises TypeError, ValueError."""
+    """Values of a tensor as an array of that shape.
+
+    Raises TypeError, ValueError.
+    """
     return checked_array(name, values.detach().numpy(), shape)

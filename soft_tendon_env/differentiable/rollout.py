@@ -108,7 +108,10 @@ def rollout(
 
 
 def _action(action: torch.Tensor, episodes: Episodes) -> torch.Tensor:
-    """Actions (rows, n_a) within their limits. Raises TypeError or ValueError."""
+    """Actions (rows, n_a) within their limits.
+
+    Raises TypeError or ValueError.
+    """
     if not isinstance(action, torch.Tensor):
         raise TypeError(f"policy should return a tensor of actions, not {type(action).__name__}")
     shape = (episodes.size, episodes.model.tendon_count)

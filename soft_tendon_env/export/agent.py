@@ -411,7 +411,10 @@ def export_agent(
 
 
 def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
-    """The agent of a policy, and the integral action around it. Raises ValueError."""
+    """The agent of a policy, and the integral action around it.
+
+    Raises ValueError.
+    """
     integral = policy if isinstance(policy, IntegralPolicy) else None
     agent = policy if integral is None else integral.policy
     if (
@@ -426,7 +429,10 @@ def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
 
 
 def _trace(module: _ControlPeriod) -> onnx.ModelProto:
-    """ONNX model of a module. Raises ValueError where it makes an array of a tensor."""
+    """ONNX model of a module.
+
+    Raises ValueError where it makes an array of a tensor.
+    """
     file = io.BytesIO()
     options: dict[str, Any] = {
         "input_names": [*module.inputs],
