@@ -1,5 +1,4 @@
-"""Scene: configuration of an arm, with its rod, tendons, strain parametrisation, quadrature,
-integrator and effects.
+"""Scene: configuration of an arm, its rod, tendons, solver settings and effects.
 
 SI units throughout. Every class raises `ConfigurationError` for unknown keys, wrong types and wrong
 ranges.
@@ -72,8 +71,10 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 
 
 class Base(Configuration):
-    """Pose of the arm's base in the world, by default at its origin; the straight rod runs along
-    the base's x axis."""
+    """Pose of the arm's base in the world, by default at its origin.
+
+    The straight rod runs along the base's x axis.
+    """
 
     position: Triple = (0.0, 0.0, 0.0)  # [m]
     # from the base's axes to the world's, (w, x, y, z)
@@ -110,8 +111,9 @@ class Base(Configuration):
 
 
 class Segment(Configuration):
-    """Segment of the rod with one material and one kind of section; segments follow each other from
-    the base.
+    """Segment of the rod with one material and one kind of section.
+
+    Segments follow each other from the base.
 
     It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, or
     Stiffness, which needs no material.
@@ -213,6 +215,8 @@ class Tendon(Configuration):
     """Tendon (threadlike actuator) that acts between two arc lengths of the rod.
 
     Positive tension pulls.
+
+    Positive tension pulls.
     """
 
     # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting,
@@ -232,8 +236,11 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece
-    between neighbouring `breakpoints`."""
+    """Quadrature along the rod by Magnus intervals.
+
+    They are of fourth order, with two Gauss points each; their number counts per piece between
+    neighbouring `breakpoints`.
+    """
 
     # None: `least`, or as many as the scene needs for `tolerance`
     intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
@@ -345,7 +352,14 @@ def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any
 
 
 def rod_length(scene: Scene) -> float:
-    """Length of the rod [m]."""
+    """Returns the length of the rod.
+
+    Args:
+        scene: of the arm.
+
+    Returns:
+        Length of its segments together [m].
+    """
     return float(segment_borders(scene)[-1])
 
 
@@ -369,8 +383,10 @@ def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
 
 
 def breakpoints(scene: Scene) -> Array:
-    """Sorted unique arc lengths [m] between which everything is smooth: base, tip, ends of tendons,
-    borders of segments and strain."""
+    """Sorted unique arc lengths [m] between which everything is smooth.
+
+    They are base, tip, ends of tendons, borders of segments and strain.
+    """
     length = rod_length(scene)
     apart = SAME_PLACE * length
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
@@ -412,8 +428,17 @@ def along_rod(
 
 
 def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Outer radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each
-    (m,). Borders: see `segment_index`."""
+    """Computes the outer radius of the rod and its slope at arc lengths.
+
+    Borders: see `segment_index`.
+
+    Args:
+        scene: of the arm.
+        arc_length: (m,) [m] from the rod's base.
+
+    Returns:
+        Radius [m], and its slope d radius/dX [-], each (m,).
+    """
     radius, slope = along_rod(
         scene,
         arc_length,
@@ -423,8 +448,10 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
 
 
 def disc_rows(scene: Scene) -> Array:
-    """Arc length [m], mass [kg], radius and thickness [m], 0 for thin ones, of every spacer disc:
-    (d, 4)."""
+    """Arc length [m], mass [kg], radius and thickness [m] of every spacer disc: (d, 4).
+
+    The thickness is 0 for thin ones.
+    """
     starts = segment_borders(scene)[:-1]
     rows = list[Array]()
     for segment, start in zip(scene.segments, starts, strict=True):
@@ -436,8 +463,16 @@ def disc_rows(scene: Scene) -> Array:
 
 
 def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Offset (y, z) of a tendon from the axis [m] and its slope d/dX [-] at arc lengths [m], each
-    (m, 2)."""
+    """Computes the offset of a tendon from the axis and its slope at arc lengths.
+
+    Args:
+        scene: of the arm.
+        tendon: of the scene.
+        arc_length: (m,) [m] from the rod's base.
+
+    Returns:
+        Offset (y, z) [m], and its slope d/dX [-], each (m, 2).
+    """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     radius, radius_slope = rod_radius(scene, arc_length)
     ends = tendon_ends(scene, tendon)
@@ -445,8 +480,9 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
 
 
 def extrapolation_columns(scene: Scene) -> int:
-    """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the
-    scene's, or what its damping allows.
+    """Number of columns (order) of the extrapolated integrator, with a tolerance the most.
+
+    It is the scene's, or what its damping allows.
 
     On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability
     function). A damping ratio of 0.0029 at omega h = 0.64 outweighs that. Where every segment has
