@@ -1,5 +1,7 @@
-"""Error estimates of quadratures, and the choice of one: what the tip at rest moves by, and what
-masses change by, on a finer quadrature."""
+"""Error estimates of quadratures, and the choice of one.
+
+They are what the tip at rest moves by, and what masses change by, on a finer quadrature.
+"""
 
 import functools
 import math

@@ -1,5 +1,7 @@
-"""Time steps of a scene as the kernels take them: integration method, control of step size, and the
-commands held over each."""
+"""Time steps of a scene as the kernels take them.
+
+They are the integration method, control of step size, and the commands held over each.
+"""
 
 import warnings
 from collections.abc import Callable
