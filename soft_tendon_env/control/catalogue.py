@@ -42,7 +42,14 @@ class Entry:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
-        """The controller with some of its `parameters` changed."""
+        """Returns the controller with some of its parameters changed.
+
+        Args:
+            parameters: numbers by name, some of the entry's.
+
+        Returns:
+            The new entry.
+        """
         numbers: dict[str, Any] = {**self.parameters, **parameters}
         looks_ahead = self.looks_ahead
         # predictive control looks as far ahead as its horizon
