@@ -128,23 +128,22 @@ class EpisodesEnv:
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
+    """Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
 
     Copies and pickles go on from where it is.
+
+    Args:
+        render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
+        options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        ValueError: for other modes.
+        gymnasium.error.Error: where what a mode needs is not there.
     """
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Make an environment.
-
-        Args:
-            render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
-            options: see `Options`.
-
-        Raises:
-            ConfigurationError: of all invalid options.
-            ValueError: for other modes.
-            gymnasium.error.Error: where what a mode needs is not there.
-        """
+        """Makes an environment."""
         self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
         self._most_steps = np.inf
@@ -234,7 +233,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self.episodes.set_state(0, state)
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
-        """Target of the episode.
+        """Samples the target of the episode.
 
         Args:
             times: (m,) [s] from its beginning, past or future.
@@ -243,6 +242,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             Samples of the target.
 
         Raises:
+            TypeError: for what are no numbers.
             ValueError: for other shapes and times that are not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
@@ -255,11 +255,11 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return {name: value.item(0) for name, value in info.items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Frame (height, width, 3) of the arm, its tendons, the target and the tip's trail.
+        """Draws the arm, its tendons, the target and the tip's trail.
 
         Returns:
-            The frame; None without a render mode, and with "human": there every reset and step
-            shows itself in the viewer, no faster than in real time.
+            Frame (height, width, 3); None without a render mode, and with "human": there every
+            reset and step shows itself in the viewer, no faster than in real time.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
@@ -296,6 +296,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun
             viewer, in real time.
         options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        TypeError: for numbers of wrong types.
+        ValueError: for numbers that are not allowed, and other modes.
     """
 
     def __init__(
@@ -307,10 +312,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Make an environment.
-
-        Raises ConfigurationError, ValueError or TypeError.
-        """
+        """Makes the rows."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
@@ -492,7 +494,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return np.asarray(self.episodes.step_count >= self._most_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Frames (height, width, 3) of the rows; None without a render mode and with "human".
+        """Draws the rows.
+
+        Returns:
+            Frames (height, width, 3) of the rows; None without a render mode and with "human".
 
         Raises:
             gymnasium.error.ClosedEnvironmentError: after close.
@@ -501,7 +506,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stop the threads; the viewer stays open."""
+        """Stops the threads; the viewer stays open.
+
+        Args:
+            kwargs: of `close`, which changes nothing.
+        """
         self.episodes.arms.close()
         if self._renderer is not None:
             self._renderer.close()
@@ -526,12 +535,11 @@ def compute_reward(
     desired_goal: NDArray[Any],
     info: Any,
 ) -> Any:
-    """Rewards of goals, as hindsight experience replay asks for.
+    """Computes rewards of goals, as hindsight experience replay asks for.
 
     Args:
-        self: the environment, of which this is a method.
         achieved_goal: positions (..., 3) [m].
-        desired_goal: likewise, of the same shape.
+        desired_goal: positions of the same shape [m].
         info: of steps, which rewards do not depend on.
 
     Returns:
@@ -580,12 +588,26 @@ def class_of(
 
 
 def environment_class(task: Task) -> type[TendonRodEnv]:
-    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
+    """Returns the class of a task's environments with one arm, `<name>Env`.
+
+    Args:
+        task: of the environments.
+
+    Returns:
+        The class, the same at every call.
+    """
     return class_of(task, "Env", TendonRodEnv, task.description)
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """The class of a task's environments with many arms, `<name>VectorEnv`; the same every time."""
+    """Returns the class of a task's environments with many arms, `<name>VectorEnv`.
+
+    Args:
+        task: of the environments.
+
+    Returns:
+        The class, the same at every call.
+    """
     return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 
