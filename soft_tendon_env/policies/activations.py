@@ -1,5 +1,7 @@
-"""Activation functions of policy networks in NumPy, by the names of their classes in torch.nn, with
-the parameters that those have by default."""
+"""Activation functions of policy networks in NumPy, by the names of their torch.nn classes.
+
+Their parameters are those that the classes have by default.
+"""
 
 from collections.abc import Callable, Mapping
 

@@ -1,5 +1,4 @@
-"""Trained agents as policies: their files, network, normalisation of observations and integral
-action.
+"""Trained agents as policies: files, network, normalisation and integral action.
 
 An agent's folder has `weights.npz`, the arrays of its network; `statistics.npz`, mean and variance
 by which it sees observations, absent where it sees them as they are; and `config.json`, which says

@@ -1,5 +1,6 @@
-"""Controllers as policies: Stable-Baselines3's `predict` around a controller of
-`soft_tendon_env.control`.
+"""Controllers as policies: Stable-Baselines3's `predict` around a controller.
+
+Controllers are those of `soft_tendon_env.control`.
 
 What the controller knows comes out of the observation and of its own state; what it decides becomes
 an action.

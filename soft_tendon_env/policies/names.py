@@ -1,5 +1,6 @@
-"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's
-policy.
+"""Policies by name: controllers, trained agents and policies of users.
+
+A name is parsed once into a type.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))

@@ -1,5 +1,6 @@
-"""Observation normalisation of trained agents: running mean and variance as arrays in an .npz file,
-read without unpickling.
+"""Observation normalisation of trained agents: running mean and variance.
+
+They are arrays in an .npz file, read without unpickling.
 
 The formula is that of Stable-Baselines3's VecNormalize: clip((o - mean) / sqrt(variance + epsilon),
 -clip, clip), as float32.

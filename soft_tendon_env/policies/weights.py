@@ -1,5 +1,6 @@
-"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors, in single
-precision, in an .npz file that is read without unpickling.
+"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors.
+
+They are in single precision, in an .npz file that is read without unpickling.
 
 What a training needs besides is not among them: critics, exploration, optimisers.
 """
