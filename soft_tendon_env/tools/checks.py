@@ -1,5 +1,7 @@
-"""Argument validation of the public API: shape, type, finiteness and range, with errors that say
-what was given and what is allowed."""
+"""Argument validation of the public API: shape, type, finiteness and range.
+
+Errors say what was passed and what is allowed.
+"""
 
 from typing import TypeVar
 

@@ -1,5 +1,6 @@
-"""Configuration classes: strict validation, one readable error for all mistakes, overrides by
-dotted keys.
+"""Configuration classes: strict validation, overrides by dotted keys.
+
+All mistakes are in one readable error.
 
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by
 pydantic; this module only translates its report into a `ConfigurationError` that names the file,
@@ -34,8 +35,10 @@ DOT = re.compile(r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)')
 
 
 class Problem(NamedTuple):
-    """One mistake: the key it is at, from the table at hand, and the rest of the sentence that
-    begins with the key."""
+    """One mistake in a configuration: its key and the rest of the sentence.
+
+    The key counts from the table at hand, and begins the sentence.
+    """
 
     key: Key
     text: str
@@ -45,6 +48,10 @@ class ConfigurationError(ValueError):
     """Invalid configuration: one line per mistake, `source: key is value: what is allowed`.
 
     Attributes: `problems`, every `Problem`; `source`, the file, or what was being built.
+
+    Args:
+        problems: every mistake, its key and what is allowed.
+        source: name of the file, or of what was being built.
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "scene"):
@@ -122,8 +129,10 @@ def _freeze(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The value as plain JSON types: NumPy's, paths and configurations become plain, alone or
-    nested in tables and lists."""
+    """Value as plain JSON types.
+
+    NumPy's, paths and configurations become plain, alone or nested in tables and lists.
+    """
     if isinstance(value, Configuration):
         return value.model_dump(mode="json", exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
@@ -160,8 +169,10 @@ def not_among(name: str, valid: Iterable[str]) -> str:
 
 
 def not_registered(name: str, valid: Iterable[str]) -> str:
-    """The end of a message about an unknown name of what users can register: as `not_among`, and
-    what to do about one of their own."""
+    """End of a message about an unknown name of what users can register.
+
+    It is that of `not_among`, and what to do about one of their own.
+    """
     return (
         f"{not_among(name, valid)}; to use one of your own, import its module first (on the command"
         " line: --import MODULE)"

@@ -1,6 +1,9 @@
-"""Reading of files, one function per kind; a file that is missing, cut or of something else is an
-error that names it. Files are replaced whole, and checked by their digests. What is made once is
-kept in folders of the user's cache."""
+"""Reading of files, one function per kind.
+
+A file that is missing, cut or of something else is an error that names it. Files are replaced
+whole, and checked by their digests. Files that are made once are kept in folders of the user's
+cache.
+"""
 
 import codecs
 import contextlib
@@ -66,8 +69,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the
-    error. Raises OSError or ValueError."""
+    """Arrays of an .npz file, none of them unpickled.
+
+    `what` it should hold goes into the error. Raises OSError or ValueError.
+    """
     content = read_bytes(path)
     try:
         with (
@@ -91,8 +96,10 @@ def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, whose file takes the place of `path` at the end: that appears whole or
-    not at all. Raises OSError."""
+    """Path to write to, whose file takes the place of `path` at the end.
+
+    That appears whole or not at all. Raises OSError.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -150,8 +157,10 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
 
 
 def shipped_folder(inside: str, beside: str) -> Path:
-    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml),
-    `beside` it in a clone."""
+    """Folder of files that ship, in a wheel or in a clone.
+
+    It is `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone.
+    """
     return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
 
 
@@ -159,8 +168,10 @@ CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations th
 
 
 def cache_parents() -> list[Path]:
-    """Candidate parents of the cache folder, best first: what the user has chosen, then the usual
-    places."""
+    """Candidate parents of the cache folder, best first.
+
+    They are what the user has chosen, then the usual places.
+    """
     user = getattr(os, "getuid", int)()
     temporary = Path(tempfile.gettempdir(), f"soft_tendon_env-{user}")
     named = (
@@ -175,8 +186,10 @@ def cache_parents() -> list[Path]:
 
 
 def data_folders(name: str) -> list[Path]:
-    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see
-    `cache_parents`."""
+    """Folders `<user's cache>/soft_tendon_env/<name>` that exist, best first.
+
+    See `cache_parents`.
+    """
     return [
         folder
         for parent in cache_parents()

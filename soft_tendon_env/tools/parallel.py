@@ -1,5 +1,6 @@
-"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray
-cluster.
+"""Independent runs side by side: in processes of this machine, or on a Ray cluster.
+
+joblib starts the processes.
 
 Cells of an experiment, trainings of a sweep, trials of a search and motions of a reference all go
 through `run_all`. In each process come first the user's own modules that register effects, tasks,
@@ -94,8 +95,10 @@ def _run(
     place: int,
     run: Run,
 ) -> tuple[int, Result]:
-    """The run's place and its result, in a process that has what a user's own modules and script
-    register."""
+    """Place and result of a run.
+
+    Its process has what a user's own modules and script register.
+    """
     process, names, script = origin
     if os.getpid() != process:
         import_modules(names)
@@ -157,8 +160,9 @@ def _on_cluster(
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
-    """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this
-    process's own, which ends with it.
+    """Ray while it is used: the cluster at an address, or one of this process's own.
+
+    The address "auto" is this machine's; a cluster of its own ends with it.
 
     processors: that are needed by `what`, which errors name. Raises ValueError where there is no
     Ray, or too little room.

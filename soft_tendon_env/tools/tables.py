@@ -38,8 +38,10 @@ class Table(NamedTuple):
     rows: list[tuple[str, list[str]]]
 
     def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
-        """Numbers (rows, columns) of columns by name, times their factors; NaN where there are
-        none. Raises ValueError for other text."""
+        """Numbers (rows, columns) of columns by name, times their factors.
+
+        They are NaN where there are none. Raises ValueError for other text.
+        """
         columns = list(columns)
         places = [self.header.index(name) for name, _ in columns]
         values = np.empty((len(self.rows), len(columns)))
@@ -146,8 +148,10 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:
-    """Lines of a table, without a last one that was cut off when the writer was killed, or power
-    was lost; a warning says so."""
+    """Lines of a table, without a last one that was cut off.
+
+    The writer was killed, or power was lost; a warning says so.
+    """
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
     if len(lines) < 2 or text.endswith("\n"):

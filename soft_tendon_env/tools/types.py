@@ -1,5 +1,6 @@
-"""Types of arrays and of physical quantities, with bounds within which products, powers and ratios
-neither overflow nor vanish.
+"""Types of arrays and of physical quantities, with bounds.
+
+Within these, products, powers and ratios neither overflow nor vanish.
 
 Lengths with a unit, such as "1mm", are read and written here too.
 """
@@ -32,8 +33,10 @@ FASTEST = 1e5
 
 
 def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
-    """Refuses a number, but zero, whose size is not between these; that of zero is for the type to
-    judge."""
+    """Refuses a number, but zero, whose size is not between these.
+
+    Zero is for the type to judge.
+    """
 
     def check(value: float) -> float:
         if value and not least <= abs(value) <= greatest:
