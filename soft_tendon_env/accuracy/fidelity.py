@@ -61,17 +61,25 @@ PRESETS: Mapping[str, Accuracy] = {
 
 
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
-    """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its
-    kernels.
+    """Builds the model of a scene: chooses its coordinates and quadrature at a fidelity.
 
-    fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of
-    the length. A length such as "1mm" is this error. "scene" takes strain, quadrature and
-    integrator from the scene; a strain that it leaves open has one coordinate per tension and no
-    others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the
-    argument it is "scene", with a FidelityWarning if the scene leaves its strain open.
+    The presets "fast", "standard" and "fine" are errors of the tip of 1, 0.2 or 0.05 % of the
+    length. A length such as "1mm" is this error. "scene" takes strain, quadrature and integrator
+    from the scene; a strain that it leaves open has one coordinate per tension and no others. None
+    is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is
+    "scene", with a FidelityWarning if the scene leaves its strain open.
 
-    Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be
-    computed.
+    Args:
+        scene: the arm, its effects and its solver settings.
+        fidelity: a preset, a length, "scene" or None.
+
+    Returns:
+        The model of the scene, whose arrays the compiled kernels read.
+
+    Raises:
+        TypeError: for a scene or a fidelity of another type.
+        ValueError: for a fidelity that is neither a preset nor a length.
+        ConfigurationError: for an arm that cannot be computed.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:

@@ -54,15 +54,22 @@ raise."""
 
 
 def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None = None) -> Any:
-    """Compile a function of arrays and scalars on its first call: `@kernel`, or
-    `@kernel(inline=True)`.
+    """Compiles a function of arrays and scalars on its first call.
 
-    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep.
-    Other kernels are called. refcount: count references to arrays, without which numba refuses what
-    makes arrays or returns parts of them, and with which there is a third more to compile; by
-    default not in this package. Machine code of the package is kept. Kernels of other files are
-    compiled by every process: numba would not notice that something they use from a third file has
-    changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+    It is a decorator: `@kernel`, or `@kernel(inline=True)`. Machine code of the package is kept.
+    Kernels of other files are compiled by every process: numba would not notice that something they
+    use from a third file has changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+
+    Args:
+        function: to compile; None returns the decorator.
+        inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a
+            sweep. Other kernels are called.
+        refcount: count references to arrays, without which numba refuses what makes arrays or
+            returns parts of them, and with which there is a third more to compile; by default not
+            in this package.
+
+    Returns:
+        The compiled function.
     """
     if function is None:
         return functools.partial(kernel, inline=inline, refcount=refcount)

@@ -305,13 +305,22 @@ def _register(hook: str, kind: type) -> Decorator:
 
 
 def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
-    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds
-    to `nodes.wrench`, see `Nodes`.
+    """Registers a kernel (parameters, nodes) that adds to `nodes.wrench`: a decorator.
 
     A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what
-    it depends on so, "pose", "twist" or both, and the step takes its derivatives at every node by
-    differences; or the kernel adds them to `nodes.stiffness` and `nodes.damping` itself. Raises
-    ValueError for another name, and where both would count.
+    it depends on so, and the step takes its derivatives at every node by differences; or the kernel
+    adds them to `nodes.stiffness` and `nodes.damping` itself. The decorator raises ValueError where
+    both would count.
+
+    Args:
+        kind: class of the parameters, see `Nodes` for the other argument of the kernel.
+        implicit: "pose", "twist" or both.
+
+    Returns:
+        The decorator.
+
+    Raises:
+        ValueError: for another name in `implicit`.
     """
     bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
     odd = {*implicit} - {*bits}
@@ -366,7 +375,12 @@ periodic by `allow_turning`. Contact checks for collisions between `nodes.before
 
 @kernel
 def allow_turning(rate, longest):
-    """Lower `longest` (1,) [s] to a sixteenth of the period of what turns at a rate [rad/s]."""
+    """Lowers the longest step to a sixteenth of the period of what turns at a rate.
+
+    Args:
+        rate: angular rate [rad/s]; 0 allows any step.
+        longest: (1,) [s], which is changed.
+    """
     if rate != 0.0:
         longest[0] = min(longest[0], TURN / abs(rate))
 

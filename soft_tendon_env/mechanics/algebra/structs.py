@@ -37,15 +37,22 @@ _INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
 
 
 class Struct:
-    """Fields by the names that a subclass annotates: numbers (bool, int, float), tuples of int or
-    of float, contiguous arrays of float64 or int64, and structs.
+    """Struct of named fields that compiled code reads at an address.
 
-    Arrays are filled, fields never replaced; `replaced` makes another struct.
+    A subclass annotates the fields: numbers (bool, int, float), tuples of int or of float,
+    contiguous arrays of float64 or int64, and structs. Arrays are filled, fields never replaced;
+    `replaced` makes another struct.
+
+    Args:
+        values: fields in their order.
+        fields: fields by name.
+
+    Raises:
+        TypeError: where names or values are not as they should be.
     """
 
     def __init__(self, *values: Any, **fields: Any) -> None:
-        """Fields in their order or by name. Raises TypeError where names or values are not as they
-        should be."""
+        """Lays out the fields."""
         names = self.names()
         given = {**dict(zip(names, values, strict=False)), **fields}
         if len(values) + len(fields) != len(names) or sorted(given) != sorted(names):
@@ -58,8 +65,13 @@ class Struct:
     @classmethod
     @functools.cache
     def names(cls) -> tuple[str, ...]:
-        """Names of the fields, those of base classes first; a property takes the place of a base's
-        field."""
+        """Returns the names of the fields, those of base classes first.
+
+        A property takes the place of a base's field.
+
+        Returns:
+            Names in the order of the fields.
+        """
         annotated = dict.fromkeys(
             name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ())
         )
@@ -110,14 +122,25 @@ class Struct:
         return int(self.__dict__["_address"])
 
     def fields(self) -> dict[str, Any]:
-        """The fields by name."""
+        """Returns the fields by name.
+
+        Returns:
+            Values as they were given.
+        """
         return {name: self.__dict__[name] for name in self.names()}
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self.fields().values())
 
     def replaced(self, **changes: Any) -> Self:
-        """A struct with some fields changed, and the others shared."""
+        """Returns a struct with some fields changed, and the others shared.
+
+        Args:
+            changes: values by name of the field.
+
+        Returns:
+            The new struct.
+        """
         return type(self)(**{**self.fields(), **changes})
 
     def __getstate__(self) -> dict[str, Any]:
