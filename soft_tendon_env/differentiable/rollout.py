@@ -46,7 +46,7 @@ def rollout(
     periods: int,
     dtype: torch.dtype = torch.float32,
 ) -> Trajectories:
-    """Trajectories of a policy from where an environment's rows are, with gradients.
+    """Runs a policy from where an environment's rows are, with gradients.
 
     The environment itself takes the steps, and stays where they lead: randomisation, latency, noise
     and targets are its own, and another rollout goes on from there, without gradients into this

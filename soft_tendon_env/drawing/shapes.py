@@ -300,8 +300,17 @@ def rotation_from_z(direction: Array) -> Array:
 
 
 def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
-    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind: in a row from
-    left to right, as the viewer opens."""
+    """Returns the place of an arm among several of a kind in the viewer.
+
+    They stand in a row from left to right, as the viewer opens.
+
+    Args:
+        model: of one of the arms.
+        number: of the arm, 0, 1, ...
+
+    Returns:
+        Place (x, y, z) [m].
+    """
     lower, upper, vertical, upright = view_box(model.scene)
     right = viewpoint(vertical, upright)[0]
     width = float(np.abs(right) @ (upper - lower))

@@ -16,8 +16,11 @@ AND = ","  # between the names of conditions that hold together
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes
-    of the scene by dotted keys, and other options of the environment."""
+    """Difference of an episode from nominal, unknown to the policy.
+
+    It has values of `randomize`, changes of the scene by dotted keys, and other options of the
+    environment.
+    """
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
@@ -25,8 +28,16 @@ class Condition:
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The given options of an environment under this condition, which overrides what they have
-        drawn."""
+        """Returns options of an environment under this condition.
+
+        It overrides what the options have drawn.
+
+        Args:
+            given: options without the condition.
+
+        Returns:
+            Options by name.
+        """
         options = dict(given)
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
@@ -146,9 +157,16 @@ SETTINGS: dict[str, Condition] = {
 
 
 def model_error(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g".
+    """Returns the condition of a name of MODEL_ERRORS, or of several together.
 
-    Raises ValueError for unknown names, and where two set the same value.
+    Args:
+        names: one name, or several, "stiffness+20%,payload-20g".
+
+    Returns:
+        The condition.
+
+    Raises:
+        ValueError: for unknown names, and where two set the same value.
     """
     parts = list[Condition]()
     for name in names.split(AND):

@@ -47,9 +47,12 @@ class Episode:
 
 
 class Metric(NamedTuple):
-    """Number of an episode: its heading in tables, with the unit, and its function of the episode
-    and the first sample that counts, in SI units. factor: from these to the heading's unit. Of
-    several episodes it is the root mean square. NaN: the episode has none."""
+    """Number of an episode, with its heading in tables.
+
+    The heading has the unit; the function is of the episode and the first sample that counts, in SI
+    units. factor: from these to the heading's unit. Of several episodes it is the root mean square.
+    NaN: the episode has none.
+    """
 
     heading: str
     of_episode: Callable[[Episode, int], float]
@@ -99,8 +102,10 @@ class EpisodeScore:
 
     @property
     def bad(self) -> bool:
-        """Whether the episode diverged, or its first error is above BAD times the rod's length as
-        root mean square."""
+        """Whether the episode diverged, or its first error is large.
+
+        It is large as root mean square above BAD times the rod's length.
+        """
         return (
             self.diverged is not None
             or not next(iter(self.errors.values())).rms <= BAD * self.length
@@ -108,8 +113,11 @@ class EpisodeScore:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that has an interquartile mean over episodes, by name: NaN where an episode has no
-        such number, but infinite errors and chatter where it diverged."""
+        """All numbers that have an interquartile mean over episodes, by name.
+
+        They are NaN where an episode has no such number, but infinite errors and chatter where it
+        diverged.
+        """
         numbers = dict[str, float]()
         for name, error in self.errors.items():
             numbers[f"{name}_rms"] = error.rms

@@ -36,10 +36,20 @@ def evaluate(
     seeds: Iterable[int],
     skip: float = 1.0,
 ) -> list[EpisodeScore]:
-    """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
+    """Scores a policy on one episode per seed.
 
-    Raises TypeError for environments of other packages, ValueError for episodes that end before
-    `skip` or have no end.
+    Args:
+        policy: with `predict` as of Stable-Baselines3.
+        env: environment with one arm of this package, whose episodes end.
+        seeds: of `reset`.
+        skip: time [s] from which on errors count.
+
+    Returns:
+        Scores in the order of the seeds.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for episodes that end before `skip` or have no end.
     """
     if isinstance(env, TendonRodEnv):
         raise ValueError(
@@ -56,9 +66,25 @@ def evaluate_rows(
     seeds: Sequence[int],
     skip: float = 1.0,
 ) -> list[EpisodeScore]:
-    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment
-    plays the one of seeds[i]. The time of an action is that of all rows divided by their number.
-    Raises as `evaluate`, ValueError unless there is a row per seed."""
+    """Scores a policy on episodes side by side, as `evaluate` does.
+
+    Row i of a vector environment plays the episode of seeds[i]. The time of an action is that of
+    all rows divided by their number.
+
+    Args:
+        policy: with `predict` as of Stable-Baselines3.
+        envs: vector environment of this package with a step limit and `autoreset_mode="next_step"`.
+        seeds: of `reset`, one per row.
+        skip: time [s] from which on errors count.
+
+    Returns:
+        Scores in the order of the seeds.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for another number of seeds, another reset mode, or episodes that end before
+            `skip` or have no end.
+    """
     inner = checked_type(
         "envs",
         envs.unwrapped,

@@ -83,7 +83,10 @@ def bootstrap_interval(
 
 @dataclass(frozen=True)
 class Summary:
-    """Scores of several episodes together.
+    """Summary of the scores of several episodes.
+
+    Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
+    return, the goals reached and the time, which are of all.
 
     Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
     return, the goals reached and the time, which are of all.
@@ -109,9 +112,16 @@ class Summary:
 
 
 def summarise(scores: Sequence[EpisodeScore]) -> Summary:
-    """Summary of episodes of one policy and task.
+    """Summarises the scores of episodes of one policy and task.
 
-    Raises ValueError without any.
+    Args:
+        scores: of the episodes, at least one.
+
+    Returns:
+        Errors, metrics, returns and times of all of them together.
+
+    Raises:
+        ValueError: without scores.
     """
     if not scores:
         raise ValueError("scores should have at least one episode")

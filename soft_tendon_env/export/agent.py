@@ -383,7 +383,9 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(
     policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None
 ) -> onnx.ModelProto:
-    """ONNX model of a trained agent for the observation and the actions of its environment.
+    """Exports a trained agent as an ONNX model from measurements to commands.
+
+    The model is for the observation and the actions of its environment.
 
     Args:
         policy: trained agent, see `load_agent`.

@@ -44,8 +44,10 @@ LOOK = (
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimated parameters of an arm, their intervals, errors of fit and of held-out recordings,
-    and findings in words."""
+    """Estimated parameters of an arm, with their intervals, errors and findings.
+
+    Errors are those of fit and of held-out recordings; findings are in words.
+    """
 
     parameters: tuple[Parameter, ...]
     value: Array  # (k,)
@@ -77,15 +79,17 @@ def identify(
     fidelity: str = FIDELITY,
     noise: float | None = None,
 ) -> Estimate:
-    """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
+    """Identifies parameters of an arm from recorded marker positions by least squares.
+
+    Priors keep what the data do not contain.
 
     Args:
         scene: the arm as it is known.
         data: CSV files, see identification.recordings.
         markers: TOML file, see identification.markers, or what was read from it.
         parameters: as `KEY` or `KEY=LOW..HIGH`, see identification.parameters.
-        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file
-            of others.
+        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file of
+            others.
         fit_to: greatest number of recordings to fit to, evenly over the data; None: all.
         fidelity: of the fitted model, whose errors go into the parameters.
         noise: standard deviation of a marker's coordinate [m]; None: it is estimated.
@@ -94,6 +98,7 @@ def identify(
         The estimate, with its intervals, errors and findings.
 
     Raises:
+        TypeError: for what is no scene.
         ValueError: for data that cannot be used, in one line that says where.
         ConfigurationError: for markers, keys and values that the scene does not allow.
         FileNotFoundError: for data that are missing.
@@ -276,8 +281,9 @@ def _errors_in_mm(errors: dict[str, float], mean: float) -> dict[str, Any]:
 
 
 def randomize(estimate: Estimate) -> dict[str, Any]:
-    """Table `randomize` of an environment with the identified scene: what the intervals leave open,
-    of parameters that the data or a prior contain.
+    """Returns the table `randomize` of an environment with the identified scene.
+
+    It has what the intervals leave open, of parameters that the data or a prior contain.
 
     Latency comes on top of the scene's delay. Offsets are tensions [N], also of arms that are
     driven by displacement.

@@ -38,8 +38,10 @@ class Marker(Configuration):
 
 
 class Frame(Configuration):
-    """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p +
-    translation."""
+    """Rigid motion R p + translation from the frame of the data to the scene's world frame.
+
+    It is the table `[frame]`.
+    """
 
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of the rotation R, (w, x, y, z)
     translation: Triple = (0.0, 0.0, 0.0)  # [m]
@@ -77,7 +79,14 @@ class MarkerSet(Configuration):
         return np.array([marker.offset for marker in self.markers.values()])
 
     def with_offsets(self, offsets: Array) -> "MarkerSet":
-        """The markers with other offsets (m, 3) [m]."""
+        """Returns the markers with other offsets.
+
+        Args:
+            offsets: in the sections' frames (m, 3) [m].
+
+        Returns:
+            The new markers, with the same frame and columns.
+        """
         moved = dict[str, Marker]()
         for (name, marker), offset in zip(self.markers.items(), offsets.tolist(), strict=True):
             moved[name] = marker.model_copy(update={"offset": tuple(offset)})

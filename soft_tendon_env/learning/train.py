@@ -93,7 +93,7 @@ def _check_same(folder: Path, training: Training, engine: str, record: dict[str,
 def train(
     training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None
 ) -> BaseAlgorithm:
-    """Train an agent for what is left of its steps.
+    """Trains an agent for the steps that it still lacks.
 
     Args:
         training: its configuration.
@@ -105,7 +105,8 @@ def train(
         The agent.
 
     Raises:
-        ValueError, OSError: before it begins.
+        ValueError: before it begins, for a training or a checkpoint that cannot be used.
+        OSError: before it begins, for files that cannot be read or written.
         UserError: weights became infinite or undefined, or a checkpoint cannot be written.
     """
     model = model_of(training, checkpoint)

@@ -257,22 +257,23 @@ class NetworkPolicy:
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
-    """Trained agent as a policy for an environment like its own, single or vector.
+    """Loads a trained agent as a policy for an environment like its own, single or vector.
 
-    Nothing is unpickled.
+    Nothing is unpickled. A TrainingWarning says where the task or preset is another than in its
+    training.
 
     Args:
         name: of an agent that ships for the environment's task, or an agent's folder.
         env: the environment.
         other_effects: whether the arm may have effects that it was not trained with.
 
+    Returns:
+        The policy, which acts by NumPy alone.
+
     Raises:
         TypeError: the environment is of another package.
         ValueError: the files were damaged, or are of another arm or control period.
         OSError: a file cannot be read.
-
-    Warns:
-        TrainingWarning: the task or preset is another than in its training.
     """
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
@@ -331,7 +332,7 @@ def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Polic
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
-    """Write an agent's weights and statistics into a folder, for a config.json that says the rest.
+    """Writes an agent's weights and statistics into a folder, beside its config.json.
 
     Args:
         folder: that is there.

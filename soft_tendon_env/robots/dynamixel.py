@@ -52,8 +52,11 @@ class DynamixelRobot:
     not stretch; at the beginning the tendons should be just taut. `tip_pose` gives the pose of the
     tip.
 
-    Raises ValueError for bad arguments, OSError where the port cannot be opened, ConnectionError
-    where a motor does not answer.
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for bad arguments.
+        OSError: where the port cannot be opened.
+        ConnectionError: where a motor does not answer.
     """
 
     port: str  # serial port, "/dev/ttyUSB0" or "COM3"
@@ -117,9 +120,13 @@ class DynamixelRobot:
             )
 
     def read(self) -> Measurement:
-        """Currents and positions of all motors in one packet, and the tip's pose.
+        """Reads currents and positions of all motors in one packet, and the tip's pose.
 
-        Raises ConnectionError.
+        Returns:
+            The measurement.
+
+        Raises:
+            ConnectionError: where the port is lost, or a motor does not answer.
         """
         current, _, position = self._read_present()
         tip = None if self.tip_pose is None else self.tip_pose()
@@ -163,7 +170,11 @@ class DynamixelRobot:
         return np.asarray(ticks * self._tension_unit)
 
     def close(self) -> None:
-        """Takes the torque off and closes the port, as far as it is there."""
+        """Takes the torque off and closes the port, as far as it is there.
+
+        Raises:
+            ConnectionError: where the port is lost.
+        """
         try:
             self._set(EVERYBODY, BUS_WATCHDOG, 0)
             self._set(EVERYBODY, TORQUE_ENABLE, 0)

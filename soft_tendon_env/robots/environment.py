@@ -53,7 +53,7 @@ STANDS_OUT = 33.0
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
+    """Robot in place of the simulated arm of an environment with one arm.
 
     `reset` brings the robot from slack tendons to the first command, the pretension, and waits
     until it is at rest. The measurement at rest is the zero of tendon lengths and strains. Commands
@@ -75,7 +75,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     Raises:
         ConfigurationError: where the robot does not fit the environment.
-        TypeError, ValueError: for other arguments of wrong type or range.
+        TypeError: for other arguments of wrong type.
+        ValueError: for other arguments of wrong range.
         OSError: where the log cannot be written.
     """
 
@@ -146,17 +147,37 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """A new episode, which begins with the robot at rest.
+        """Begins a new episode, with the robot at rest.
 
-        Raises RobotStopped if it does not come to rest.
+        Args:
+            seed: as of the environment.
+            options: as of the environment.
+
+        Returns:
+            The observation and the info.
+
+        Raises:
+            RobotStopped: if the robot does not come to rest.
         """
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period, to its deadline; a robot that is stopped truncates the episode, with
-        the last observation and reward 0. Raises as the environment for actions of wrong shape or
-        with NaN, ResetNeeded."""
+        """Takes one control period, to its deadline.
+
+        A robot that is stopped truncates the episode, with the last observation and reward 0.
+
+        Args:
+            action: (n_a,) in [-1, 1]; larger ones are clipped.
+
+        Returns:
+            Observation, reward, whether the episode is terminated, whether it is truncated, info.
+
+        Raises:
+            TypeError: for an action of wrong type.
+            ValueError: for an action of wrong shape or with NaN.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
         if self._last is None:
             raise gym.error.ResetNeeded("step was called before reset")
         try:
@@ -173,7 +194,14 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         return self._safe.stopped
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go, from any thread, and waits until they are slack."""
+        """Lets the tendons go, from any thread, and waits until they are slack.
+
+        Args:
+            cause: of the stop, in words.
+
+        Returns:
+            The course of the stop; the first cause counts.
+        """
         return self._safe.stop(cause)
 
     def close(self) -> None:
@@ -385,8 +413,10 @@ def speed_of(position: Array, period: float) -> float:
 
 
 class Report(NamedTuple):
-    """Report of a run: errors (m,) by name as measured in every period, timing, how it ended, and
-    whether it went on to its end."""
+    """Report of a run: errors, timing, how it ended, and whether it went on to its end.
+
+    Errors (m,) are by name, as measured in every period.
+    """
 
     errors: dict[str, Array]
     timing: Timing
@@ -395,8 +425,9 @@ class Report(NamedTuple):
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
-    """Runs a policy for a few periods on the simulated arm of an environment, so that nothing is
-    compiled while the robot waits.
+    """Runs a policy for a few periods on the simulated arm of an environment.
+
+    After that nothing is compiled while the robot waits.
 
     Args:
         policy: to run.
@@ -408,8 +439,7 @@ def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
-    """Runs a policy on a robot for a duration; in any case it slackens the tendons and closes the
-    robot.
+    """Runs a policy on a robot for a duration, then slackens the tendons and closes the robot.
 
     A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What
     the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with
