@@ -1,5 +1,7 @@
-"""Benchmark of policies on arms that none of them was made for: the same task, information and
-episodes for all."""
+"""Benchmark of policies on arms that none of them was made for.
+
+The task, the information and the episodes are the same for all.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -114,9 +116,11 @@ class Benchmark(Workers):
         return self
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
-        """All that is to be played; and a line for every policy that is left out, since its files
-        are missing or no regime suffices for it, and one for those of which a wheel has one seed.
-        Raises ValueError where nobody is left."""
+        """All that is to be played, and lines about policies that are left out.
+
+        There is a line for every policy whose files are missing or for which no regime suffices,
+        and one for those of which a wheel has one seed. Raises ValueError where nobody is left.
+        """
         cells = dict[Label, Cell]()
         notes = list[str]()
         of_one_seed = list[str]()
@@ -189,9 +193,11 @@ class Benchmark(Workers):
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
-    """Options of an environment in which a policy observes what it needs within a regime; users'
-    policies, unless they say otherwise, all that the task has and the regime allows. Raises
-    ValueError, OSError."""
+    """Options of an environment in which a policy observes what it needs within a regime.
+
+    Users' policies, unless they say otherwise, observe all that the task has and the regime allows.
+    Raises ValueError, OSError.
+    """
     if isinstance(policy, Controller):
         return policy.options({}, None if policy.estimator is None else regime)
     if isinstance(policy, Agent):
@@ -245,8 +251,10 @@ def standings_by_regime(
 
 
 def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -> str:
-    """A table per regime: errors by policy and setting, the gap of the best learned to the best
-    controller, and who is ahead."""
+    """Tables per regime: errors by policy and setting, gaps, and who is ahead.
+
+    A gap is that of the best learned policy to the best controller.
+    """
     played = {name for standings in by_regime.values() for name, _ in standings}
     models = dict[str, str]()
     learned = set[str]()
@@ -283,8 +291,10 @@ def gaps(
     learned: set[str],
     key: str,
 ) -> dict[str, Mean]:
-    """By how much the best learned policy has more of an error, or less return, than the best
-    controller, by setting where both play."""
+    """Gaps of the best learned policy to the best controller, by setting where both play.
+
+    A gap says by how much the learned policy has more of an error, or less return.
+    """
     sign = -1.0 if key == "return" else 1.0
     by_setting = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in standings):
@@ -313,8 +323,10 @@ def _least(
 
 
 def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
-    """Sentences that say, by every label, where the interval of its gap leaves out zero, and on
-    which side; none without gaps."""
+    """Sentences that say, by every label, on which side of zero its gap lies.
+
+    They stand where the interval leaves out zero; there are none without gaps.
+    """
     texts = list[str]()
     for label, gap in apart.items():
         settings_by_side = dict[str, list[str]]()

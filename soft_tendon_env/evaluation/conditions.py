@@ -1,5 +1,7 @@
-"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the
-episodes."""
+"""Conditions of an evaluation, and the seeds of the episodes.
+
+A condition says what differs from the arm that policies know.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -77,8 +79,10 @@ def _pushes(scene: Scene) -> dict[str, Any]:
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
-    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one
-    along z, and begin beside it."""
+    """Two balls that swing through the middle of the arm's space, and begin beside it.
+
+    One swings along the base's y axis, one along z.
+    """
     length = rod_length(scene)
     base = scene.base.pose
     swing = 0.25 * length

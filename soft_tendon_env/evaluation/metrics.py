@@ -192,10 +192,12 @@ def has_settled(
 
 
 def chatter(tension: Array, period: float) -> float:
-    """Root mean square [N], over time and tendons, of what lies above FAST in the changes of
-    tensions (m, n_a) [N] from one control period [s] to the next: by the Fourier transform under a
-    Hann window. Zero where the period is too long for such frequencies, else NaN for fewer than 8
-    changes."""
+    """Chatter: root mean square [N], over time and tendons, of fast changes of tensions.
+
+    Fast is what lies above FAST in the changes of tensions (m, n_a) [N] from one control period [s]
+    to the next: by the Fourier transform under a Hann window. Zero where the period is too long for
+    such frequencies, else NaN for fewer than 8 changes.
+    """
     if 2.0 * FAST * period >= 1.0:
         return 0.0
     change = np.diff(tension, axis=0)

@@ -1,5 +1,6 @@
-"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp
-that says what made it.
+"""Generated blocks of documents, and the stamp that says what made them.
+
+A command writes a block between two lines of a page.
 
 <!-- made {"command": ..., "commit": ..., "made": ...} -->
 <small>Made by `soft-tendon ...` at commit ..., on ...</small>
@@ -56,8 +57,9 @@ def stamp() -> str:
 
 
 class Page:
-    """File in which generated blocks stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`;
-    without a path nothing is written.
+    """File in which generated blocks stand between `<!-- NAME -->` and `<!-- /NAME -->`.
+
+    Without a path nothing is written.
 
     Raises as `around_markers` for names whose lines are not there.
     """

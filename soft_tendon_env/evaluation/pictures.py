@@ -22,8 +22,10 @@ SPREAD = 0.7  # part of a condition's width over which its policies are spread
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
-    """Draw interquartile means of the first error with their intervals, by title of a panel, policy
-    and condition. Raises OSError."""
+    """Draws interquartile means of the first error with their intervals.
+
+    They are by title of a panel, policy and condition. Raises OSError.
+    """
     figure, columns = plt.subplots(
         len(panels),
         1,

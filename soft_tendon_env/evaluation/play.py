@@ -1,5 +1,6 @@
-"""Episodes of any policy, played by one loop of `predict` and `step`: one arm at a time, or many
-side by side as rows.
+"""Episodes of any policy, played by one loop of `predict` and `step`.
+
+It plays one arm at a time, or many side by side as rows.
 
     scores = evaluate(policy, env, EVALUATION_SEEDS)
     print(summarise(scores).errors["position_error"].rms)
@@ -107,8 +108,10 @@ def evaluate_rows(
 
 
 class Step(NamedTuple):
-    """One control period of all rows: rewards (rows,), rows that ended (rows,), and the time [s]
-    that each action took."""
+    """One control period of all rows.
+
+    It has rewards (rows,), rows that ended (rows,), and the time [s] that each action took.
+    """
 
     reward: Array
     ended: NDArray[np.bool_]

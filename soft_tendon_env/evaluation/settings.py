@@ -1,5 +1,7 @@
-"""Settings of experiments, as files and command lines have them: episodes, conditions, policies,
-workers."""
+"""Settings of experiments, as files and command lines have them.
+
+They are episodes, conditions, policies and workers.
+"""
 
 import math
 from collections.abc import Mapping
