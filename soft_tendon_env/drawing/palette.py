@@ -110,8 +110,10 @@ def _marker(kind: str | None, share: float) -> str:
 
 
 def _shades(kind: str, share: float) -> Iterator[RGB]:
-    """Colours of a kind of policy, in the order in which they are taken, at a share of its
-    lightness."""
+    """Colours of a kind of policy at a share of its lightness.
+
+    They are in the order in which they are taken.
+    """
     colour = LEARNED[kind] if kind in LEARNED else MODEL_BASED[kind]
     for sibling in SIBLINGS:
         lightness = share * sibling
