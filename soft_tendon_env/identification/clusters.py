@@ -87,8 +87,9 @@ def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
 
 
 def clusters(recordings: Sequence[Recording]) -> Array:
-    """Clusters of recordings with common errors: those of a group, or where there are no groups
-    those with the same commands.
+    """Returns clusters of recordings with common errors.
+
+    They are those of a group, or where there are no groups those with the same commands.
 
     Args:
         recordings: in the order of the data.

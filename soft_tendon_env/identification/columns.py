@@ -1,5 +1,7 @@
-"""Columns of measured data: which of a file hold which quantity, as the table `[columns]` of the
-markers' file says."""
+"""Columns of measured data: which of a file hold which quantity.
+
+The table `[columns]` of the markers' file says so.
+"""
 
 import re
 from collections.abc import Mapping, Sequence

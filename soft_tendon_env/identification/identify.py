@@ -1,5 +1,7 @@
-"""System identification of a real arm: parameters of its scene and its measurement from recordings,
-with what they do not contain."""
+"""System identification of a real arm: parameters of its scene from recordings.
+
+It also estimates the measurement, and says what the recordings do not contain.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -164,8 +166,10 @@ def _read_parts(
 
 
 def _fitted_scene(scene: Scene, fidelity: str, recordings: Sequence[Recording]) -> Scene:
-    """The scene whose model is fitted: at a fidelity, with steps no longer than sample periods,
-    since a command may arrive in each."""
+    """Scene whose model is fitted, at a fidelity.
+
+    Its steps are no longer than sample periods, since a command may arrive in each.
+    """
     accurate = at_fidelity(scene, fidelity)
     periods = [recording.period for recording in recordings if recording.period]
     step = min([*periods, accurate.integrator.step])
@@ -246,8 +250,10 @@ def _rows(estimate: Estimate) -> Iterator[tuple[Parameter, float, float, float, 
 
 
 def _as_json(estimate: Estimate) -> dict[str, Any]:
-    """Estimate as plain JSON: parameters, errors, findings, randomisation, versions, digests of the
-    data."""
+    """Estimate as plain JSON.
+
+    It has parameters, errors, findings, randomisation, versions and digests of the data.
+    """
     parameters = {
         parameter.name: {
             "value": value,

@@ -1,5 +1,7 @@
-"""Markers of motion capture: where they sit on the arm, the frame of their positions, and the
-columns of the data, from a TOML file."""
+"""Markers of motion capture from a TOML file: places, frame and columns.
+
+The file says where they sit on the arm, the frame of their positions, and the columns of the data.
+"""
 
 import os
 from collections.abc import Mapping
@@ -53,8 +55,10 @@ class Frame(Configuration):
 
 
 class Column(Configuration):
-    """Column of the data that holds a quantity, `[columns]`, by the quantity's name; a `*` there
-    stands for what `*` in `name` does."""
+    """Column of the data that holds a quantity, `[columns]`, by the quantity's name.
+
+    A `*` there stands for what `*` in `name` does.
+    """
 
     name: str | None = None  # of the column; None: the quantity's own
     unit: str | None = None  # one of `UNITS`; None: the SI unit

@@ -1,5 +1,6 @@
-"""Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement
-(markers, commands).
+"""Parameters to estimate: numbers of a scene by dotted keys, and of the measurement.
+
+Those of the measurement are of markers and commands.
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together,
 see scene.parameters. Numbers other than zero are estimated as a factor (in logarithm), others and
@@ -68,8 +69,11 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """Change that counts as 1: of factors e, else the prior's standard deviation, or half of
-        the distance of the bounds."""
+        """Change of the parameter that counts as 1.
+
+        It is that of factors e, else the prior's standard deviation, or half of the distance of the
+        bounds.
+        """
         if self.is_factor:
             return 1.0
         return self.prior or 0.5 * (self.high - self.low)
