@@ -1,5 +1,7 @@
-"""Configuration of a training: the keys of the files in configs/, read strictly, and what
-`--set key=value` changes of them."""
+"""Configuration of a training: the keys of the files in configs/, read strictly.
+
+`--set key=value` changes them.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

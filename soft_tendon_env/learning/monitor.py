@@ -1,5 +1,7 @@
-"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in
-the training's folder, and progress."""
+"""Monitor of a training, whatever its engine.
+
+It has validation, learning curve, best and last agent in the training's folder, and progress.
+"""
 
 import csv
 import time

@@ -1,5 +1,6 @@
-"""Training of an agent with an algorithm of Stable-Baselines3, or with its interface, by a
-configuration.
+"""Training of an agent by a configuration.
+
+The algorithm is one of Stable-Baselines3, or has its interface.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit),
 `evaluations.csv` (the learning curve, on the fixed validation targets), `best/` and `last/`

@@ -1,5 +1,6 @@
-"""The environments with many arms for Stable-Baselines3, which has no adapter of its own for
-Gymnasium's vector environments.
+"""Environments with many arms for Stable-Baselines3.
+
+It has no adapter of its own for Gymnasium's vector environments.
 
     from soft_tendon_env.learning.vec_env import make_sb3_vec_env
     agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
