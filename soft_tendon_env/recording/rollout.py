@@ -1,5 +1,7 @@
-"""One episode as arrays, the buffer that collects them while an environment runs, and whole
-episodes. Knows nothing of files."""
+"""Episodes as arrays, and the buffer that collects them while an environment runs.
+
+The module knows nothing of files.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,5 +1,7 @@
-"""Wrappers that record the episodes of an environment to a Rerun file, as
-`gymnasium.wrappers.RecordVideo` does to videos."""
+"""Wrappers that record the episodes of an environment to a Rerun file.
+
+They do as `gymnasium.wrappers.RecordVideo` does to videos.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +21,10 @@ FLUSH_PERIOD = 2.0  # [s]
 
 
 class RowRecorder:
-    """Records the episodes of one row as an arm of a file, at their ends and, with `flush_period`,
-    whenever as many seconds have passed."""
+    """Records the episodes of one row as an arm of a file, at their ends.
+
+    With `flush_period` it also does whenever as many seconds have passed.
+    """
 
     def __init__(
         self,
@@ -43,8 +47,10 @@ class RowRecorder:
         self.rollout: Rollout | None = None  # the newest that was written
 
     def begin(self, seed: int | None = None) -> None:
-        """Take the state after a reset as the first sample of the next episode; one that has not
-        ended ends here."""
+        """Takes the state after a reset as the first sample of the next episode.
+
+        One that has not ended ends here.
+        """
         self.finish()
         self._episode += 1
         chosen = self._episodes.options.target
