@@ -205,8 +205,10 @@ class DynamixelRobot:
         self._ask(f"motor {motor}", write)
 
     def _ask(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
-        """Value that a call of the SDK returns with its result and error; a lost port does not stay
-        in use. Raises ConnectionError."""
+        """Value that a call of the SDK returns with its result and error.
+
+        A lost port does not stay in use. Raises ConnectionError.
+        """
         for _ in range(tries):
             try:
                 value, result, error = call()

@@ -1,5 +1,6 @@
-"""Robot behind the Gymnasium interface of a simulated arm, for policies and Stable-Baselines3 as
-they are, and runs of policies on it.
+"""Robot behind the Gymnasium interface of a simulated arm, and runs of policies on it.
+
+Policies and Stable-Baselines3 stay as they are.
 
 `env =
 RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3),
@@ -323,8 +324,10 @@ class MeasuredArm(Arms):
         tape: Tape | None = None,
         begins: bool = True,
     ) -> None:
-        """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at
-        its end. Raises RobotStopped."""
+        """Sends the command of a period (1, parts, n_a), and measures at its end.
+
+        The command becomes what was sent. Raises RobotStopped.
+        """
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
@@ -347,8 +350,10 @@ class MeasuredArm(Arms):
             getattr(self.reading, name)[0] = getattr(measured, name) + self.zero.get(name, 0.0)
 
     def _wait_for_rest(self) -> list[Measurement]:
-        """The last readings of the arm at rest under the first command, which rises evenly from
-        slack. Raises RobotStopped."""
+        """Last readings of the arm at rest under the first command.
+
+        The command rises evenly from slack. Raises RobotStopped.
+        """
         period = self.pacer.period
         slack = self.robot.slack
         # in periods
@@ -391,8 +396,10 @@ class MeasuredArm(Arms):
 
 
 def speed_of(position: Array, period: float) -> float:
-    """Speed of a point, root mean square, from noisy positions: of the cosine modes that stand out
-    of noise. Differences of samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s.
+    """Returns the speed of a point, root mean square, from noisy positions.
+
+    It is of the cosine modes that stand out of noise. Differences of samples are mostly noise: 1 mm
+    at 50 Hz makes 70 mm/s.
 
     Args:
         position: (m, 3) [m].

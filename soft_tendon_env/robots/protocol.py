@@ -1,5 +1,7 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are
-written; see docs/how_to/robots.md."""
+"""Interface of a real arm: measurements are read, and commands of its tendons written.
+
+See docs/how_to/robots.md.
+"""
 
 from typing import Any, Literal, NamedTuple, Protocol
 

@@ -1,5 +1,6 @@
-"""Safe commands in time: absolute deadlines, limits of size and rate, checks of what is measured,
-and a watchdog that lets the tendons go.
+"""Safe commands in time, and a watchdog that lets the tendons go.
+
+It has absolute deadlines, limits of size and rate, and checks of what is measured.
 
 The watchdog is a thread of its own that no signal reaches: the command goes to slack evenly within
 RAMP, also while another call of the robot hangs. Where writing fails it is tried again for TRYING,
@@ -194,8 +195,10 @@ class SafeRobot:
         atexit.register(self.stop, "the interpreter ended")
 
     def begin(self) -> None:
-        """Begins, or begins again after a stop, with slack tendons: from now on the watchdog looks,
-        and signals act as Ctrl-C."""
+        """Begins, or begins again after a stop, with slack tendons.
+
+        From now on the watchdog looks, and signals act as Ctrl-C.
+        """
         self.stop("it begins again")
         if threading.current_thread() is threading.main_thread():
             for name in ENDS:
@@ -311,8 +314,10 @@ class SafeRobot:
         return self.stopped or Stop(cause)
 
     def close(self) -> None:
-        """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it
-        stands among the failures."""
+        """Stops, and lets go of the robot, once.
+
+        Where that fails, as on a port that is lost, it stands among the failures.
+        """
         course = self.stop(FINISHED)
         if not self._closed:
             try:
@@ -325,8 +330,10 @@ class SafeRobot:
                 signal.signal(number, handler)
 
     def _watch(self) -> None:
-        """The watchdog: looks at the newest measurement's age, and lets the tendons go when it is
-        told to, until the robot is closed."""
+        """Watches the newest measurement's age until the robot is closed.
+
+        The watchdog lets the tendons go when it is told to.
+        """
         while not self._closed:
             try:
                 cause, done = self._orders.get(timeout=LOOKS * self._period)
@@ -391,8 +398,10 @@ class SafeRobot:
         return self._alone(send, HANGING if slackens else TRYING)
 
     def _alone(self, call: Callable[[], Any], longest: float) -> Any:
-        """Result of a call of the robot, after the one that goes on, for which it waits at most
-        `longest` [s]."""
+        """Result of a call of the robot, after the one that goes on.
+
+        It waits for that at most `longest` [s].
+        """
         is_free = self._lock.acquire(timeout=0.0 if self._hangs else longest)
         self._hangs = not is_free
         try:

@@ -1,5 +1,7 @@
-"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors,
-in real or in simulated time."""
+"""Simulated arm behind the interface of a real one, in real or in simulated time.
+
+It has noise, latency, rate limits and model errors.
+"""
 
 from collections import deque
 from typing import Any
