@@ -1,5 +1,6 @@
-"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to
-be sent, and its check.
+"""Export of a trained agent: one ONNX graph from measurements to the command.
+
+Measurements are in SI units; the command is to be sent. The graph is checked.
 
 PyTorch traces the observation (`differentiable.observation`), integral action, normalisation,
 network and action scaling. What is remembered from one call to the next goes in and comes out, NAME

@@ -1,5 +1,6 @@
-"""Export of a scene to MuJoCo: the arm as a chain of rigid links in MJCF, and the distance of its
-tip from that of the rod.
+"""Export of a scene to MuJoCo: the arm as a chain of rigid links in MJCF.
+
+It also measures the distance of its tip from that of the rod.
 
 The rod is cut into elements of one length l, with joints in the middle that have the stiffness and
 the Kelvin-Voigt damping of the element: hinges for torsion and bending, slides for stretch and
