@@ -1,5 +1,6 @@
-"""Searches: parameters of a controller or keys of a training, as a file such as
-configs/tune_predictive.toml says.
+"""Searches: parameters of a controller or keys of a training.
+
+A file such as configs/tune_predictive.toml says them.
 
 Either way a trial makes a policy, and its cost [m] is `tracking_cost` on the tuning seeds.
 """

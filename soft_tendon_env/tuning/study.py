@@ -1,5 +1,7 @@
-"""Studies of Optuna: trials side by side and on several machines that share a folder, and what they
-found."""
+"""Studies of Optuna: trials side by side and on several machines that share a folder.
+
+It also tells what they found.
+"""
 
 from functools import partial
 from pathlib import Path
