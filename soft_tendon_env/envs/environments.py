@@ -538,6 +538,7 @@ def compute_reward(
     """Computes rewards of goals, as hindsight experience replay asks for.
 
     Args:
+        self: the environment, of which this is a method.
         achieved_goal: positions (..., 3) [m].
         desired_goal: positions of the same shape [m].
         info: of steps, which rewards do not depend on.

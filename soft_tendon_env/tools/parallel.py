@@ -37,24 +37,30 @@ def run_all(
     threads: bool = False,
     done: Callable[[int, Result], None] | None = None,
 ) -> list[Result]:
-    """Results of `call` for every run, in their order.
+    """Runs a function side by side and returns its results in the order of the runs.
 
     Args:
         call: a function of a module, as other processes have to find it, of values that can be
             pickled.
+        runs: arguments of the function, one for each run.
         workers: processes of one thread each, which first import what --import names, and run the
-            script that was started, for what it registers (but not below its
-            `if __name__ == "__main__"`); 1: this process alone, with one thread too.
-        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the
-            label None.
+            script that was started, for what it registers (but not below its `if __name__ ==
+            "__main__"`); 1: this process alone, with one thread too.
+        label: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the label
+            None.
+        unit: name of a run in the progress bar.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None:
             this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend
             their time in kernels or wait.
         done: is told in this process of every result as soon as it is there, with its run's place.
 
-    Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a
-    cluster cannot be reached.
+    Returns:
+        The results.
+
+    Raises:
+        ValueError: where a cluster cannot be reached. What `call` raises stops the other runs, as
+            does Ctrl-C, and goes on to the caller.
     """
     # tqdm is not for everyone who imports an environment
     from soft_tendon_env.tools.progress import progress_bar

@@ -34,11 +34,12 @@ class ProgressLines(tqdm):
 def progress_bar(
     total: float, label: str | None, unit: str, layout: str | None = None
 ) -> "tqdm[Any]":
-    """Progress bar on stderr, to be closed by its user, who calls `update`.
+    """Makes a progress bar on stderr, to be closed by its user, who calls `update`.
 
     Args:
         total: number of units that are to be done.
-        label, unit: names of what is done, and of a part of it; without a label there is no bar.
+        label: name of what is done; None: there is no bar.
+        unit: name of a part of it.
         layout: tqdm's `bar_format` on a terminal, by default its usual one.
 
     Returns:
