@@ -154,9 +154,7 @@ def docstring(dotted, value, owners):
 def test_public_names_have_arguments_and_results(page):
     shown = callables(page)
     owners = {name: value for name, value in shown.items() if inspect.isclass(value)}
-    faults = {
-        name: misfits(value, docstring(name, value, owners)) for name, value in shown.items()
-    }
+    faults = {name: misfits(value, docstring(name, value, owners)) for name, value in shown.items()}
     assert {name: texts for name, texts in faults.items() if texts} == {}
 
 

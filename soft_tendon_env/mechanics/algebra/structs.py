@@ -1,5 +1,6 @@
-"""Structs that kernels get by reference: one address in place of the fields of a named tuple, with
-size and strides of every array.
+"""Structs that kernels get by reference, in place of named tuples.
+
+One address stands for the fields of a tuple, with size and strides of every array.
 
 A named tuple of thirty arrays is two hundred machine words, copied at every call from kernel to
 kernel; a `Struct` is one word. Compiled code reads its fields by name, `work.xi`. Without the
@@ -163,8 +164,10 @@ def _described(value: Any) -> str:
 
 
 class StructType(types.Type):
-    """Numba's type of structs of one class whose fields have these types; attributes as those of
-    its named tuples."""
+    """Type of numba of structs of one class whose fields have these types.
+
+    Attributes are as those of its named tuples.
+    """
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
         described = f"{kind.__module__}.{kind.__qualname__}{fields}"
@@ -260,8 +263,10 @@ def _field_of_struct(context, builder, kind, table, name):
 
 
 def array_value(context, builder, field, numbers, shape):
-    """Compiled code's array of this type, whose numbers are at an address; nobody counts references
-    to it."""
+    """Compiled code's array of this type, whose numbers are at an address.
+
+    Nobody counts references to it.
+    """
     item_size = ir.Constant(_WORD, 8)
     strides = [item_size]
     count = shape[0]
