@@ -150,6 +150,19 @@ def docstring(dotted, value, owners):
     return next((other for other in declared if "Args:" in other or "Returns:" in other), text)
 
 
+def test_docstrings_make_sense_without_the_name_above_them():
+    """A reader of the site, or of a list, may not have it before the eyes."""
+    openings = re.compile(r'^ *r?"""(?:What|Of|Where|The same|Likewise|See)\b.*', re.MULTILINE)
+    sources = sorted((ROOT / "soft_tendon_env").rglob("*.py"))
+    faults = [
+        f"{path.relative_to(ROOT)}: {opening.strip()}"
+        for path in sources
+        for opening in openings.findall(path.read_text(encoding="utf-8"))
+    ]
+    assert sources
+    assert not faults
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_public_names_have_arguments_and_results(page):
     shown = callables(page)
