@@ -254,14 +254,16 @@ EFFECTS: dict[str, type[Effect]] = {}
 def register_effect(name: str) -> Callable[[Class], Class]:
     """Makes an `Effect` available to scenes as `[effects.name]`: a class decorator.
 
-    Registering a class of the same module and name again replaces it, as in a notebook. The
-    decorator raises ValueError for a name that is taken.
+    Registering a class of the same module and name again replaces it, as in a notebook.
 
     Args:
         name: of the table in a scene.
 
     Returns:
         The decorator, which returns the class itself.
+
+    Raises:
+        ValueError: by the decorator, for a name that is taken.
     """
 
     def add(effect: Class) -> Class:

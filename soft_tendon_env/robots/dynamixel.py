@@ -145,11 +145,12 @@ class DynamixelRobot:
             command: (n_a,) [N].
 
         Returns:
-            What was sent (n_a,) [N]: whole steps of current, never beyond what was asked, within
-            the motors' limits.
+            The tensions (n_a,) [N] that were sent: whole steps of current, never beyond what was
+            asked, within the motors' limits.
 
         Raises:
             ConnectionError: where the port is lost, or a motor does not answer.
+            TypeError: for what is no array of numbers.
             ValueError: for another shape.
         """
         tension = checked_array("command", command, (len(self.ids),))
