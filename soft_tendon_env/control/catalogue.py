@@ -29,7 +29,7 @@ LOOKS_AHEAD = 2
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller of the catalogue.
+    """Entry of the catalogue: a controller with its parameters.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
     ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
@@ -65,7 +65,7 @@ class Entry:
 
 
 def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
-    """Entry of the catalogue for a controller.
+    """Makes an entry of the catalogue for a controller.
 
     Args:
         description: what it does.

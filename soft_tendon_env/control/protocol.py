@@ -86,7 +86,7 @@ class ControllerOutput:
 
 
 class Controller(Protocol):
-    """A feedback or feedforward law: tensions from the measured state and the reference."""
+    """Feedback or feedforward law: tensions from the measured state and the reference."""
 
     def act(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
         """Computes the tensions of a control period.

@@ -151,7 +151,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin a new episode.
+        """Begins a new episode.
 
         Args:
             seed: of the episodes from this one on; None to go on with the generator.
@@ -184,7 +184,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return observation, self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one control period.
+        """Takes one control period.
 
         Args:
             action: (n_a,) in [-1, 1]; larger ones are clipped.
@@ -216,7 +216,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it.
+        """State of the arm as `Simulation` has it, a copy.
 
         Setting it puts the arm there, in mid-episode too: the target, commands on their way, noise
         and past observations of the episode stay.
@@ -271,7 +271,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return frames[0]
 
     def close(self) -> None:
-        """Close the environment, after which other calls raise ClosedEnvironmentError.
+        """Closes the environment, after which other calls raise ClosedEnvironmentError.
 
         The viewer gets the rest, and stays open.
         """
@@ -333,7 +333,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin new episodes, of all rows or of those that `options["reset_mask"]` names.
+        """Begins new episodes, of all rows or of those that `options["reset_mask"]` names.
 
         Args:
             seed: an int s seeds row i with s + i; a list names one for each, None to go on with its
@@ -399,7 +399,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one control period of every row.
+        """Takes one control period of every row.
 
         Args:
             actions: (rows, n_a) in [-1, 1]; larger ones are clipped.

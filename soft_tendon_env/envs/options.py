@@ -105,7 +105,7 @@ def _usual_preview(values: dict[str, Any]) -> tuple[float, ...]:
 
 
 class Options(Configuration):
-    """The keyword arguments of every environment.
+    """Keyword arguments of every environment.
 
     Attributes:
         scene: name of a shipped scene, path of a TOML file, a `Scene`, or a table. A table is a
@@ -169,7 +169,7 @@ class Options(Configuration):
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """Options of keyword arguments, as of every configuration.
+        """Parses the options of keyword arguments, as of every configuration.
 
         Args:
             values: the arguments by name.

@@ -440,7 +440,7 @@ COORDINATES = TrackingError(
 
 
 def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tracking], Array]:
-    """Function decorator: make a reward term available to every task and to the option `reward`.
+    """Makes a reward term available to every task and to the option `reward`: a decorator.
 
     A second function of the same name replaces the first.
 

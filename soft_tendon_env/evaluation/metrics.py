@@ -74,7 +74,7 @@ class ErrorScore(NamedTuple):
 
 @dataclass(frozen=True)
 class EpisodeScore:
-    """An episode in numbers.
+    """Scores of an episode.
 
     Attributes:
         errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.

@@ -9,7 +9,7 @@ actions alone hardly makes as many."""
 
 
 class Policy(Protocol):
-    """Stable-Baselines3's interface.
+    """Policy with the interface of Stable-Baselines3.
 
     Observation and state go in, action and the next state come out.
     """

@@ -64,7 +64,7 @@ class PassiveFields:
         return hashlib.sha256(numbers.encode()).hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
-        """The fewest fields whose errors are within a tolerance.
+        """Returns the fewest fields whose errors are within a tolerance.
 
         Args:
             tolerance: of the tip [m].
@@ -82,7 +82,7 @@ class PassiveFields:
         return None
 
     def at(self, points: Array, count: int | None = None) -> Array:
-        """Wrench fields along the rod.
+        """Computes the wrench fields along the rod.
 
         Args:
             points: arc lengths (...) [m].

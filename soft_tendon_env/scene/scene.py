@@ -193,7 +193,7 @@ class Segment(Configuration):
         return Tube.model_construct(radius=self.radius, inner_radius=0.0)  # type: ignore[arg-type]
 
     def screw_matrices(self, arc_length: Array) -> Array:
-        """Diagonals of stiffness, viscosity and inertia per length along the segment.
+        """Computes the diagonals of stiffness, viscosity and inertia per length along the segment.
 
         Args:
             arc_length: (m,) [m] from its start.
@@ -292,7 +292,7 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with other values, with the same checks.
+        """Returns a copy of the scene with other values, with the same checks.
 
         Args:
             changes: values by dotted keys, `{"segments.*.density": 5.0}`.
@@ -339,7 +339,7 @@ def _count(name: str, parts: Sequence[Any]) -> str:
 
 
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
-    """Scene as plain tables fit for JSON and TOML.
+    """Converts a scene to plain tables fit for JSON and TOML.
 
     Args:
         scene: to convert.

@@ -50,7 +50,7 @@ class Section(Configuration):
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
-        """Diagonals of stiffness, viscosity and inertia per length.
+        """Computes the diagonals of stiffness, viscosity and inertia per length.
 
         Args:
             arc_length: (m,) [m].

@@ -83,9 +83,9 @@ AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 @register_effect("contact")
 class Contact(Effect):
-    """`[effects.contact]` with `[[effects.contact.obstacles]]`: contact with obstacles.
+    """`[effects.contact]`: contact of the whole arm with obstacles, fixed or moving.
 
-    They are fixed or moving, and the whole arm cannot enter them.
+    They are the tables `[[effects.contact.obstacles]]`, and the arm cannot enter them.
 
     Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v
     returns it times about 1 - 2/3 c v where c v is small, with c the `dissipation`.
