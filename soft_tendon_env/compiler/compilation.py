@@ -140,8 +140,6 @@ class Kernel:
         """Function of numba for this way in.
 
         Its machine code is kept if there is a cache folder.
-
-        Its machine code is kept if there is a cache folder.
         """
         options = {**self._options, **options}
         cache = cache_folder() if self._keep else None

@@ -1,8 +1,6 @@
 """Effects: what acts on the arm besides its tendons.
 
 A scene names those that it needs, the others do not exist; see base.py.
-
-A scene names those it wants, the others do not exist; see base.py.
 """
 
 import importlib

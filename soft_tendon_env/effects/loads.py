@@ -176,8 +176,6 @@ class Pulse(Configuration):
     """Factor 1 for a time, before and after it 0.
 
     Integrator steps end where it begins and ends.
-
-    Integrator steps end where it begins and ends.
     """
 
     type: Literal["pulse"] = "pulse"
@@ -191,8 +189,6 @@ class Pulse(Configuration):
 
 class Sine(Configuration):
     """Factor sin(2 pi frequency t + phase).
-
-    The arm rests under its value at time 0.
 
     The arm rests under its value at time 0.
     """
@@ -220,8 +216,6 @@ class Load(Configuration):
 @register_effect("disturbance")
 class Disturbance(Effect):
     """`[effects.disturbance]`: loads at points of the rod, in `[[effects.disturbance.loads]]`.
-
-    Equilibria and resets are those under the loads at time 0.
 
     Equilibria and resets are those under the loads at time 0.
     """

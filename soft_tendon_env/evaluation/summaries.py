@@ -93,9 +93,6 @@ class Summary:
     Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
     return, the goals reached and the time, which are of all.
 
-    Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
-    return, the goals reached and the time, which are of all.
-
     Attributes:
         errors: `rms` over all samples of all episodes (these are alike in number), the others means
             of the episodes'.

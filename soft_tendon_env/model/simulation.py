@@ -281,8 +281,6 @@ class Simulation:
         """State of the simulation, a copy.
 
         Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was.
-
-        Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was.
         """
         return state_of(self.model, self._motion, self._step)
 

@@ -215,8 +215,6 @@ class Tendon(Configuration):
     """Tendon (threadlike actuator) that acts between two arc lengths of the rod.
 
     Positive tension pulls.
-
-    Positive tension pulls.
     """
 
     # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting,

@@ -41,8 +41,6 @@ class Section(Configuration):
 
     Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
 
-    Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
-
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
     """
 
@@ -181,8 +179,6 @@ class Solid(Section):
 
 class Tube(Solid):
     """Round tube; without a hole it is the solid circle.
-
-    In a fluid its ends are closed: its hole displaces fluid, and holds none.
 
     In a fluid its ends are closed: its hole displaces fluid, and holds none.
     """
@@ -357,8 +353,6 @@ class Discs(Configuration):
     """Spacer discs of a segment, all alike: they have inertia, weight and drag.
 
     Drag acts where there is a fluid. They add no stiffness.
-
-    They add no stiffness.
 
     Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly,
     the last one at its end.
