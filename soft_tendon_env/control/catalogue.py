@@ -1,5 +1,7 @@
-"""Controllers by task and name: classes or functions under `@register("controller", "name",
-task="Reach", description="what it does")`, as `examples/own_controller.py`.
+"""Controllers by task and name.
+
+One is a class or function under `@register("controller", "name", task="Reach",
+description="what it does")`, here or in a user's own file as `examples/own_controller.py`.
 
 A controller is made from a model, which is what it believes of the arm, and from what the actuators
 can do.
@@ -31,7 +33,7 @@ LOOKS_AHEAD = 2
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller of the catalogue.
+    """Entry of the catalogue: a controller with its parameters.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
     ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
@@ -44,7 +46,14 @@ class Entry:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
-        """The controller with some of its `parameters` changed."""
+        """Returns the controller with some of its parameters changed.
+
+        Args:
+            parameters: numbers by name, some of the entry's.
+
+        Returns:
+            The new entry.
+        """
         numbers: dict[str, Any] = {**self.parameters, **parameters}
         looks_ahead = self.looks_ahead
         # predictive control looks as far ahead as its horizon
@@ -78,7 +87,7 @@ def _checked_controller(
     looks_ahead: int = LOOKS_AHEAD,
     parameters: Mapping[str, float] | None = None,
 ) -> Entry:
-    """Entry of the catalogue for a controller.
+    """Makes an entry of the catalogue for a controller.
 
     Args:
         name: of the entry, TASK/NAME.
@@ -124,7 +133,14 @@ CONTROLLERS: Registry[Entry] = ControllerRegistry("controller", _checked_control
 
 
 def controllers_of(task: str) -> dict[str, Entry]:
-    """Controllers of a task by their names; none of a task that has none."""
+    """Returns the controllers of a task by their names.
+
+    Args:
+        task: its name.
+
+    Returns:
+        The entries; none of a task that has none.
+    """
     entries = {}
     for key, entry in CONTROLLERS.items():
         owner, _, name = key.partition("/")
@@ -134,8 +150,15 @@ def controllers_of(task: str) -> dict[str, Entry]:
 
 
 def valid_controllers(name: str, task: str) -> str:
-    """The end of a message about an unknown controller of a task: what is valid, or that the task
-    has none."""
+    """Describes the valid controllers of a task, or that it has none: the end of a message.
+
+    Args:
+        name: of an unknown controller.
+        task: that should have it.
+
+    Returns:
+        The end of the sentence.
+    """
     entries = controllers_of(task)
     if entries:
         return not_registered(name, entries)

@@ -39,7 +39,7 @@ TIP = ("tip_position", "tip_rotation")
 
 @dataclass(frozen=True)
 class Task:
-    """A task: one object from which its environments are made.
+    """Task: one object from which its environments are made.
 
     Attributes:
         description: the environments' docstring.

@@ -86,7 +86,10 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
 
 
 def _weight_of(value: Any) -> Weight:
-    """A weight of itself, a table or a number. Raises ConfigurationError."""
+    """A weight of itself, a table or a number.
+
+    Raises ConfigurationError.
+    """
     if isinstance(value, Weight):
         return value
     if isinstance(value, dict):
@@ -111,8 +114,10 @@ class Term(NamedTuple):
 
 
 def _checked_term(name: str, function: Any) -> Term:
-    """Term of a function of the Tracking, with values (rows,) between 0 and 1, 1 the best, so that
-    no episode gains by ending early. Raises TypeError, ValueError."""
+    """Term of a function of the Tracking with values (rows,) between 0 and 1, 1 the best.
+
+    No episode gains by ending early then. Raises TypeError, ValueError.
+    """
     for error in ERRORS:
         if name in error.terms:
             raise ValueError(f"the reward term {name!r} is taken: choose another name")

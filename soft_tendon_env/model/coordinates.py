@@ -1,5 +1,7 @@
-"""Strain coordinates of a scene, what moves: actuation and passive fields, independent tensions and
-explicit bases; and all arrays of an arm."""
+"""Strain coordinates of a scene, what moves, and all arrays of an arm.
+
+They are actuation and passive fields, independent tensions and explicit bases.
+"""
 
 import numpy as np
 
@@ -224,8 +226,10 @@ def _effect_table(scene: Scene, stress_free: StressFreeArm) -> EffectTable:
 
 
 def _explicit_basis(strain: ExplicitBasis, grid: Grid, stress_free: StressFreeArm) -> Explicit:
-    """Arrays of an explicit basis. Raises ConfigurationError where its fields are of another
-    shape."""
+    """Arrays of an explicit basis.
+
+    Raises ConfigurationError where its fields are of another shape.
+    """
     fields = np.asarray(strain.fields(grid.points, grid.breakpoints), dtype=np.float64)
     count = len(fields)
     expected = (count, *grid.points.shape, len(STRAINS))

@@ -157,8 +157,10 @@ def read_architecture(kind: Kind, arguments: Mapping[str, Any]) -> Architecture:
 
 
 def _lstm_sizes(kind: Kind, arguments: Mapping[str, Any]) -> tuple[int, int]:
-    """Size of the hidden state of an LSTM and number of its layers; (0, 1): there is none. Raises
-    ValueError."""
+    """Size of the hidden state of an LSTM and number of its layers; (0, 1): there is none.
+
+    Raises ValueError.
+    """
     if kind != "RecurrentPPO":
         return 0, 1
     if arguments.get("lstm_kwargs"):
@@ -177,7 +179,10 @@ def _lstm_sizes(kind: Kind, arguments: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def hidden_units(kind: Kind, net_arch: Any) -> tuple[int, ...]:
-    """Units of the hidden layers of a policy, by its argument `net_arch`. Raises ValueError."""
+    """Units of the hidden layers of a policy, by its argument `net_arch`.
+
+    Raises ValueError.
+    """
     if net_arch is None:
         return HIDDEN[kind]
     units = net_arch.get("pi", ()) if isinstance(net_arch, Mapping) else net_arch

@@ -1,5 +1,6 @@
-"""State estimators by name, and by what stands before a controller's name: filtered:tracking is
-`tracking` with the Kalman filter.
+"""State estimators by name, and by what stands before a controller's name.
+
+filtered:tracking is `tracking` with the Kalman filter.
 
 One is a class or function under `@register("estimator", "lengths")`, here or in a user's own file
 as `examples/own_estimator.py`.

@@ -1,5 +1,6 @@
-"""Strain parametrisations of the rod: statics-based (implicit) and explicit bases, and which of the
-six strains exist.
+"""Strain parametrisations of the rod: statics-based (implicit) and explicit bases.
+
+They also say which of the six strains exist.
 
 A parametrisation is a class under `@register("strain", "name")`, here or in a user's own file as
 `examples/own_strain.py`, which has an explicit basis of its own.
@@ -54,8 +55,9 @@ Strains = Annotated[tuple[Strain, ...], Field(min_length=1), AfterValidator(_che
 
 
 class Modes(Configuration):
-    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each
-    of its pieces.
+    """Legendre basis of order 0 to `order` for each of `strains`.
+
+    It spans the whole rod or each of its pieces.
 
     A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the
     strain's `borders`.
@@ -67,7 +69,7 @@ class Modes(Configuration):
 
 
 def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Array:
-    """Legendre fields of modes at points along the rod.
+    """Computes Legendre fields of modes at points along the rod.
 
     They are in the order of pieces, then strains, then orders.
 
@@ -96,8 +98,10 @@ def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Arra
 
 
 def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
-    """Legendre polynomials on [a, b] at points (intervals, 2), 0 beside it: (order + 1, intervals,
-    2)."""
+    """Legendre polynomials on [a, b] at points (intervals, 2), and 0 beside it.
+
+    They are of shape (order + 1, intervals, 2).
+    """
     length = b - a
     from_start = points - a
     on_unit = 2 * from_start / length - 1
@@ -110,8 +114,10 @@ def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Arra
 
 
 class Snapshots(Configuration):
-    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions:
-    `soft-tendon fields SCENE` makes them."""
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions.
+
+    `soft-tendon fields SCENE` makes them.
+    """
 
     type: Literal["snapshots"] = "snapshots"
     fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
@@ -128,8 +134,10 @@ PassiveStrain = Annotated[
 
 
 class RodStrain(Configuration):
-    """Base of the strain parametrisations: the strains that the rod has, and `borders`, arc lengths
-    [m] that cut it into further pieces."""
+    """Base of the strain parametrisations, which say the strains that the rod has.
+
+    `borders` are arc lengths [m] that cut it into further pieces.
+    """
 
     borders: tuple[Positive, ...] = ()
 
@@ -141,8 +149,10 @@ class RodStrain(Configuration):
     @property
     @abstractmethod
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields, or the order of polynomials as wavy as they are:
-        quadrature has to resolve them."""
+        """Highest Legendre order of the fields, or that of polynomials as wavy as they are.
+
+        Quadrature has to resolve them.
+        """
 
 
 class ExplicitBasis(RodStrain):
@@ -153,7 +163,7 @@ class ExplicitBasis(RodStrain):
 
     @abstractmethod
     def fields(self, points: Array, borders: Array) -> Array:
-        """Strain fields Phi, linearly independent of each other.
+        """Computes the strain fields Phi, linearly independent of each other.
 
         Args:
             points: arc lengths (intervals, 2) [m] from the base, inside of the pieces.
@@ -166,8 +176,9 @@ class ExplicitBasis(RodStrain):
 
 
 class StaticsBased(RodStrain):
-    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to
-    `passive` moments and forces.
+    """Statics-based strain parametrisation (30).
+
+    The strain is the static answer to tensions and to `passive` moments and forces.
 
     The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the
     strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the
@@ -193,8 +204,7 @@ class StaticsBased(RodStrain):
 
     @property
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields that have coordinates of their own, 0 without
-        any."""
+        """Highest Legendre order of the fields that have coordinates of their own, else 0."""
         if isinstance(self.passive, Snapshots):
             return SNAPSHOT_ORDER
         return max((modes.order for modes in self.passive), default=0)
@@ -217,10 +227,9 @@ class StaticsBased(RodStrain):
 
 
 class ExplicitStrain(ExplicitBasis):
-    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode
-    names are rigid.
+    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`.
 
-    Order 0 per piece is piecewise constant strain (PCS).
+    Strains that no mode names are rigid. Order 0 per piece is piecewise constant strain (PCS).
     """
 
     type: Literal["explicit"] = "explicit"

@@ -155,7 +155,7 @@ class Target(Configuration):
         return 1
 
     def check(self, scene: Scene) -> None:
-        """Raise an error where the target does not fit the scene.
+        """Raises an error where the target does not fit the scene.
 
         Args:
             scene: of an environment.
@@ -166,7 +166,7 @@ class Target(Configuration):
 
     @abstractmethod
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """Motion of one episode.
+        """Draws the motion of one episode.
 
         Args:
             generator: of the episode.
