@@ -10,7 +10,7 @@ from soft_tendon_env.model.step_control import RESOLVED, linear_rate
 from soft_tendon_env.tools.types import Array
 
 MARGIN = 2.0
-"""Factor above the simulated speed, which no true arm exceeds: it may be lighter than its model, and
+"""Factor above the simulated speed, which no arm exceeds: it may be lighter than its model, and
 speeds are looked at once in a control period."""
 
 MOST_PERIODS = 100

@@ -31,6 +31,9 @@ PLACES = 9
 GRAVITY = 9.81
 """Acceleration [m/s^2] by which payloads weigh."""
 
+HEAVY = 2.0
+"""Weights of the arm above which a force at its tip should not bend it without end."""
+
 FIRST_MODE = 3.516
 """Square of the first root of 1 + cos(x) cosh(x) = 0: the first frequency of a cantilever is this
 times sqrt(E I / (m L^4))."""
@@ -65,7 +68,7 @@ BOUNDS = {
     "gyration": Bound(1e-3, 1.5, "radii, its radius of gyration", "is it N mm^2?"),
     "torsion": Bound(1e-4, 1e4, "of the bending stiffness", "is it N mm^2?"),
     "shear": Bound(1e-6, 1e3, "of the stretch stiffness", "is it kN?"),
-    "line density": Bound(10.0, 25e3, "kg/m^3, its density", "is it g/m?"),
+    "line density": Bound(0.1, 25e3, "kg/m^3 of its outer circle", "is it g/m?"),
     "rotary inertia": Bound(0.0, 4.0, "radii, its radius of gyration", "is it g mm?"),
     # material: shipped arms have damping ratios up to 0.8, gels a few
     "damping ratio": Bound(
@@ -93,7 +96,7 @@ BOUNDS = {
     "frequency": Bound(0.0, 1e3, "of the arm's slowest vibration", "is it rad/s, or 1/min?"),
     # actuation
     "lag": Bound(0.0, 3.0, "s", "is it ms?"),
-    "rate limit": Bound(1e-2, math.inf, "of the tension limit in a second", "is it N/ms?"),
+    "rate limit": Bound(5e-3, math.inf, "of the tension limit in a second", "is it N/ms?"),
     "tendon stiffness": Bound(0.05, 1e9, "of the arm's, as the tendon meets it", "is it N/mm?"),
     "displacement": Bound(0.0, 1.0, "lengths of the arm", "is it mm?"),
     "friction": Bound(0.0, 3.0, "", "is it %?"),
@@ -300,15 +303,15 @@ def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
         yield Quantity("gravity", "effects.gravity.acceleration", size, size)
         is_one = abs(size - 1.0) <= 0.02
         yield Quantity("gravity in g", "effects.gravity.acceleration", size, float(is_one))
-    by_force = arm.length**2 / (2.0 * arm.bending)  # [rad/N] at the tip of a cantilever
     by_moment = arm.length / arm.bending  # [rad/(N m)]
     tip = effects.tip_load
     if tip is not None:
         key = "effects.tip_load"
         yield Quantity("payload", f"{key}.mass", tip.mass, tip.mass / arm.mass)
-        yield Quantity("sag", f"{key}.mass", tip.mass, GRAVITY * tip.mass * by_force)
+        weight = GRAVITY * tip.mass
+        yield Quantity("sag", f"{key}.mass", tip.mass, _sag(weight, arm))
         force = math.hypot(*tip.force)
-        yield Quantity("sag", f"{key}.force", force, force * by_force)
+        yield Quantity("sag", f"{key}.force", force, _sag(force, arm))
         moment = math.hypot(*tip.moment)
         yield Quantity("sag", f"{key}.moment", moment, moment * by_moment)
         inertia = max(tip.inertia)
@@ -317,10 +320,18 @@ def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     for i, load in enumerate(effects.disturbance.loads if effects.disturbance else ()):
         key = f"effects.disturbance.loads[{i}]"
         force = math.hypot(*load.force)
-        yield Quantity("sag", f"{key}.force", force, force * by_force)
+        yield Quantity("sag", f"{key}.force", force, _sag(force, arm))
         moment = math.hypot(*load.moment)
         yield Quantity("sag", f"{key}.moment", moment, moment * by_moment)
         yield from _of_signal(load.signal, f"{key}.signal", arm)
+
+
+def _sag(force: float, arm: ArmScales) -> float:
+    """Angle [rad] by which a force [N] at the tip would bend a linear cantilever; 0 for forces like
+    the arm's own weight, by which a gel may hang."""
+    if force < HEAVY * GRAVITY * arm.mass:
+        return 0.0
+    return force * arm.length**2 / (2.0 * arm.bending)
 
 
 def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
