@@ -4,7 +4,7 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.policies.estimators import PARAMETERS
-from soft_tendon_env.policies.regimes import TARGET_GROUPS
+from soft_tendon_env.policies.regimes import TARGET_GROUPS, TARGET_GROUPS_BY_CHOICE
 from soft_tendon_env.robots.protocol import Robot
 
 FIELDS = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
@@ -33,7 +33,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
         return missing
     if episodes.task.shapes:
         return "measured at its tip and by its sensors alone"
-    known = {*FIELDS, *TARGET_GROUPS, HISTORY}
+    known = {*FIELDS, *TARGET_GROUPS, *TARGET_GROUPS_BY_CHOICE, HISTORY}
     unknown = [name for name in episodes.layout.slices if name not in known]
     if unknown:
         return f"measured at its tip and by its sensors alone: not {', '.join(unknown)}"

@@ -50,6 +50,8 @@ def test_tensions_are_currents(bus, connect, wait_until):
     assert robot.read().time > measured.time
     robot.close()
     assert_limp(bus, wait_until)
+    assert not robot._port.is_open
+    assert not any(motor.table[98] for motor in bus.motors.values())
 
 
 def assert_limp(bus, wait_until):
@@ -88,6 +90,17 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, w
             0,
             0,
         ]  # the one that cannot answer hears it still
+
+
+def test_lengths_are_those_that_spools_wind_up(bus, connect):
+    robot = connect()
+    for motor, turns in zip(bus.motors.values(), (0.5, -0.25, 1.0), strict=True):
+        position = int.from_bytes(motor.table[132:136], "little", signed=True)
+        motor.table[132:136] = (position + int(4096 * turns)).to_bytes(4, "little", signed=True)
+    # a spool of 1 cm winds 2 pi cm a turn, and the third one the other way
+    expected = -2.0 * np.pi * 0.01 * np.array([0.5, -0.25, -1.0])
+    np.testing.assert_allclose(robot.read().tendon_length, expected, rtol=1e-12)
+    robot.close()
 
 
 def test_a_pose_comes_with_its_time(bus, connect):

@@ -113,9 +113,16 @@ def test_a_driver_that_was_not_told_to_watch_takes_no_command(arm_of_test):
     assert not arm.sent
 
 
-def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(tmp_path, wait_until):
+def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
+    tmp_path, wait_until, monkeypatch
+):
     path = tmp_path / "sent"
-    robot = load_robot("tests.robots.file_arm:FileArm", {"path": str(path)})
+    folder = tmp_path / "of_a_user"
+    folder.mkdir()
+    module = "from tests.robots.file_arm import FileArm as Arm\nprint('what a driver prints')\n"
+    (folder / "arm_in_a_file.py").write_text(module)
+    monkeypatch.syspath_prepend(folder)
+    robot = load_robot("arm_in_a_file:Arm", {"path": str(path)})
     assert isinstance(robot, RobotProcess)
     assert (robot.command_unit, robot.senses) == ("N", ("tip_pose",))
     robot.watch(SLACK, 30.0)  # longer than a busy machine takes for what follows
@@ -136,17 +143,21 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(tmp
         robot.read()
 
 
-def test_what_a_driver_raises_is_raised(tmp_path):
+def test_what_a_driver_raises_is_raised(tmp_path, wait_until):
     path = str(tmp_path / "sent")
     with pytest.raises(FileNotFoundError, match="No such file"):
         RobotProcess(file_arm.FileArm, path, fails="begins")
     with pytest.raises(SteppedTime, match="a clock of its own needs no process"):
         RobotProcess(file_arm.SteppedArm, path)
+    assert file_arm.lines(path) == ["closed"]
     robot = RobotProcess(file_arm.FileArm, path, fails="reading")
     robot.watch(SLACK, 30.0)
     with pytest.raises(ConnectionError, match="the tracker is gone"):
         robot.read()
-    os.kill(robot._process.pid, signal.SIGKILL)
+    robot.write(PULL)
+    os.kill(robot._process.pid, signal.SIGTERM)
+    wait_until(lambda: file_arm.lines(path)[-1] == "closed")
+    assert file_arm.tensions(path)[-1] == 0.0
     with pytest.raises(OSError):  # noqa: PT011 (a broken pipe, or the end of the process)
         robot.read()
 
