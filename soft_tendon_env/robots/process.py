@@ -91,7 +91,8 @@ class RobotProcess:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._requests = self._process.stdin
-        reader = io.BufferedReader(self._process.stdout)  # type: ignore[arg-type]
+        answers: Any = self._process.stdout  # raw, which a thread of its own reads
+        reader = io.BufferedReader(answers)
         threading.Thread(target=self._listen, args=(reader,), daemon=True).start()
         try:
             # first where modules are found: what makes the driver may be in one of them

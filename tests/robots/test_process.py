@@ -119,8 +119,13 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
     path = tmp_path / "sent"
     folder = tmp_path / "of_a_user"
     folder.mkdir()
-    module = "from tests.robots.file_arm import FileArm as Arm\nprint('what a driver prints')\n"
-    (folder / "arm_in_a_file.py").write_text(module)
+    lines = [
+        "from tests.robots.file_arm import FileArm",
+        "class Arm(FileArm):",
+        "    own_process = True  # of a module that this process alone knows where to find",
+        "print('what a driver prints')",
+    ]
+    (folder / "arm_in_a_file.py").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(folder)
     robot = load_robot("arm_in_a_file:Arm", {"path": str(path)})
     assert isinstance(robot, RobotProcess)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import simulate
-from soft_tendon_env.robots import clock as clock_module
 from soft_tendon_env.robots import (
     Measurement,
     MeasurementWarning,
@@ -21,6 +20,7 @@ from soft_tendon_env.robots import (
     run_policy,
     safety,
 )
+from soft_tendon_env.robots import clock as clock_module
 from soft_tendon_env.robots.clock import Clock, Pacer
 from soft_tendon_env.robots.freshness import Freshness
 from soft_tendon_env.robots.top_speed import top_speed
