@@ -150,7 +150,7 @@ def test_an_agent_of_another_fidelity_is_told_which_groups_differ(monkeypatch):
     assert f"coordinates ({env.unwrapped.model.coordinate_count}), tip_position (3), " in text
     assert f"an arm with {count} has observations of that size" in text
     assert "here 'standard'" in text
-    Foreign.observation_space = gym.spaces.Box(-1.0, 1.0, (6,))  # of no arm
+    Foreign.observation_space = gym.spaces.Box(-1.0, 1.0, (7,))  # of no arm
     with pytest.raises(ValueError, match="the fidelity, here 'standard'$"):
         load_policy("policies_of_another:agent", env)
     # without groups of coordinates the sizes alone are told
