@@ -152,10 +152,10 @@ POSITION_AND_COLUMNS = [3, 0, 1]
 
 
 def _target_from_tip(observed: Observed) -> Array:
-    """Targets as the tip sees them, now and at each preview time: position and first two columns of
-    the rotation, in the tip's frame, (rows, 1 + previews, 9).
+    """Targets as the tip sees them, now and at each preview time, (rows, 1 + previews, 9).
 
-    It is made of operations that tensors of PyTorch and ONNX have too.
+    They are position and first two columns of the rotation, in the tip's frame, by operations that
+    tensors of PyTorch and ONNX have too.
     """
     R = observed.tip_pose[:, None, :3, :3]
     r = observed.tip_pose[:, None, :3, 3:]
@@ -369,7 +369,10 @@ class Layout:
 
 
 def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
-    """Entries of each group. Raises ValueError where its values are not (rows, size)."""
+    """Entries of each group.
+
+    Raises ValueError where its values are not (rows, size).
+    """
     rows = len(observed.q)
     sizes: dict[str, int] = {}
     for name, group in groups.items():

@@ -1,5 +1,8 @@
-"""Plausibility of an environment's options: a word where a number is most likely in another unit
-than SI's, and where rows take more memory than there is."""
+"""Plausibility of an environment's options.
+
+There is a word where a number is most likely in another unit than SI's, and where rows take more
+memory than there is.
+"""
 
 import contextlib
 import os

@@ -1,5 +1,6 @@
-"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to
-be sent, and its check.
+"""Export of a trained agent: one ONNX graph from measurements to the command.
+
+Measurements are in SI units; the command is to be sent. The graph is checked.
 
 PyTorch traces the observation (`differentiable.observation`), integral action, normalisation,
 network and action scaling. What is remembered from one call to the next goes in and comes out, NAME
@@ -326,8 +327,10 @@ class _ControlPeriod(torch.nn.Module):
         return tuple(outputs)
 
     def _is_lost(self, rows: Parts) -> Tensor:
-        """Whether a measurement is not finite: then the command and all that is remembered stay as
-        they were, so that no NaN reaches motors or memory."""
+        """Whether a measurement is not finite, as of a sensor that is lost.
+
+        Then the command and all that is remembered stay: no NaN reaches motors or memory.
+        """
         # x - x is NaN for what is not finite, which is not equal to 0
         differences = torch.zeros((), dtype=torch.float64)
         for name in self.watched:
@@ -401,7 +404,9 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(
     policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None
 ) -> onnx.ModelProto:
-    """ONNX model of a trained agent for the observation and the actions of its environment.
+    """Exports a trained agent as an ONNX model from measurements to commands.
+
+    The model is for the observation and the actions of its environment.
 
     Args:
         policy: trained agent, see `load_agent`.
@@ -433,7 +438,10 @@ def export_agent(
 
 
 def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
-    """The agent of a policy, and the integral action around it. Raises ValueError."""
+    """The agent of a policy, and the integral action around it.
+
+    Raises ValueError.
+    """
     integral = policy if isinstance(policy, IntegralPolicy) else None
     agent = policy if integral is None else integral.policy
     if (
@@ -448,7 +456,10 @@ def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
 
 
 def _trace(module: _ControlPeriod) -> onnx.ModelProto:
-    """ONNX model of a module. Raises ValueError where it makes an array of a tensor."""
+    """ONNX model of a module.
+
+    Raises ValueError where it makes an array of a tensor.
+    """
     file = io.BytesIO()
     options: dict[str, Any] = {
         "input_names": [*module.inputs],

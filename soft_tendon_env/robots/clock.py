@@ -12,8 +12,11 @@ where it is idle."""
 
 
 class Clock:
-    """Monotonic clock. real: that of the machine; else it stands still but while somebody waits,
-    for simulations at any speed."""
+    """Monotonic clock.
+
+    real: that of the machine; else it stands still but while somebody waits, for simulations at any
+    speed.
+    """
 
     def __init__(self, real: bool = True) -> None:
         self.real = real
@@ -55,8 +58,10 @@ class Timing(NamedTuple):
 
 
 class Pacer:
-    """Absolute deadlines every `period` [s] from now on. A late period does not move the next ones:
-    the loop catches up by short ones."""
+    """Absolute deadlines every `period` [s] from now on.
+
+    A late period does not move the next ones: the loop catches up by short ones.
+    """
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock = clock

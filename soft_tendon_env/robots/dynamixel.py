@@ -53,8 +53,11 @@ class DynamixelRobot:
     tip with its time, so that a tracker that has lost sight is noticed. A pose alone counts as new
     where it differs from the last one in any bit.
 
-    Raises ValueError for bad arguments, OSError where the port cannot be opened, ConnectionError
-    where a motor does not answer.
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for bad arguments.
+        OSError: where the port cannot be opened.
+        ConnectionError: where a motor does not answer.
     """
 
     port: str  # serial port, "/dev/ttyUSB0" or "COM3"
@@ -122,9 +125,14 @@ class DynamixelRobot:
             )
 
     def read(self) -> Measurement:
-        """Currents and positions of all motors in one packet, and the tip's pose with its time.
+        """Reads currents and positions of all motors in one packet, and the tip's pose with time.
 
-        Raises ConnectionError, and TypeError for what `tip_pose` should not return.
+        Returns:
+            The measurement.
+
+        Raises:
+            ConnectionError: where the port is lost, or a motor does not answer.
+            TypeError: for what `tip_pose` should not return.
         """
         current, _, position = self._read_present()
         tip_time, tip_pose = self._read_tip()
@@ -162,11 +170,12 @@ class DynamixelRobot:
             command: (n_a,) [N].
 
         Returns:
-            What was sent (n_a,) [N]: whole steps of current, never beyond what was asked, within
-            the motors' limits.
+            The tensions (n_a,) [N] that were sent: whole steps of current, never beyond what was
+            asked, within the motors' limits.
 
         Raises:
             ConnectionError: where the port is lost, or a motor does not answer.
+            TypeError: for what is no array of numbers.
             ValueError: for another shape.
         """
         tension = checked_array("command", command, (len(self.ids),))
@@ -187,7 +196,11 @@ class DynamixelRobot:
         return np.asarray(ticks * self._tension_unit)
 
     def close(self) -> None:
-        """Takes the torque off and closes the port, as far as it is there."""
+        """Takes the torque off and closes the port, as far as it is there.
+
+        Raises:
+            ConnectionError: where the port is lost.
+        """
         try:
             self._set(EVERYBODY, BUS_WATCHDOG, 0)
             self._set(EVERYBODY, TORQUE_ENABLE, 0)
@@ -195,7 +208,10 @@ class DynamixelRobot:
             self._port.closePort()
 
     def _read_present(self) -> Array:
-        """Present currents, velocities and positions (3, n_a) in steps. Raises ConnectionError."""
+        """Present currents, velocities and positions (3, n_a) in steps.
+
+        Raises ConnectionError.
+        """
         self._ask("the motors", lambda: (None, self._reader.txRxPacket(), 0))
         self._heard = perf_counter()
         answers = [bytes(self._reader.data_dict[motor]) for motor in self.ids]
@@ -203,7 +219,10 @@ class DynamixelRobot:
         return np.array(rows, dtype=float).T
 
     def _set(self, motor: int, register: int, value: int) -> None:
-        """Set a register of one byte of a motor, or of EVERYBODY. Raises ConnectionError."""
+        """Set a register of one byte of a motor, or of EVERYBODY.
+
+        Raises ConnectionError.
+        """
 
         def write() -> tuple[None, int, int]:
             result, error = self._packets.write1ByteTxRx(self._port, motor, register, value)
@@ -212,8 +231,10 @@ class DynamixelRobot:
         self._ask(f"motor {motor}", write)
 
     def _ask(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
-        """Value that a call of the SDK returns with its result and error; a lost port does not stay
-        in use. Raises ConnectionError."""
+        """Value that a call of the SDK returns with its result and error.
+
+        A lost port does not stay in use. Raises ConnectionError.
+        """
         for _ in range(tries):
             try:
                 value, result, error = call()

@@ -1,4 +1,4 @@
-"""Drivers in a process of their own, which lets the tendons go where the program is silent or dies.
+"""Drivers in a process of their own, which lets go where the program is silent or dies.
 
 A program whose policy holds the interpreter, that was stopped or killed, can run no watchdog. The
 driver, the last command and a watchdog live in another process here, in a session of its own, where
@@ -122,8 +122,10 @@ class RobotProcess:
         return measured
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,); returns and raises what the driver does, RobotLetGo and
-        TimeoutError."""
+        """Sends a command (n_a,); returns what the driver does.
+
+        Raises RobotLetGo, TimeoutError, and what the driver raises.
+        """
         sent: Array | None = self._ask("write", command)
         return sent
 

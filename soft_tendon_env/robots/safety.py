@@ -1,5 +1,6 @@
-"""Safe commands in time: limits of size and rate, checks of what is measured, and a watchdog that
-lets the tendons go.
+"""Safe commands in time, and a watchdog that lets the tendons go.
+
+It has limits of size and rate, and checks of what is measured.
 
 The watchdog is a thread of its own that no signal reaches: the command goes to slack evenly within
 slack.RAMP, also while another call of the robot hangs. Where writing fails it is tried again for
@@ -127,10 +128,12 @@ class SafeRobot:
         HOLDERS.add(self)
 
     def begin(self) -> None:
-        """Begins, or begins again after a stop, with slack tendons: from now on the watchdog looks,
-        and signals act as Ctrl-C.
+        """Begins, or begins again after a stop, with slack tendons.
 
-        Raises RobotStopped where a driver with a watchdog of its own does not begin.
+        From now on the watchdog looks, and signals act as Ctrl-C.
+
+        Raises:
+            RobotStopped: where a driver with a watchdog of its own does not begin.
         """
         self.stop("it begins again")
         HOLDERS.add(self)  # signals that could not be taken in another thread
@@ -250,7 +253,10 @@ class SafeRobot:
         return self._sent.copy() if sent is None else sent
 
     def _checked_answer(self, answer: Any) -> Array:
-        """Command (n_a,) that a robot says it sent. Raises ValueError for one that cannot be."""
+        """Command (n_a,) that a robot says it sent.
+
+        Raises ValueError for one that cannot be.
+        """
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
@@ -268,16 +274,20 @@ class SafeRobot:
         raise RobotStopped(self.stop(cause).cause) from error
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go slack, and waits until they are, or cannot be. The first cause
-        counts; later calls wait, and try again."""
+        """Lets the tendons go slack, and waits until they are, or cannot be.
+
+        The first cause counts; later calls wait, and try again.
+        """
         if not self._closed:
             done = self.order_stop(cause)
             done.wait(2.0 * (TRYING + HANGING))
         return self.stopped or Stop(cause)
 
     def order_stop(self, cause: str) -> threading.Event:
-        """Has the watchdog let the tendons go; returns what is set when it has. It waits for
-        nothing, so that handlers of signals may call it."""
+        """Has the watchdog let the tendons go; returns what is set when it has.
+
+        It waits for nothing, so that handlers of signals may call it.
+        """
         done = threading.Event()
         self._newest_order = done
         self._orders.put((cause, done))
@@ -289,8 +299,10 @@ class SafeRobot:
         return not (self._newest_order.is_set() or self._closed)
 
     def close(self) -> None:
-        """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it
-        stands among the failures."""
+        """Stops, and lets go of the robot, once.
+
+        Where that fails, as on a port that is lost, it stands among the failures.
+        """
         course = self.stop(FINISHED)
         if not self._closed:
             try:
@@ -302,8 +314,10 @@ class SafeRobot:
             HOLDERS.remove(self)
 
     def _watch(self) -> None:
-        """The watchdog: looks at the newest measurement's age, and lets the tendons go when it is
-        told to, until the robot is closed."""
+        """Watches the newest measurement's age until the robot is closed.
+
+        The watchdog lets the tendons go when it is told to.
+        """
         while not self._closed:
             try:
                 cause, done = self._orders.get(timeout=LOOKS * self._period)

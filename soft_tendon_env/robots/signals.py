@@ -57,8 +57,10 @@ class Holders:
         self._before = dict[int, Any]()  # handlers by signal, to restore
 
     def add(self, arm: Holder) -> None:
-        """Counts an arm, once, and takes the signals, in the main thread alone: Python sets no
-        handlers in others."""
+        """Counts an arm, once, and takes the signals.
+
+        It does so in the main thread alone: Python sets no handlers in others.
+        """
         if arm not in self._arms:
             self._arms.append(arm)
         if threading.current_thread() is not threading.main_thread():

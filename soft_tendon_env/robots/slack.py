@@ -1,5 +1,7 @@
-"""Slack tendons: the ramp of commands that leads there, tried again as long as it fails, and calls
-of a robot one at a time."""
+"""Slack tendons: the ramp of commands that leads there, tried again as long as it fails.
+
+Calls of a robot come one at a time here too.
+"""
 
 import threading
 from collections.abc import Callable

@@ -25,8 +25,10 @@ def half_swing(episodes: Episodes) -> float:
 
 
 def top_speed(episodes: Episodes) -> float:
-    """Largest speed of the tip, simulated: tendons that bend the arm alike pull at once, as hard as
-    they may, and let go where the arm has swung over.
+    """Largest speed of the tip, simulated.
+
+    Tendons that bend the arm alike pull at once, as hard as they may, and let go where the arm has
+    swung over.
 
     Args:
         episodes: of one arm, whose simulated state is left at rest.

@@ -160,8 +160,11 @@ def scales_of(scene: Scene) -> ArmScales:
 
 
 def _rod_numbers(segment: Segment, places: Array) -> Array:
-    """Bending stiffness about the softer axis [N m^2] and its viscosity, stretch stiffness [N] and
-    mass per length [kg/m] at places (m,) of a segment: (4, m)."""
+    """Stiffnesses, viscosity and mass of the rod at places (m,) of a segment: (4, m).
+
+    They are bending stiffness about the softer axis [N m^2] and its viscosity, stretch stiffness
+    [N] and mass per length [kg/m].
+    """
     elasticity, viscosity, inertia = segment.screw_matrices(places)
     softer = elasticity[1:3].argmin(axis=0)
     column = np.arange(places.size)
@@ -327,8 +330,10 @@ def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
 
 
 def _sag(force: float, arm: ArmScales) -> float:
-    """Angle [rad] by which a force [N] at the tip would bend a linear cantilever; 0 for forces like
-    the arm's own weight, by which a gel may hang."""
+    """Angle [rad] by which a force [N] at the tip would bend a linear cantilever.
+
+    It is 0 for forces like the arm's own weight, by which a gel may hang.
+    """
     if force < HEAVY * GRAVITY * arm.mass:
         return 0.0
     return force * arm.length**2 / (2.0 * arm.bending)

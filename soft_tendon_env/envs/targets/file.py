@@ -51,7 +51,10 @@ class File(Target):
 
     @cached_property
     def course(self) -> "FileCourse":
-        """The poses, read once. Raises OSError, ValueError."""
+        """The poses, read once.
+
+        Raises OSError, ValueError.
+        """
         return FileCourse(self.path)
 
     def check(self, scene: Scene) -> None:
@@ -92,7 +95,10 @@ class FileCourse(PoseCourse):
     """Poses of a table as functions of time that never overshoot, see `read_table`."""
 
     def __init__(self, path: str) -> None:
-        """Read a file. Raises OSError, ValueError without poses or times that grow."""
+        """Read a file.
+
+        Raises OSError, ValueError without poses or times that grow.
+        """
         # these take longer to import than all else that most targets need
         from scipy.interpolate import CubicHermiteSpline
         from scipy.spatial.transform import Rotation
@@ -115,8 +121,10 @@ class FileCourse(PoseCourse):
         self._angle = CubicHermiteSpline(times, total, slopes)
 
     def _alike_axes(self) -> Array:
-        """Cosines (m - 2,) of the angles between the axes before and after each inner row; 0 where
-        they point away from each other, so that a turn comes to rest before it goes back."""
+        """Cosines (m - 2,) of the angles between the axes before and after each inner row.
+
+        They are 0 where the axes point away from each other: a turn rests before it goes back.
+        """
         # the axis of a turn is the same in the frames of both its ends
         cosines = (self._axes[:-1] * self._axes[1:]).sum(axis=1)
         return np.asarray(np.maximum(cosines, 0.0))
@@ -144,8 +152,10 @@ class FileCourse(PoseCourse):
 
 
 def _monotone_slopes(times: Array, values: Array) -> Array:
-    """Slopes (m, k) of PCHIP at the rows of values (m, k), with which cubic curves stay between two
-    rows; 0 at both ends, where the target rests before and after."""
+    """Slopes (m, k) of PCHIP at the rows of values (m, k): cubic curves stay between two rows.
+
+    They are 0 at both ends, where the target rests before and after.
+    """
     from scipy.interpolate import PchipInterpolator
 
     slopes: Array = PchipInterpolator(times, values).derivative()(times)
@@ -154,7 +164,10 @@ def _monotone_slopes(times: Array, values: Array) -> Array:
 
 
 def _read_poses(path: str) -> Array:
-    """Rows (m, 8) of a file, by COLUMNS. Raises OSError, ValueError."""
+    """Rows (m, 8) of a file, by COLUMNS.
+
+    Raises OSError, ValueError.
+    """
     table = read_table(Path(path), COLUMNS)
     missing = [name for name in COLUMNS if name not in table.header]
     if missing:
