@@ -41,7 +41,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
 
 
 def _missing_senses(robot: Robot, episodes: Episodes) -> str:
-    """What a robot does not sense and an environment needs, and what to do; "": it has all."""
+    """Fields that a robot does not sense and an environment needs, and what to do; "": none."""
     groups = [name for name in episodes.layout.slices if name != HISTORY]
     # fields that a robot has to sense, and what for
     needed = {FIELDS[name]: name for name in groups if name in FIELDS}

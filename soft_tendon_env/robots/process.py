@@ -113,24 +113,54 @@ class RobotProcess:
         Args:
             slack: command (n_a,) that lets the tendons go.
             patience: time [s] without a call after which they go slack.
+
+        Raises:
+            TimeoutError: where the driver's process gives no answer.
+            ConnectionError: where it has ended.
         """
         self._ask("watch", slack, patience)
 
     def read(self) -> Measurement:
-        """The driver's newest measurement. Raises RobotLetGo, TimeoutError, and what it raises."""
+        """Reads the driver's newest measurement.
+
+        Returns:
+            The measurement.
+
+        Raises:
+            RobotLetGo: where the process has let the tendons go by itself.
+            TimeoutError: where it gives no answer.
+            ConnectionError: where it has ended.
+            Exception: what the driver raises.
+        """
         measured: Measurement = self._ask("read")
         return measured
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,); returns what the driver does.
+        """Sends a command.
 
-        Raises RobotLetGo, TimeoutError, and what the driver raises.
+        Args:
+            command: (n_a,).
+
+        Returns:
+            What the driver returns: what was sent (n_a,), or None.
+
+        Raises:
+            RobotLetGo: where the process has let the tendons go by itself.
+            TimeoutError: where it gives no answer.
+            ConnectionError: where it has ended.
+            Exception: what the driver raises.
         """
         sent: Array | None = self._ask("write", command)
         return sent
 
     def close(self) -> None:
-        """Lets the tendons go, closes the driver and ends its process. Raises what it raises."""
+        """Lets the tendons go, closes the driver and ends its process.
+
+        Raises:
+            TimeoutError: where it does not end.
+            ConnectionError: where it had ended before.
+            Exception: what the driver raises.
+        """
         try:
             self._ask("close")
         finally:
