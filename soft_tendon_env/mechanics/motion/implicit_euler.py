@@ -96,7 +96,7 @@ def rate_change(with_inertia, balance, h, scratch):
 
 @kernel
 def fill_system(with_inertia, balance, h, scratch):
-    """System of the change of the rates scratch.v in a substep of length h, into scratch.system."""
+    """Fills scratch.system with the system of the change of the rates in a substep of length h."""
     # (M + h D + h^2 G) dv = h (f - h G v)
     matrices = balance.matrices
     force = balance.force
@@ -144,8 +144,10 @@ def add_answers(ends, delta):
 
 @phase
 def stretch_tendons(arm, command, balance, h, scratch):
-    """Changes scratch.delta, of the substep of length h that has just been solved, to what it is
-    with the tensions at its end under a command (n_a) there."""
+    """Changes scratch.delta to what it is with the tensions at the end of a substep.
+
+    The substep of length h has just been solved; a command (n_a) acts at its end.
+    """
     path = arm.effects.transmission
     ends = scratch.ends
     tendons = balance.tendons

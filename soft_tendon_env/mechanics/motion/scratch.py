@@ -72,8 +72,10 @@ class TendonEnds(Struct):
 
 
 class Sliding(Struct):
-    """Scratch of slide_tendons(): tendons that rub at the end of a substep, at their borders, and
-    the linear problem of a Newton step; rows are filled up to whole packs."""
+    """Scratch of slide_tendons(): tendons that rub, at their borders, at the end of a substep.
+
+    Rows are filled up to whole packs.
+    """
 
     status: Annotated[IntArray, "1"]
     tension: Annotated[np.ndarray, "n_a"]  # [N] at the actuators
@@ -84,11 +86,11 @@ class Sliding(Struct):
     change: Annotated[np.ndarray, "row"]  # of the rates v by a Newton step
     turning: Annotated[np.ndarray, "row"]  # derivative of mu z dphi up to a border
     pulling: Annotated[np.ndarray, "row"]  # less that of the tension there
-    left: Annotated[np.ndarray, "n_a x points"]  # what the share of the tension gains there
+    left: Annotated[np.ndarray, "n_a x points"]  # what the share of a tension gains there
+    fall: Annotated[np.ndarray, "n_a x points"]  # likewise, by the rates to first order
+    falls: Annotated[np.ndarray, "points x row"]  # derivatives of that, of one tendon
     acceleration: Annotated[np.ndarray, "n"]  # in the substep before; 0 in the first of a step
-    # rows of n coefficients, the right-hand side, and n_a more: of the borders of one tendon, and
-    # the system, whose rows are filled up to whole packs too
-    falls: Annotated[np.ndarray, "points x wide"]
+    # rows of n coefficients, the right-hand side, and one for each tendon; filled up with rows
     system: Annotated[np.ndarray, "row x wide"]
 
 

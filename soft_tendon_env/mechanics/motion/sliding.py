@@ -1,5 +1,4 @@
-"""Rates at the end of a substep of tendons that rub: implicit Euler with the friction of how they
-slide there.
+"""Rates at the end of a substep of tendons that rub, by implicit Euler with their friction there.
 
 With the rows w_k of the borders and the tensions T_k beyond them, see terms.tendon_friction, the
 change dv of the rates solves
@@ -30,14 +29,17 @@ SMALL_TURN = 0.25  # of a logarithm, up to which its series is right to 3e-13
 HALF, THIRD, FOURTH, FIFTH = (1.0 / order for order in (2, 3, 4, 5))
 SIXTH, SEVENTH, EIGHTH, NINTH = (1.0 / order for order in (6, 7, 8, 9))
 """Reciprocals of the orders of that series: products are quicker than quotients."""
+SATURATED = 1e-3  # of a logarithm, the change of a tension below which its slope is left out
 SAME = 1e-7  # of the logarithm of a tension, by which it may be off what slides: a step squares it
 
 
 @phase
 def slide_tendons(arm, command, balance, h, scratch):
-    """Change scratch.delta of the rates scratch.v in a substep of length h with the friction at its
-    end, from the system in scratch.system, with elastic tendons under a command (n_a) there; a
-    status into scratch.sliding.status."""
+    """Finds the change scratch.delta of rates in a substep with the friction at its end.
+
+    The substep has length h and the system scratch.system; elastic tendons are under a command
+    (n_a) at its end. A status goes into scratch.sliding.status.
+    """
     sliding = scratch.sliding
     path = arm.effects.transmission
     n = scratch.delta.size
@@ -67,8 +69,10 @@ def slide_tendons(arm, command, balance, h, scratch):
 
 @kernel
 def begin_sliding(arm, balance, h, scratch):
-    """Begins with the tensions of the substep's beginning and the rates to which the accelerations
-    of the substep before lead."""
+    """Begins with the tensions of the substep's beginning and rates ahead.
+
+    The rates are those to which the accelerations of the substep before lead.
+    """
     sliding = scratch.sliding
     delta = scratch.delta
     rows = balance.borders.row
@@ -107,8 +111,10 @@ def row_product(rows, k, x):
 
 @kernel
 def fill_sliding(arm, balance, h, columns, scratch):
-    """Linear problem of a Newton step, with the change of rates by a newton in each elastic tendon,
-    into sliding.system."""
+    """Fills sliding.system with the linear problem of a Newton step.
+
+    Elastic tendons have a right-hand side each, the force of a newton.
+    """
     sliding = scratch.sliding
     delta = scratch.delta
     n = delta.size
@@ -121,50 +127,54 @@ def fill_sliding(arm, balance, h, columns, scratch):
         out[n] = scratch.system[a * stride + n] - product(row, delta)
         for j in range(1, columns):
             out[n + j] = 0.0
-    is_elastic = arm.effects.transmission.elastic
     for i in range(arm.tendons.size):
-        if not is_elastic and sliding.tension[i] == 0.0:
-            continue
-        begin, end = places_of(arm, i)
-        begun = balance.tendons.tension[i]
-        linearise_tension(arm, balance.borders, (i, begin, end), begun, h, sliding)
-        if is_elastic:
-            # the tension itself pulls along w_0
-            sliding.falls[n] += h * (sliding.tension[i] - begun)
-            for k in range(begin, end):
-                change = sliding.falls[(k - begin) * wide + n + 1 : (k - begin + 1) * wide]
-                change[:] = 0.0
-                change[i] = h * sliding.left[k]
-            sliding.falls[n + 1 + i] += h
-        used = row_stride(n + columns)
-        add_products(balance.borders.row[begin * stride : end * stride], used, n, sliding)
+        add_tendon(arm, i, balance, h, sliding)
 
 
 @kernel
-def linearise_tension(arm, borders, tendon, begun, h, sliding):
-    """What a tendon's tension falls by at its borders, times -h, with derivatives: rows of
-    sliding.falls; and the change of the shares that are left, sliding.left."""
-    i, begin, end = tendon
-    slow = arm.effects.transmission.stiction_speed
-    stride = sliding.change.size
-    wide = sliding.system.size // stride
+def add_tendon(arm, i, balance, h, sliding):
+    """Adds a tendon's friction, and the tension of an elastic one, to the linear problem."""
+    is_elastic = arm.effects.transmission.elastic
+    tension = sliding.tension[i]
+    if not is_elastic and tension == 0.0:
+        return
     n = arm.strain.size
-    tension = h * sliding.tension[i]
-    rows = borders.row
+    begun = balance.tendons.tension[i]
+    begin, end = places_of(arm, i)
+    places = (begin, end)
+    sway = find_falls(arm, balance.borders, places, begun, sliding)
+    stretched = tension - begun if is_elastic else 0.0
+    rows = balance.borders.row
+    add_rows(rows, places, h * tension, sliding.fall, h * stretched, n, sliding)
+    if is_elastic:
+        add_rows(rows, places, h, sliding.left, h, n + 1 + i, sliding)
+    if sway > SATURATED:
+        find_slopes(balance.borders, places, begun, h * tension, sliding)
+        add_products(rows, places, n, sliding)
+    else:
+        sliding.slope[begin:end] = 0.0
+
+
+@kernel
+def find_falls(arm, borders, places, begun, sliding):
+    """Finds how the share of a tendon's tension that is left changes at its borders.
+
+    sliding.left is that by the directions, and sliding.fall that to which the rates lead. Returns
+    how much logarithms of the tension would change with rates that change by themselves.
+    """
+    begin, end = places
+    slow = arm.effects.transmission.stiction_speed
     turns = borders.turn
     rates = sliding.rate
     directions = sliding.direction
     leads = sliding.lead
     slopes = sliding.slope
-    falls = sliding.falls
+    falls = sliding.fall
     lefts = sliding.left
-    turning = sliding.turning
-    pulling = sliding.pulling
-    turning[:] = 0.0
-    pulling[:] = 0.0
     late = 0.0  # by how much the rates' own mu z dphi, up to the border, is more
     left = 1.0
     late_before = 0.0
+    sway = 0.0
     for k in range(begin, end):
         turn = math.copysign(turns[k], begun)
         z = directions[k]
@@ -176,18 +186,57 @@ def linearise_tension(arm, borders, tendon, begun, h, sliding):
         slopes[k] = slope
         left_before = left
         left = left_before * decay(turn * z)
-        lefts[k] = left - left_before
         late += turn * (lead - z)
-        at = (k - begin) * wide
+        sway += turns[k] * slope * speed
+        lefts[k] = left - left_before
+        falls[k] = (left - left_before) - (left * late - left_before * late_before)
+        late_before = late
+    return sway
+
+
+@kernel
+def find_slopes(borders, places, begun, tension, sliding):
+    """Finds derivatives of what a tension falls by at its borders, rows of sliding.falls."""
+    begin, end = places
+    stride = sliding.change.size
+    rows = borders.row
+    turns = borders.turn
+    slopes = sliding.slope
+    lefts = sliding.left
+    falls = sliding.falls
+    turning = sliding.turning
+    pulling = sliding.pulling
+    turning[:] = 0.0
+    pulling[:] = 0.0
+    left = 1.0
+    for k in range(begin, end):
+        left += lefts[k]
+        steepness = math.copysign(turns[k], begun) * slopes[k]
         for m in range(0, stride, LANES):
-            turned = load(turning, m) + (turn * slope) * load(rows, k * stride + m)
+            turned = load(turning, m) + steepness * load(rows, k * stride + m)
             pulled = (tension * left) * turned
-            store(falls, at + m, pulled - load(pulling, m))
+            store(falls, (k - begin) * stride + m, pulled - load(pulling, m))
             store(turning, m, turned)
             store(pulling, m, pulled)
-        fall = (left - left_before) - (left * late - left_before * late_before)
-        falls[at + n] = tension * fall
-        late_before = late
+
+
+@kernel
+def add_rows(rows, places, share, factors, first, column, sliding):
+    """Adds the sum of share factors_k w_k over a tendon's borders, and of first w_0, to a column.
+
+    The column is one of sliding.system.
+    """
+    begin, end = places
+    stride = sliding.change.size
+    wide = sliding.system.size // stride
+    system = sliding.system
+    for m in range(0, stride, LANES):
+        total = first * load(rows, begin * stride + m)
+        for k in range(begin, end):
+            total = total + (share * factors[k]) * load(rows, k * stride + m)
+        for j in range(LANES):
+            # rows beyond n, which nothing reads, are there too
+            system[(m + j) * wide + column] += lane(total, j)
 
 
 @kernel(inline=True)
@@ -208,24 +257,24 @@ def decay(x):
 
 
 @kernel
-def add_products(rows, used, n, sliding):
-    """Adds the sum over a tendon's borders of w_k falls_k^T to the system, of which rows have
-    `used` numbers."""
+def add_products(rows, places, n, sliding):
+    """Adds the sum over a tendon's borders of w_k falls_k^T to the matrix of the system."""
+    begin, end = places
     stride = sliding.change.size
     wide = sliding.system.size // stride
     system = sliding.system
     falls = sliding.falls
-    count = rows.size // stride
-    # four rows at once: w_k is filled up to whole packs with zeros, and the system with rows
+    # four rows at once: w_k is filled up to whole packs with zeros, and the system with rows; what
+    # is right of the matrix gets zeros too
     for a in range(0, n, 4):
-        for m in range(0, used, LANES):
+        for m in range(0, n, LANES):
             at = a * wide + m
             first = load(system, at)
             second = load(system, at + wide)
             third = load(system, at + 2 * wide)
             fourth = load(system, at + 3 * wide)
-            for k in range(count):
-                fall = load(falls, k * wide + m)
+            for k in range(begin, end):
+                fall = load(falls, (k - begin) * stride + m)
                 w = load(rows, k * stride + a)
                 first = first + lane(w, 0) * fall
                 second = second + lane(w, 1) * fall
@@ -247,8 +296,10 @@ def take_change(n, sliding):
 
 @kernel
 def stretch_sliding(path, command, balance, h, scratch):
-    """Tensions sliding.tension at the end of the substep of elastic tendons that rub, under a
-    command (n_a), and sliding.change with what they change."""
+    """Finds tensions sliding.tension of elastic tendons that rub, at the end of the substep.
+
+    They are under a command (n_a); what they change is added to sliding.change.
+    """
     sliding = scratch.sliding
     ends = scratch.ends
     n = scratch.delta.size
@@ -272,9 +323,11 @@ def stretch_sliding(path, command, balance, h, scratch):
 
 @kernel
 def follow_change(arm, borders, stretched, sliding):
-    """Directions and speeds after sliding.change; how far logarithms of tensions by the former are
-    off those by the latter, or by products of changes: those of elastic tendons were `stretched`
-    (n_a) [N]."""
+    """Moves directions and speeds by sliding.change, and returns how far tensions are off.
+
+    That is how much logarithms of tensions by the directions differ from those by the speeds, or
+    products of changes: tensions of elastic tendons have changed by `stretched` (n_a) [N].
+    """
     path = arm.effects.transmission
     slow = path.stiction_speed
     rows = borders.row

@@ -1,5 +1,7 @@
-"""Tensions of elastic tendons at the end of a substep: a complementarity problem (D. E. Stewart and
-J. C. Trinkle 1996)."""
+"""Tensions of elastic tendons at the end of a substep, by linear complementarity.
+
+D. E. Stewart and J. C. Trinkle, 1996.
+"""
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, solve_bounded
@@ -7,9 +9,11 @@ from soft_tendon_env.mechanics.algebra.linear import copy, solve_bounded
 
 @kernel
 def bound_tensions(path, command, shortening, h, before, ends):
-    """Tensions ends.tension at the end of a substep of length h under a command (n_a) there, where
-    with tensions `before` (n_a) tendons are pulled in at ends.rate, and ends.give faster by a
-    newton."""
+    """Finds tensions ends.tension at the end of a substep of length h under a command (n_a) there.
+
+    With tensions `before` (n_a) tendons are pulled in at ends.rate, and ends.give faster by a
+    newton.
+    """
     # x + k h give (x - x_before) = k (u - s - h y) between 0 and the strength
     for i in range(command.size):
         k = path.stiffness[i]

@@ -1,5 +1,4 @@
-"""Capstan friction along tendons: by how much their paths turn, how they slide, and what tension is
-left.
+"""Capstan friction along tendons: turns of their paths, sliding, and what tension is left.
 
 A tendon is fixed where it ends. What slides past a point of the rod, towards the actuator, is the
 rate v = -d/dt of the length between there and the end. Where the path turns by an angle dphi the
@@ -64,8 +63,10 @@ def smooth_speed(rate, slow):
 
 @kernel
 def tangent_at(arm, i, pack, z, m, strain):
-    """Unit tangent of a tendon at the z-th point of interval m of a pack, and its rate of turning
-    with the section by arc length."""
+    """Unit tangent of a tendon at the z-th point of interval m of a pack, and its rate of turning.
+
+    The rate is that with the section, by arc length.
+    """
     block = 2 * pack + z
     at = (i * 2 * arm.rod.packs + block) * 4 * LANES + m
     tangent = strain.tangent
@@ -76,8 +77,7 @@ def tangent_at(arm, i, pack, z, m, strain):
 
 @kernel
 def tangent_change(first, second, distance):
-    """How the tangent of a path turns between two points at this distance: within the section, and
-    with it."""
+    """Change of a path's tangent between two points at a distance: in the section and with it."""
     within = minus(second[0], first[0])
     with_section = times(0.5 * distance, plus(first[1], second[1]))
     return plus(within, with_section)
@@ -91,8 +91,10 @@ def size_of(x):
 
 @kernel
 def find_turns(arm, i, strain, turn):
-    """Angles by which the path of a tendon turns before each of its points, times mu, into turn
-    (n_a x points, in their order along the rod)."""
+    """Finds the angles by which the path of a tendon turns before each of its points, times mu.
+
+    They go into turn (n_a x points, in their order along the rod).
+    """
     rod = arm.rod
     geometry = arm.tendons.geometry
     coefficient = arm.effects.transmission.friction
@@ -130,12 +132,15 @@ def find_turns(arm, i, strain, turn):
 
 @phase
 def find_borders(arm, strain, borders):
-    """Rows w_k of the tendons' borders and how much their paths turn there; of an evaluation with
-    columns."""
+    """Finds rows w_k of the tendons' borders and how much their paths turn there.
+
+    Columns are those of an evaluation.
+    """
     law = arm.strain
     tendons = arm.tendons
     blocks = 2 * arm.rod.packs
     row = row_stride(law.size + 1)
+    rows = borders.row
     for i in range(tendons.size):
         find_turns(arm, i, strain, borders.turn)
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
@@ -150,18 +155,21 @@ def find_borders(arm, strain, borders):
                     k, p = load6(strain.Phi, j * blocks + block)
                     own = dot(moment, k) + dot(force, p)
                 for m in range(LANES):
-                    borders.row[(first + 2 * m) * row + j] = lane(own, m)
+                    rows[(first + 2 * m) * row + j] = lane(own, m)
         # w_k = a_k + w_k+1
         begin = (i * blocks * LANES + PER_PACK * tendons.pack_begin[i]) * row
         end = (i * blocks * LANES + PER_PACK * tendons.pack_end[i] - 1) * row
         for at in range(end - LANES, begin - LANES, -LANES):
-            store(borders.row, at, load(borders.row, at) + load(borders.row, at + row))
+            store(rows, at, load(rows, at) + load(rows, at + row))
 
 
 @phase
 def find_shares(arm, strain, tendons, friction):
-    """Shares of the tensions that are left at the points at the strain rate strain.xi_dot, and how
-    the tendons slide, into `friction`; from the tangents that pull() left."""
+    """Finds the shares of the tensions that are left at the points, and how the tendons slide.
+
+    They are those at the strain rate strain.xi_dot, from the tangents that pull() left, and go into
+    `friction`.
+    """
     rod = arm.rod
     geometry = arm.tendons.geometry
     slow = arm.effects.transmission.stiction_speed
@@ -209,8 +217,10 @@ def add_lost_stress(arm, strain, tension, share, stress):
 
 @phase
 def add_friction_damping(arm, tendons, friction, borders, damping):
-    """Adds to D what friction damps, sum_k |T_k dphi_k| mu dz/dv w_k w_k^T: the symmetric part of
-    its derivative, but for how a tension depends on the directions before it."""
+    """Adds to D what friction damps, sum_k |T_k dphi_k| mu dz/dv w_k w_k^T.
+
+    That is its derivative but for how a tension depends on the directions before it.
+    """
     slow = arm.effects.transmission.stiction_speed
     n = damping.shape[0]
     row = row_stride(n + 1)

@@ -1,5 +1,6 @@
-"""From commands to tensions at the actuators, see effects.Transmission: elastic tendons, which pull
-with k (u - shortening), between nothing and the strength of their actuators.
+"""From commands to tensions at the actuators, see effects.Transmission.
+
+Elastic tendons pull with k (u - shortening), between nothing and the strength of their actuators.
 
 See tendon_friction for what is left of a tension along its way, and motion.implicit_euler for how
 both enter a step. Who gives tensions instead of commands calls none of this.
@@ -45,16 +46,20 @@ def transmit(arm, command, xi, tendons):
 
 @phase
 def find_columns(arm, strain, share, stress, columns):
-    """Columns (n_a, n) of the forces of tendons with a share (n_a x points) of their tensions left
-    along the way; overwrites `stress` (points x 6)."""
+    """Finds columns (n_a, n) of the forces of tendons with a share (n_a x points) of the tension.
+
+    Overwrites `stress` (points x 6).
+    """
     for i in range(arm.tendons.size):
         actuation_column(arm, i, share, strain, stress, columns[i])
 
 
 @phase
 def add_tendon_matrices(arm, work, borders, damping, stiffness):
-    """Adds what elastic tendons and those that rub have of D and G; after find_shares(),
-    find_borders() and find_columns()."""
+    """Adds what elastic tendons and those that rub have of D and G.
+
+    find_shares(), find_borders() and find_columns() have been called before.
+    """
     path = arm.effects.transmission
     tendons = work.tendons
     rubs = tendons_rub(arm)
