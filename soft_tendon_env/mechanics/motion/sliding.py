@@ -26,11 +26,8 @@ from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_spe
 
 MOST = 100  # Newton steps
 SMALL_TURN = 0.25  # of a logarithm, up to which its series is right to 3e-13
-HALF, THIRD, FOURTH, FIFTH = (1.0 / order for order in (2, 3, 4, 5))
-SIXTH, SEVENTH, EIGHTH, NINTH = (1.0 / order for order in (6, 7, 8, 9))
-"""Reciprocals of the orders of that series: products are quicker than quotients."""
 SATURATED = 1e-3  # of a logarithm, the change of a tension below which its slope is left out
-SAME = 1e-7  # of the logarithm of a tension, by which it may be off what slides: a step squares it
+SAME = 1e-7  # of the logarithm of a tension, by which directions may be off what slides
 
 
 @phase
@@ -244,15 +241,15 @@ def decay(x):
     """exp(-x), where x is small by its series."""
     if abs(x) > SMALL_TURN:
         return math.exp(-x)
-    # 1 - x (1 - x/2 (1 - x/3 (...))), up to x^9
-    rest = 1.0 - NINTH * x
-    rest = 1.0 - EIGHTH * x * rest
-    rest = 1.0 - SEVENTH * x * rest
-    rest = 1.0 - SIXTH * x * rest
-    rest = 1.0 - FIFTH * x * rest
-    rest = 1.0 - FOURTH * x * rest
-    rest = 1.0 - THIRD * x * rest
-    rest = 1.0 - HALF * x * rest
+    # 1 - x (1 - x/2 (1 - x/3 (...))), up to x^9, by products, which are quicker than quotients
+    rest = 1.0 - (1.0 / 9.0) * x
+    rest = 1.0 - (1.0 / 8.0) * x * rest
+    rest = 1.0 - (1.0 / 7.0) * x * rest
+    rest = 1.0 - (1.0 / 6.0) * x * rest
+    rest = 1.0 - (1.0 / 5.0) * x * rest
+    rest = 1.0 - (1.0 / 4.0) * x * rest
+    rest = 1.0 - (1.0 / 3.0) * x * rest
+    rest = 1.0 - (1.0 / 2.0) * x * rest
     return 1.0 - x * rest
 
 
