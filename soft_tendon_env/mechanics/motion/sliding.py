@@ -27,6 +27,7 @@ from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_spe
 MOST = 100  # Newton steps
 SMALL_TURN = 0.25  # of a logarithm, up to which its series is right to 3e-13
 SATURATED = 1e-3  # of a logarithm, the change of a tension below which its slope is left out
+FIRST = 4  # Newton steps in which it may be
 SAME = 1e-7  # of the logarithm of a tension, by which directions may be off what slides
 
 
@@ -46,8 +47,10 @@ def slide_tendons(arm, command, balance, h, scratch):
     wide = sliding.system.size // sliding.change.size
     begin_sliding(arm, balance, h, scratch)
     sliding.status[0] = UNSETTLED
-    for _ in range(MOST):
-        fill_sliding(arm, balance, h, columns, scratch)
+    for repeat in range(MOST):
+        # without slopes steps may go in circles
+        saturated = SATURATED if repeat < FIRST else 0.0
+        fill_sliding(arm, balance, h, columns, saturated, scratch)
         if not solve_columns(sliding.system, n, wide, columns):
             sliding.status[0] = NOT_POSITIVE
             return
@@ -107,7 +110,7 @@ def row_product(rows, k, x):
 
 
 @kernel
-def fill_sliding(arm, balance, h, columns, scratch):
+def fill_sliding(arm, balance, h, columns, saturated, scratch):
     """Fills sliding.system with the linear problem of a Newton step.
 
     Elastic tendons have a right-hand side each, the force of a newton.
@@ -125,12 +128,15 @@ def fill_sliding(arm, balance, h, columns, scratch):
         for j in range(1, columns):
             out[n + j] = 0.0
     for i in range(arm.tendons.size):
-        add_tendon(arm, i, balance, h, sliding)
+        add_tendon(arm, i, balance, h, saturated, sliding)
 
 
 @kernel
-def add_tendon(arm, i, balance, h, sliding):
-    """Adds a tendon's friction, and the tension of an elastic one, to the linear problem."""
+def add_tendon(arm, i, balance, h, saturated, sliding):
+    """Adds a tendon's friction, and the tension of an elastic one, to the linear problem.
+
+    Slopes are left out where the logarithm of a tension would change by less than `saturated`.
+    """
     is_elastic = arm.effects.transmission.elastic
     tension = sliding.tension[i]
     if not is_elastic and tension == 0.0:
@@ -145,7 +151,7 @@ def add_tendon(arm, i, balance, h, sliding):
     add_rows(rows, places, h * tension, sliding.fall, h * stretched, n, sliding)
     if is_elastic:
         add_rows(rows, places, h, sliding.left, h, n + 1 + i, sliding)
-    if sway > SATURATED:
+    if sway > saturated:
         find_slopes(balance.borders, places, begun, h * tension, sliding)
         add_products(rows, places, n, sliding)
     else:
