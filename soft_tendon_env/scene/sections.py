@@ -43,6 +43,8 @@ class Section(Configuration):
     """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
+    has_corners: ClassVar[bool] = False
+    """Whether the outline is the rectangle of its widths, else it is their ellipse."""
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
@@ -174,6 +176,8 @@ class Flat(Solid):
 
 class Rectangle(Flat):
     """Solid rectangle. Torsion is Timoshenko and Goodier's (170), summed to round-off."""
+
+    has_corners: ClassVar[bool] = True
 
     type: Literal["rectangle"] = "rectangle"
 
