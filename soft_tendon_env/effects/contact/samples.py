@@ -3,8 +3,8 @@ radius or outlines of flat sections.
 
 The sample nearest to a spacer disc that stands out is a ball with the radius of the disc, and
 stands for its mass too. Each stands for its share of the length, that at the tip for the round cap
-too. They lie on the cubic Hermite curve through neighbouring nodes: with tangents h R e_x for an interval of length h,
-x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
+too. They lie on the cubic Hermite curve through neighbouring nodes: with tangents h R e_x for an
+interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
 
 from typing import NamedTuple
