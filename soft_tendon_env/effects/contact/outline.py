@@ -52,9 +52,11 @@ def sloped_distance(body, x, direction, s, half):
 
 @kernel
 def least_along(body, x, direction, half):
-    """The place s [m] in [-half, half] along a direction at which what is least has no slope, and
-    its change [m/rad] with a turn, 0 at an end: regula falsi (Illinois), as the slope grows with
-    s."""
+    """Place s [m] in [-half, half] along a direction where the sloped distance is least.
+
+    Also its change [m/rad] with a turn, 0 at an end. Regula falsi (Illinois), as the slope grows
+    with s.
+    """
     low = -half
     slope_low = sloped_distance(body, x, direction, low, half)
     if slope_low >= 0.0:
@@ -89,8 +91,10 @@ def least_along(body, x, direction, half):
 
 @kernel
 def nearest_of_rectangle(body, sample, r, y_axis, z_axis):
-    """Place (y, z) [m] of the nearest point of a rectangle, and how it moves [m/rad]: one axis
-    after the other."""
+    """Place (y, z) [m] of the nearest point of a rectangle, and how it moves [m/rad].
+
+    One axis comes after the other.
+    """
     y = 0.0
     z = 0.0
     move_y = 0.0
@@ -103,8 +107,10 @@ def nearest_of_rectangle(body, sample, r, y_axis, z_axis):
 
 @kernel(inline=True)
 def turned_back(body, sample, r, y_axis, z_axis, angle, share):
-    """Angle [rad] at which the outline of an ellipse has the normal that the obstacle has at the
-    outline's point of another angle, less that angle; in (-pi, pi]."""
+    """Angle [rad] from a point of an ellipse to the one that has the obstacle's normal there.
+
+    It is a difference of eccentric angles, in (-pi, pi].
+    """
     y = share * sample.half_y * math.cos(angle)
     z = share * sample.half_z * math.sin(angle)
     point = plus(r, plus(times(y, y_axis), times(z, z_axis)))
@@ -118,8 +124,10 @@ def turned_back(body, sample, r, y_axis, z_axis, angle, share):
 
 @kernel
 def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
-    """Place (y, z) [m] of the nearest point of an ellipse, by its eccentric angle, and how it moves
-    [m/rad]: regula falsi (Illinois) on the angle between both normals."""
+    """Place (y, z) [m] of the nearest point of an ellipse, and how it moves [m/rad].
+
+    Regula falsi (Illinois) finds its eccentric angle, where both normals agree.
+    """
     _, _, out = place_in(body, r)
     n = rotate(body.R, out)
     across = math.sqrt(dot(n, y_axis) ** 2 + dot(n, z_axis) ** 2)
@@ -167,8 +175,10 @@ def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
 
 @kernel(inline=True)
 def nearest(body, sample, r, y_axis, z_axis):
-    """The point of a section with its middle at r that is nearest to an obstacle, with its axes y
-    and z in the world frame."""
+    """Point of a section with its middle at r that is nearest to an obstacle.
+
+    The section's axes y and z are in the world frame.
+    """
     y = 0.0
     z = 0.0
     move_y = 0.0

@@ -1,5 +1,6 @@
-"""Samples of the arm, at which contact is looked for: evenly along the axis, balls of its outer
-radius or outlines of flat sections.
+"""Samples of the arm, at which contact is looked for.
+
+They lie evenly along the axis: balls of its outer radius, or outlines of flat sections.
 
 The sample nearest to a spacer disc that stands out is a ball with the radius of the disc, and
 stands for its mass too. Each stands for its share of the length, that at the tip for the round cap
@@ -37,8 +38,10 @@ def pose_of(nodes, node):
 
 @kernel(inline=True)
 def motion_of(nodes, node, R, r):
-    """Angular and linear velocity, in the world frame, of a node at a pose (R, r); node -1 is the
-    base."""
+    """Angular and linear velocity of a node at a pose (R, r), in the world frame.
+
+    Node -1 is the base.
+    """
     if node < 0:  # the velocity is that of the point of the base at the world's origin
         w, v = twist_of(nodes.base[12:18])
         return w, plus(v, cross(w, r))
@@ -132,8 +135,10 @@ def position_of(sample, ends):
 
 @kernel(inline=True)
 def axes_of(sample, ends):
-    """Axes y and z of the section at a sample, world frame: means of those of both nodes, so that
-    a point of the section moves linearly with them."""
+    """Axes y and z of the section at a sample, in the world frame.
+
+    They are means of those of both nodes, so that a point of the section moves linearly with them.
+    """
     t = sample.t
     y_axis = plus(times(t, column(ends.R_b, 1)), times(1.0 - t, column(ends.R_a, 1)))
     z_axis = plus(times(t, column(ends.R_b, 2)), times(1.0 - t, column(ends.R_a, 2)))
@@ -155,8 +160,10 @@ def motion_at(sample, ends, nodes):
 
 
 def nodes_with(pose, twist, base, time):
-    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than
-    that, their base and time."""
+    """Nodes at poses and with twists in the kernels' layout.
+
+    They are for what reads no more of them than that, their base and time.
+    """
     none = np.zeros(0)
     return Nodes(
         packs=pose.size // (12 * LANES),
@@ -175,8 +182,11 @@ def nodes_with(pose, twist, base, time):
 
 
 def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
-    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,)
-    [m], a radius apart at most: of a flat section the geometric mean of its half widths."""
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths.
+
+    These are (samples,) [m], a radius apart at most: of a flat section the geometric mean of its
+    half widths.
+    """
     start = np.concatenate([[0.0], rod.node[:-1]])
     h = rod.node - start
     # how many to an interval, and where in it
@@ -228,8 +238,10 @@ class Outlines(NamedTuple):
 
 
 def sample_outlines(rod: Discretisation, arc_length: Array) -> Outlines:
-    """Outlines of samples at arc lengths (m,) [m]: the rod's, or at the sample nearest to a spacer
-    disc that stands out that of the disc."""
+    """Outlines of samples at arc lengths (m,) [m].
+
+    They are the rod's, or at the sample nearest to a spacer disc that stands out that of the disc.
+    """
     half_widths = rod.half_widths(arc_length)
     is_round = half_widths[0] == half_widths[1]
     flat_shape = np.where(rod.has_corners(arc_length), RECTANGLE, ELLIPSE)
