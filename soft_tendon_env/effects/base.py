@@ -62,7 +62,14 @@ class Discretisation:
     step: float  # [s], the longest time step of the scene's integrator
 
     def half_widths(self, arc_length: Array) -> Array:
-        """Half widths along y and z [m] at arc lengths (m,) [m], (2, m)."""
+        """Returns half widths of the rod's outline along y and z.
+
+        Args:
+            arc_length: Arc lengths (m,) [m].
+
+        Returns:
+            Half widths (2, m) [m].
+        """
         return 0.5 * self.hull(arc_length)[:2]
 
 

@@ -33,7 +33,7 @@ CLOSE = 1e-9  # slope, or angle [rad], that counts as none
 
 
 class Nearest(NamedTuple):
-    """Where a section is nearest to an obstacle."""
+    """Point of a section that is nearest to an obstacle."""
 
     gap: float  # [m] between the surfaces, negative where they overlap
     normal: Triple  # out of the obstacle, world frame
