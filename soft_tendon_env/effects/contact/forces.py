@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Configured, Discretisation, Effect
 from soft_tendon_env.effects.contact.obstacles import (
     AMPLITUDE,
     OMEGA,
@@ -59,6 +59,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, index_of_node
 from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
@@ -83,7 +84,7 @@ MOST_HERMITE = 4.0 / 27.0  # the largest value of the Hermite polynomials of tan
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@register_effect("contact")
+@register("effect", "contact")
 class Contact(Effect):
     """`[effects.contact]`: contact of the whole arm with obstacles, fixed or moving.
 
