@@ -72,9 +72,14 @@ class Taper(AlongRod):
 
     @abstractmethod
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Size [m] and its derivative along the rod [-], both of the shape of the arc lengths.
+        """Computes the size and its derivative along the rod.
 
-        They are at `arc_length` [m] from the segment's start.
+        Args:
+            arc_length: (...) [m] from the segment's start.
+            segment_length: of the segment [m].
+
+        Returns:
+            Size [m] and derivative [-], each (...).
         """
 
 
@@ -171,7 +176,11 @@ class TendonRouting(AlongRod):
         """
 
     def turn_rate(self) -> float:
-        """Greatest angle per arc length [rad/m] by which the tendon winds around the axis."""
+        """Returns the greatest angle per arc length by which the tendon winds around the axis.
+
+        Returns:
+            The rate [rad/m], 0 for one that does not wind.
+        """
         return 0.0
 
 
