@@ -320,15 +320,15 @@ class _ControlPeriod(torch.nn.Module):
             "memory": memory,
         }
         # an output of its own, though the same as what is remembered
-        values = {"action": 1.0 * action, **states}
+        results: dict[str, Tensor | None] = {"action": 1.0 * action, **states}
         if self.read:
             held_action = self._held_action(command, last_action)
             before = {**rows, "command": command, "last_action": held_action, "action": held_action}
             is_lost = self._is_lost(rows)
-            for name, value in values.items():
+            for name, value in results.items():
                 if value is not None:
-                    values[name] = torch.where(is_lost, before[name], value)
-        return tuple(value[0] for value in values.values() if value is not None)
+                    results[name] = torch.where(is_lost, before[name], value)
+        return tuple(value[0] for value in results.values() if value is not None)
 
     def _held_action(self, command: Tensor, last_action: Tensor) -> Tensor:
         """Action of a lost measurement (1, n_a): the last one, or one that leaves the command."""
