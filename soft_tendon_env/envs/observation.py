@@ -1,7 +1,7 @@
 """Observations: one flat float32 vector of groups, scaled to about one, clipped, with history.
 
-`docs/reference/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a
-task brings others in `Task.groups`.
+`docs/reference/environments.md` has this table with sizes. Every task has the groups of GROUPS, and
+`register("observation_group", name, Group(...))` adds one of a user's own.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,6 +18,8 @@ from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.scene.scene import Scene, segment_index
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 CLIP = 10.0
@@ -147,6 +149,25 @@ def _strain_unit(units: Units) -> Array:
     return np.repeat([1.0 / units.length, 0.1], 3)
 
 
+def _checked_group(name: str, group: Any) -> Group:
+    """The group itself. Raises TypeError, ValueError where it lacks something."""
+    if not isinstance(group, Group):
+        raise TypeError(f"the observation group {name!r} should be a Group, not {shown(group)}")
+    for key in ("values", "unit"):
+        if not callable(getattr(group, key)):
+            raise TypeError(
+                f"the observation group {name!r} has {key} = {shown(getattr(group, key))}: it"
+                " should be a function"
+            )
+    if not group.bound > 0.0:
+        raise ValueError(f"the observation group {name!r} has bound = {group.bound}, not above 0")
+    if name == HISTORY:
+        raise ValueError(
+            f"the observation group {name!r} has the name of an option: choose another"
+        )
+    return group
+
+
 POSITION_AND_COLUMNS = [3, 0, 1]
 """Columns of a pose [R, r]: its position, and the first two of its rotation."""
 
@@ -173,7 +194,16 @@ def _pose_unit(units: Units) -> Array:
     return np.repeat([0.1 * units.length, 1.0, 1.0], 3)
 
 
-GROUPS: dict[str, Group] = {
+HISTORY = "history"
+"""Name of the slice of an observation after all groups, if it has a history."""
+
+CHANGE = 0.1
+"""Unit of a group's changes in a history, as a share of the group's own."""
+
+GROUPS: Registry[Group] = Registry("observation_group", _checked_group)
+"""The groups that every task has, by the name that options use."""
+
+_SHIPPED: dict[str, Group] = {
     "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
     "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
     "tip_position": Group(
@@ -276,14 +306,9 @@ GROUPS: dict[str, Group] = {
         of_arm=True,
     ),
 }
-"""The groups that every task has, by the name that options use; one of your own can be added before
-environments are made."""
 
-HISTORY = "history"
-"""Name of the slice of an observation after all groups, if it has a history."""
-
-CHANGE = 0.1
-"""Unit of a group's changes in a history, as a share of the group's own."""
+for _name, _group in _SHIPPED.items():
+    register("observation_group", _name, _group)
 
 
 class Layout:

@@ -18,7 +18,7 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import given_scene, resolved_scene
-from soft_tendon_env.policies.algorithms import ALGORITHMS, OF_PACKAGE, network_kind
+from soft_tendon_env.policies.algorithms import ALGORITHMS, network_kind
 from soft_tendon_env.policies.architecture import read_architecture
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import PolicyNetwork
@@ -31,7 +31,7 @@ from soft_tendon_env.policies.normalization import (
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, build_network, read_weights
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
+from soft_tendon_env.tools.configuration import Configuration, not_registered, read_toml
 from soft_tendon_env.tools.files import check_digests, digest, read_json, shipped_folder
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Positive
@@ -133,9 +133,8 @@ class AgentConfig(Configuration):
     @field_validator("algorithm")
     @classmethod
     def _is_known(cls, algorithm: str) -> str:
-        names = sorted([*ALGORITHMS, *OF_PACKAGE])
-        if algorithm not in names:
-            raise ValueError(f"should be an algorithm: {not_among(algorithm, names)}")
+        if algorithm not in ALGORITHMS:
+            raise ValueError(f"should be an algorithm: {not_registered(algorithm, ALGORITHMS)}")
         return algorithm
 
 

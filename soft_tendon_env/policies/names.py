@@ -17,7 +17,7 @@ from typing import Any, Union
 import gymnasium as gym
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -42,7 +42,6 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import (
     Configuration,
     not_among,
-    not_registered,
     read_toml,
     shown,
 )
@@ -104,7 +103,7 @@ class PolicyName:
             return _tuned_controller(text, task)
         estimator, prefix = _estimator_of(text)
         method, mark, belief = text.removeprefix(prefix).partition("@")
-        if method in CONTROLLERS.get(task, {}):
+        if method in controllers_of(task):
             if not mark:
                 return Controller(text, task, method, estimator, None)
             try:
@@ -190,8 +189,7 @@ def _what_it_should_be(text: str, task: str, prefix: str, method: str) -> str:
     if usual is not None:
         controller, words = usual
         return f": it should be {prefix + controller!r}, this package's {words}"
-    controllers = CONTROLLERS.get(task, {})
-    expected = f"a controller of {task}; {not_registered(method, controllers)}"
+    expected = f"a controller of {task}; {valid_controllers(method, task)}"
     if prefix:
         return f": what stands behind {prefix!r} should be {expected}"
     path = Path(text)
@@ -249,7 +247,7 @@ class Controller(PolicyName):
         They are of the catalogue's entry, and behind "estimator." of the Kalman filter's
         Uncertainty.
         """
-        defaults = dict(CONTROLLERS[self.task][self.name].parameters)
+        defaults = dict(controllers_of(self.task)[self.name].parameters)
         if self.estimator is not None and ESTIMATORS[self.estimator].filters:
             for name, value in USUAL._asdict().items():
                 defaults[f"{ESTIMATOR}{name}"] = value
@@ -258,7 +256,7 @@ class Controller(PolicyName):
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        entry = CONTROLLERS[self.task][self.name]
+        entry = controllers_of(self.task)[self.name]
         numbers = {}
         for name, value in self.parameters.items():
             if not name.startswith(ESTIMATOR):

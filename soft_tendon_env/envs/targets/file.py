@@ -14,11 +14,11 @@ from soft_tendon_env.envs.targets import (
     Target,
     TargetSamples,
     pose_samples,
-    register_target,
 )
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.forks import cached_property
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import UNIT, Array
 
@@ -36,7 +36,7 @@ class TargetWarning(UserWarning):
     """A target has poses that the arm cannot reach."""
 
 
-@register_target
+@register("target", "file")
 class File(Target):
     """The tip follows poses of a CSV file, joined by cubic curves that never overshoot.
 
