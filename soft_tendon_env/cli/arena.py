@@ -1,14 +1,20 @@
 """`soft-tendon arena`: learned and model-based policies on the same tasks, with the same
 information, on arms that no model matches."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from tyro.conf import Fixed, Suppress
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
+from soft_tendon_env.cli.options import PUBLISHED
+from soft_tendon_env.evaluation.benchmark import (
+    Benchmark,
+    BenchmarkPolicy,
+    benchmark_tables,
+    standings_by_regime,
+)
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.pages import Page
@@ -31,7 +37,7 @@ class Arena(Benchmark):
     picture."""
 
     config: str = Field(
-        default="published",
+        default=PUBLISHED,
         description="TOML file of a Benchmark, or a name that ships; other options override it",
     )
     policies: tuple[str, ...] = Field(
@@ -43,19 +49,29 @@ class Arena(Benchmark):
     )
     out: str = Field(default="out/arena", description="folder for results")
 
-    @staticmethod
-    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of the file of --config, checked, with the entrants of --policies in place of its
-        own. Raises ConfigurationError."""
-        path = Path(given.get("config", "published"))
+    # They have no option: those of --policies, or of the file.
+    entrants: Suppress[Fixed[tuple[BenchmarkPolicy, ...]]] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_entrants(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """The entrants of --policies in place of the file's."""
+        policies = values.get("policies")
+        if not policies:
+            return values
+        entrants = tuple(BenchmarkPolicy(policy=policy) for policy in policies)
+        return {**values, "entrants": entrants}
+
+    @classmethod
+    def read_file(cls, config: str) -> "Arena":
+        """The configuration of a file, or of one that ships. Raises ConfigurationError."""
+        path = Path(config)
         shipped = CONFIGS / f"{path}.toml"
         if not path.exists() and shipped.exists():
             path = shipped
         table = read_toml(path)
-        if "policies" in given:
-            table["entrants"] = [{"policy": policy} for policy in given["policies"]]
         Benchmark.parse(table, str(path))
-        return table
+        return cls(**table)
 
 
 def run(settings: Arena) -> None:

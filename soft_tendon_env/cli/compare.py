@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.cli.options import TASK
+from soft_tendon_env.cli.options import TASK, EnvironmentArguments
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, tables
 from soft_tendon_env.evaluation.entrants import agents_of
@@ -23,15 +23,14 @@ POLICIES = (
 )
 
 
-class Compare(Settings):
+class Compare(EnvironmentArguments, Settings):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with
     every episode, CSV, and a picture."""
 
-    tasks: tuple[TaskName, ...] = Field(
+    task: tuple[TaskName, ...] = Field(
         default_factory=lambda: tuple(IDS),
         min_length=1,
         description=TASK,
-        json_schema_extra={"flag": "--task"},
     )
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1, description=POLICIES)
     write_docs: str | None = Field(
@@ -44,8 +43,8 @@ class Compare(Settings):
 def run(settings: Compare) -> None:
     """Compare, print and write, task by task."""
     with mistakes():
-        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
-    for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.task])
+    for task, text in play(settings, settings.task, settings.policies, settings.out).items():
         page.write(f"compare {task}", text)
 
 

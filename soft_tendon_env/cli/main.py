@@ -1,8 +1,8 @@
 """The command line: `soft-tendon COMMAND`.
 
 A command is a module with a function `run(settings)`, whose annotation is the class of its options;
-it is imported when it is called. Where that class has a method `read_file(given)`, it reads values
-of a file, which options override.
+it is imported when it is called. Where that class has a method `read_file(config)`, it reads the
+file of --config, which other options override.
 """
 
 import importlib

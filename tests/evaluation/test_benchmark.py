@@ -236,7 +236,7 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
 def test_the_published_comparison_can_be_played(monkeypatch):
     """By all of its policies, with the files that ship."""
     monkeypatch.chdir(ROOT)
-    published = Arena(**Arena.read_file({}))
+    published = Arena.read_file("published")
     cells, notes = published.cells()
     assert notes == []
     assert {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
