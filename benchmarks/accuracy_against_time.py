@@ -1,7 +1,7 @@
 """Tip error against CPU time, for every way of simulating the paper's arm: a section of
 docs/appendix/accuracy.md.
 
-    python benchmarks/accuracy_against_time.py [--repeats 3] [--quick] [--write-docs] [--out out]
+    python benchmarks/accuracy_against_time.py [--repeats 3] [--quick] [--out out]
 
 CPU time is that of one `simulate` call over one second on one thread, with the table of tensions,
 checks and a tip pose per step. Errors are largest distances of the tip, after every step, or about
@@ -18,14 +18,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import (
-    APPENDIX,
     cpu_times,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from _trajectory_input import DURATION, tension_table
 
@@ -110,10 +108,11 @@ def main() -> None:
         "ignore", QuadratureWarning
     )  # what too few intervals do is what is measured
     runs = measure_all(arguments.repeats, arguments.quick)
-    for folder in folders(arguments):
-        write_csv(folder / "accuracy_against_time.csv", COLUMN_NAMES, [run.row() for run in runs])
-        draw(runs, folder / "accuracy_against_time.png")
-    write_block(arguments, APPENDIX / "accuracy.md", "accuracy against time", table_of(runs))
+    write_csv(
+        arguments.out / "accuracy_against_time.csv", COLUMN_NAMES, [run.row() for run in runs]
+    )
+    draw(runs, arguments.out / "accuracy_against_time.png")
+    write_tables(arguments.out / "accuracy_against_time.md", table_of(runs))
 
 
 def measure_all(repeats: int, quick: bool) -> list[Run]:

@@ -1,7 +1,7 @@
 """This package beside MuJoCo, PyElastica and SoRoMoX on the paper's arm: accuracy against CPU time,
 and abrupt tensions.
 
-    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--quick] [--write-docs]
+    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--quick]
     [--out out] where the extra `peers` is installed
 
 The models, inputs, errors and times that are compared: docs/appendix/peers.md and the files of
@@ -24,13 +24,11 @@ import numpy as np
 from _peers.own import explicit
 from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from tqdm import tqdm
 
@@ -118,13 +116,10 @@ def main() -> None:
         for simulator in simulators.values()
         for run in measure_all(simulator, usual, hard, arguments.quick)
     ]
-    for folder in folders(arguments):
-        write_csv(folder / "peers.csv", HEADER, [run.row() for run in runs])
-        draw(runs, folder / "peers.png")
-    write_block(
-        arguments,
-        APPENDIX / "peers.md",
-        "peers",
+    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in runs])
+    draw(runs, arguments.out / "peers.png")
+    write_tables(
+        arguments.out / "peers.md",
         tables(runs, {**usual, **hard}, simulators, missing),
     )
 

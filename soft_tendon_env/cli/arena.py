@@ -17,9 +17,8 @@ from soft_tendon_env.evaluation.benchmark import (
 )
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import records, write_csv
+from soft_tendon_env.evaluation.tables import records, write_csv, write_markdown
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
@@ -43,9 +42,6 @@ class Arena(Benchmark):
     policies: tuple[str, ...] = Field(
         default=(),
         description="policies to compare in place of the file's, by their names for evaluate",
-    )
-    write_docs: str | None = Field(
-        default=None, description="file in which tables go between <!-- arena TASK --> and its end"
     )
     out: str = Field(default="out/arena", description="folder for results")
 
@@ -79,8 +75,6 @@ def run(settings: Arena) -> None:
     with mistakes():
         require("pictures")
         out = Path(settings.out)
-        marker = f"arena {settings.task}"
-        page = Page(settings.write_docs, [marker])
         cells, notes = settings.cells()
         experiment = Experiment(cells, out / "cells")
         check_cluster(settings.cluster)
@@ -103,23 +97,18 @@ def run(settings: Arena) -> None:
     text = f"{benchmark_tables(settings, standings)}\n\n{legend}"
     print(f"\n{text}\n")
 
-    # A page of the documentation has the picture and its CSV file beside it.
-    picture = out / "arena.png"
-    if settings.write_docs is not None:
-        picture = Path(settings.write_docs).with_suffix(".png")
     rows = []
     panels = {}
     for regime, of_regime in standings.items():
         rows += [{"regime": regime, **row} for row in records(of_regime)]
         panels[f"information: {regime}"] = of_regime
-    for path in {out / "arena.csv", picture.with_suffix(".csv")}:
-        write_csv(path, rows)
-    draw_errors(panels, picture)
+    write_csv(out / "arena.csv", rows)
+    draw_errors(panels, out / "arena.png")
 
     parts = [f"{episodes.capitalize()}."]
     parts += [f"Note: {note}." for note in notes]
-    parts += [f"![Errors of all policies by setting and regime]({picture.name})", text]
-    page.write(marker, "\n\n".join(parts))
+    parts += ["![Errors of all policies by setting and regime](arena.png)", text]
+    write_markdown(out / "arena.md", "\n\n".join(parts))
 
 
 def _hours(cell: Cell) -> float:
