@@ -1,5 +1,6 @@
-"""Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft
-arms.
+"""Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
+
+The models are of reduced order.
 
 The public names for scenes, models, statics and simulation stand in public.py, `identify` in
 identification/; importing the package registers the environments, and loads the modules that

@@ -15,8 +15,9 @@ from soft_tendon_env.tools.parallel import run_all
 
 
 class Sweep(Configuration):
-    """Train every configuration with several seeds (runs that are done are not repeated), and draw
-    and print their learning curves.
+    """Train every configuration with several seeds, and draw and print their learning curves.
+
+    Runs that are done are not repeated.
 
     Attributes:
         configs: names of trainings that ship, or paths of TOML files.
@@ -52,9 +53,13 @@ class Sweep(Configuration):
         return folders
 
     def jobs(self) -> list[sweep.Job]:
-        """Runs, seed by seed, so that all have come equally far.
+        """Returns the runs, seed by seed, so that all have come equally far.
 
-        Raises ConfigurationError where one cannot be trained.
+        Returns:
+            Runs with their folders.
+
+        Raises:
+            ConfigurationError: where one cannot be trained.
         """
         folders = self.folders
         files = [find_config(config) for config in self.configs]

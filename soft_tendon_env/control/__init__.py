@@ -1,5 +1,7 @@
-"""Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all
-of them by name."""
+"""Model-based controllers and state estimators.
+
+protocol.py has their interfaces, catalogue.py all of them by name.
+"""
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, entry_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty

@@ -1,5 +1,6 @@
-"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does",
-Mine).
+"""Controllers by task and name.
+
+To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does", Mine).
 
 A controller is made from a model, which is what it believes of the arm, and from what the actuators
 can do.
@@ -28,7 +29,7 @@ LOOKS_AHEAD = 2
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller of the catalogue.
+    """Entry of the catalogue: a controller with its parameters.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
     ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
@@ -41,7 +42,14 @@ class Entry:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
-        """The controller with some of its `parameters` changed."""
+        """Returns the controller with some of its parameters changed.
+
+        Args:
+            parameters: numbers by name, some of the entry's.
+
+        Returns:
+            The new entry.
+        """
         numbers: dict[str, Any] = {**self.parameters, **parameters}
         looks_ahead = self.looks_ahead
         # predictive control looks as far ahead as its horizon
@@ -57,7 +65,7 @@ class Entry:
 
 
 def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
-    """Entry of the catalogue for a controller.
+    """Makes an entry of the catalogue for a controller.
 
     Args:
         description: what it does.

@@ -1,5 +1,7 @@
-"""Effects: what acts on the arm besides its tendons. A scene names those it wants, the others do
-not exist; see base.py."""
+"""Effects: what acts on the arm besides its tendons.
+
+A scene names those that it needs, the others do not exist; see base.py.
+"""
 
 import importlib
 import pkgutil

@@ -1,5 +1,6 @@
-"""Actuation: what lies between a command and the tension along a tendon: actuators with lag and
-delay, elastic tendons, friction.
+"""Actuation: what lies between a command and the tension along a tendon.
+
+Effects are actuators with lag and delay, elastic tendons, and friction.
 
 Kernels read the numbers as `mechanics.effects.Transmission`.
 """
@@ -23,8 +24,9 @@ SAME = 1e-9  # of a number of steps, by which another one may differ and be the 
 
 @register_effect("actuators")
 class Actuators(Effect):
-    """`[effects.actuators]`: first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r,
-    r), after a dead time.
+    """`[effects.actuators]`: first-order lag with a limited rate, after a dead time.
+
+    The lag is u_dot = clip((c - u) / tau, -r, r).
 
     u(t) follows the command c(t - delay), exactly for commands that are held: integrator steps end
     where one arrives (K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 1997, chapter
@@ -70,8 +72,9 @@ class Actuators(Effect):
 
 @register_effect("tendon_elasticity")
 class TendonElasticity(Effect):
-    """`[effects.tendon_elasticity]`: tendons as springs with slack, between the arm and actuators
-    with displacements as commands.
+    """`[effects.tendon_elasticity]`: tendons as springs with slack.
+
+    They lie between the arm and actuators with displacements as commands.
 
     The command of a tendon is the displacement delta [m] by which its actuator has pulled it in,
     and its tension
@@ -130,8 +133,9 @@ class TendonElasticity(Effect):
 
 @register_effect("tendon_friction")
 class TendonFriction(Effect):
-    """`[effects.tendon_friction]`: regularised Coulomb friction of tendons in their channels by the
-    capstan equation.
+    """`[effects.tendon_friction]`: Coulomb friction of tendons in their channels, regularised.
+
+    It follows the capstan equation.
 
     With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon
     is pulled in,

@@ -1,5 +1,7 @@
-"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic
-memory."""
+"""Materials: stresses of the strains besides the linear law, stiffening and memory.
+
+The memory is viscoelastic.
+"""
 
 import math
 from typing import ClassVar
@@ -24,8 +26,9 @@ SMALL_TIME = 1e-3  # relaxation times, below which a mean is its series
 
 @register_effect("nonlinear_elasticity")
 class NonlinearElasticity(Effect):
-    """`[effects.nonlinear_elasticity]`: stress sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every
-    strain e = xi - xi*.
+    """`[effects.nonlinear_elasticity]`: stress that stiffens with the strain e = xi - xi*.
+
+    It is sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every strain.
 
     The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic
     Deformations, 1984, chapter 4), as silicone and rubber stiffen. Its energy per length is 1/2
@@ -92,8 +95,9 @@ class Branch(Configuration):
 
 @register_effect("viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`: Maxwell
-    branches, the standard linear solid.
+    """`[effects.viscoelastic_memory]`: Maxwell branches, the standard linear solid.
+
+    They are the tables `[[effects.viscoelastic_memory.branches]]`.
 
     A branch k, a spring of modulus ratio m_k in series with a damper of relaxation time tau_k, adds
     the stress m_k Sigma (e - s_k) with e = xi - xi* and the strain s_k of its damper, s_k_dot = (e
@@ -143,8 +147,11 @@ class MemoryParameters(Struct):
 
 @kernel
 def lag_weights(x):
-    """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the
-    change of strain, and of the product of that time and the rate."""
+    """Weights of the lag e - s_k after a time of x relaxation times.
+
+    They are of the lag before, of the change of strain, and of the product of that time and the
+    rate.
+    """
     if x == 0.0:
         return 1.0, 1.0, 0.0
     if x == math.inf:

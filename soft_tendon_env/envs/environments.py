@@ -59,7 +59,10 @@ class EpisodesEnv:
         threads: int | None,
         render_mode: str | None,
     ) -> None:
-        """Make the rows and their renderer. Raises ConfigurationError, and as make_renderer."""
+        """Make the rows and their renderer.
+
+        Raises ConfigurationError, and as make_renderer.
+        """
         self.render_mode = render_mode
         parsed = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, parsed, rows, threads)
@@ -125,23 +128,22 @@ class EpisodesEnv:
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
+    """Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
 
     Copies and pickles go on from where it is.
+
+    Args:
+        render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
+        options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        ValueError: for other modes.
+        gymnasium.error.Error: where what a mode needs is not there.
     """
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Make an environment.
-
-        Args:
-            render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
-            options: see `Options`.
-
-        Raises:
-            ConfigurationError: of all invalid options.
-            ValueError: for other modes.
-            gymnasium.error.Error: where what a mode needs is not there.
-        """
+        """Makes an environment."""
         self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
         self._most_steps = np.inf
@@ -149,7 +151,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin a new episode.
+        """Begins a new episode.
 
         Args:
             seed: of the episodes from this one on; None to go on with the generator.
@@ -182,7 +184,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return observation, self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one control period.
+        """Takes one control period.
 
         Args:
             action: (n_a,) in [-1, 1]; larger ones are clipped.
@@ -214,7 +216,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it.
+        """State of the arm as `Simulation` has it, a copy.
 
         Setting it puts the arm there, in mid-episode too: the target, commands on their way, noise
         and past observations of the episode stay.
@@ -231,7 +233,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self.episodes.set_state(0, state)
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
-        """Target of the episode.
+        """Samples the target of the episode.
 
         Args:
             times: (m,) [s] from its beginning, past or future.
@@ -240,6 +242,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             Samples of the target.
 
         Raises:
+            TypeError: for what are no numbers.
             ValueError: for other shapes and times that are not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
@@ -252,11 +255,11 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return {name: value.item(0) for name, value in info.items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Frame (height, width, 3) of the arm, its tendons, the target and the tip's trail.
+        """Draws the arm, its tendons, the target and the tip's trail.
 
         Returns:
-            The frame; None without a render mode, and with "human": there every reset and step
-            shows itself in the viewer, no faster than in real time.
+            Frame (height, width, 3); None without a render mode, and with "human": there every
+            reset and step shows itself in the viewer, no faster than in real time.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
@@ -268,7 +271,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return frames[0]
 
     def close(self) -> None:
-        """Close the environment, after which other calls raise ClosedEnvironmentError.
+        """Closes the environment, after which other calls raise ClosedEnvironmentError.
 
         The viewer gets the rest, and stays open.
         """
@@ -293,6 +296,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun
             viewer, in real time.
         options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        TypeError: for numbers of wrong types.
+        ValueError: for numbers that are not allowed, and other modes.
     """
 
     def __init__(
@@ -304,7 +312,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Make an environment. Raises ConfigurationError, ValueError or TypeError."""
+        """Makes the rows."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
@@ -325,7 +333,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin new episodes, of all rows or of those that `options["reset_mask"]` names.
+        """Begins new episodes, of all rows or of those that `options["reset_mask"]` names.
 
         Args:
             seed: an int s seeds row i with s + i; a list names one for each, None to go on with its
@@ -391,7 +399,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one control period of every row.
+        """Takes one control period of every row.
 
         Args:
             actions: (rows, n_a) in [-1, 1]; larger ones are clipped.
@@ -486,7 +494,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return np.asarray(self.episodes.step_count >= self._most_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Frames (height, width, 3) of the rows; None without a render mode and with "human".
+        """Draws the rows.
+
+        Returns:
+            Frames (height, width, 3) of the rows; None without a render mode and with "human".
 
         Raises:
             gymnasium.error.ClosedEnvironmentError: after close.
@@ -495,14 +506,21 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stop the threads; the viewer stays open."""
+        """Stops the threads; the viewer stays open.
+
+        Args:
+            kwargs: of `close`, which changes nothing.
+        """
         self.episodes.arms.close()
         if self._renderer is not None:
             self._renderer.close()
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode by its name or itself. Raises ConfigurationError."""
+    """An autoreset mode by its name or itself.
+
+    Raises ConfigurationError.
+    """
     if isinstance(mode, AutoresetMode):
         return mode
     if mode not in MODES:
@@ -517,12 +535,12 @@ def compute_reward(
     desired_goal: NDArray[Any],
     info: Any,
 ) -> Any:
-    """Rewards of goals, as hindsight experience replay asks for.
+    """Computes rewards of goals, as hindsight experience replay asks for.
 
     Args:
         self: the environment, of which this is a method.
         achieved_goal: positions (..., 3) [m].
-        desired_goal: likewise, of the same shape.
+        desired_goal: positions of the same shape [m].
         info: of steps, which rewards do not depend on.
 
     Returns:
@@ -571,12 +589,26 @@ def class_of(
 
 
 def environment_class(task: Task) -> type[TendonRodEnv]:
-    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
+    """Returns the class of a task's environments with one arm, `<name>Env`.
+
+    Args:
+        task: of the environments.
+
+    Returns:
+        The class, the same at every call.
+    """
     return class_of(task, "Env", TendonRodEnv, task.description)
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """The class of a task's environments with many arms, `<name>VectorEnv`; the same every time."""
+    """Returns the class of a task's environments with many arms, `<name>VectorEnv`.
+
+    Args:
+        task: of the environments.
+
+    Returns:
+        The class, the same at every call.
+    """
     return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 

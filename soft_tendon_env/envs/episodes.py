@@ -332,7 +332,10 @@ class Episodes:
             self.history = History(rows, options.history, self.layout.kept)
 
     def _make_actuation(self, limits: Array) -> Actuation:
-        """Actuators whose commands are within limits (n_a, 2). Raises ConfigurationError."""
+        """Actuators whose commands are within limits (n_a, 2).
+
+        Raises ConfigurationError.
+        """
         command_range = np.diff(limits)[:, 0]
         tension_range = np.diff(self.limits)[:, 0]
         return Actuation(
@@ -386,7 +389,10 @@ class Episodes:
         return Layout(groups, units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what is found again, whose functions have no names. Raises TypeError."""
+        """All but what is found again, whose functions have no names.
+
+        Raises TypeError.
+        """
         if not self._simulated:
             raise TypeError(
                 "an environment whose arm is a robot cannot be copied: there is one robot"
@@ -415,7 +421,10 @@ class Episodes:
         return {row: self._beginning(row, options_of_rows[row]) for row in members.tolist()}
 
     def _beginning(self, row: int, options: ResetOptions) -> Beginning:
-        """How a row begins by its options. Raises ConfigurationError, TypeError, ValueError."""
+        """How a row begins by its options.
+
+        Raises ConfigurationError, TypeError, ValueError.
+        """
         if options.state is not None:
             self._refuse_states_of_robots()
             if not self.options.randomize.numbers:

@@ -329,7 +329,10 @@ class Layout:
 
 
 def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
-    """Entries of each group. Raises ValueError where its values are not (rows, size)."""
+    """Entries of each group.
+
+    Raises ValueError where its values are not (rows, size).
+    """
     rows = len(observed.q)
     sizes: dict[str, int] = {}
     for name, group in groups.items():

@@ -35,7 +35,7 @@ TIP = ("tip_position", "tip_rotation")
 
 @dataclass(frozen=True)
 class Task:
-    """A task: one object from which its environments are made.
+    """Task: one object from which its environments are made.
 
     Attributes:
         name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
@@ -99,7 +99,7 @@ TASKS: dict[str, Task] = {}
 
 
 def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
-    """Register a task: its id with Gymnasium, its classes and its name for `make_policy`.
+    """Registers a task: its id with Gymnasium, its classes and its name for `make_policy`.
 
     A second task of the same name replaces the first.
 

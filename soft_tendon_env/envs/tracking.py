@@ -85,7 +85,10 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
 
 
 def _weight_of(value: Any) -> Weight:
-    """A weight of itself, a table or a number. Raises ConfigurationError."""
+    """A weight of itself, a table or a number.
+
+    Raises ConfigurationError.
+    """
     if isinstance(value, Weight):
         return value
     if isinstance(value, dict):
@@ -437,7 +440,7 @@ COORDINATES = TrackingError(
 
 
 def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tracking], Array]:
-    """Function decorator: make a reward term available to every task and to the option `reward`.
+    """Makes a reward term available to every task and to the option `reward`: a decorator.
 
     A second function of the same name replaces the first.
 

@@ -1,5 +1,7 @@
-"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the
-episodes."""
+"""Conditions of an evaluation, and the seeds of the episodes.
+
+A condition says what differs from the arm that policies know.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,8 +18,11 @@ AND = ","  # between the names of conditions that hold together
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes
-    of the scene by dotted keys, and other options of the environment."""
+    """Difference of an episode from nominal, unknown to the policy.
+
+    It has values of `randomize`, changes of the scene by dotted keys, and other options of the
+    environment.
+    """
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
@@ -25,8 +30,16 @@ class Condition:
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The given options of an environment under this condition, which overrides what they have
-        drawn."""
+        """Returns options of an environment under this condition.
+
+        It overrides what the options have drawn.
+
+        Args:
+            given: options without the condition.
+
+        Returns:
+            Options by name.
+        """
         options = dict(given)
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
@@ -66,8 +79,10 @@ def _pushes(scene: Scene) -> dict[str, Any]:
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
-    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one
-    along z, and begin beside it."""
+    """Two balls that swing through the middle of the arm's space, and begin beside it.
+
+    One swings along the base's y axis, one along z.
+    """
     length = rod_length(scene)
     base = scene.base.pose
     swing = 0.25 * length
@@ -146,8 +161,17 @@ SETTINGS: dict[str, Condition] = {
 
 
 def model_error(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g".
-    Raises ValueError for unknown names, and where two set the same value."""
+    """Returns the condition of a name of MODEL_ERRORS, or of several together.
+
+    Args:
+        names: one name, or several, "stiffness+20%,payload-20g".
+
+    Returns:
+        The condition.
+
+    Raises:
+        ValueError: for unknown names, and where two set the same value.
+    """
     parts = list[Condition]()
     for name in names.split(AND):
         if name not in MODEL_ERRORS:

@@ -47,9 +47,12 @@ class Episode:
 
 
 class Metric(NamedTuple):
-    """Number of an episode: its heading in tables, with the unit, and its function of the episode
-    and the first sample that counts, in SI units. factor: from these to the heading's unit. Of
-    several episodes it is the root mean square. NaN: the episode has none."""
+    """Number of an episode, with its heading in tables.
+
+    The heading has the unit; the function is of the episode and the first sample that counts, in SI
+    units. factor: from these to the heading's unit. Of several episodes it is the root mean square.
+    NaN: the episode has none.
+    """
 
     heading: str
     of_episode: Callable[[Episode, int], float]
@@ -71,7 +74,7 @@ class ErrorScore(NamedTuple):
 
 @dataclass(frozen=True)
 class EpisodeScore:
-    """An episode in numbers.
+    """Scores of an episode.
 
     Attributes:
         errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.
@@ -99,8 +102,10 @@ class EpisodeScore:
 
     @property
     def bad(self) -> bool:
-        """Whether the episode diverged, or its first error is above BAD times the rod's length as
-        root mean square."""
+        """Whether the episode diverged, or its first error is large.
+
+        It is large as root mean square above BAD times the rod's length.
+        """
         return (
             self.diverged is not None
             or not next(iter(self.errors.values())).rms <= BAD * self.length
@@ -108,8 +113,11 @@ class EpisodeScore:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that has an interquartile mean over episodes, by name: NaN where an episode has no
-        such number, but infinite errors and chatter where it diverged."""
+        """All numbers that have an interquartile mean over episodes, by name.
+
+        They are NaN where an episode has no such number, but infinite errors and chatter where it
+        diverged.
+        """
         numbers = dict[str, float]()
         for name, error in self.errors.items():
             numbers[f"{name}_rms"] = error.rms
@@ -132,14 +140,19 @@ def record(score: Any) -> dict[str, Any]:
 
 
 def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
-    """Score from its `record`. Raises KeyError, TypeError for another."""
+    """Score from its `record`.
+
+    Raises KeyError, TypeError for another.
+    """
     errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
     return EpisodeScore(**{**saved, "errors": errors})
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
-    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also
-    where the episode ended before that."""
+    """Score of an episode; errors count from `skip` [s] on.
+
+    Raises TypeError, ValueError, also where the episode ended before that.
+    """
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
     first = math.ceil(skip / episode.period - 1e-9)
     steps = len(episode.reward)
@@ -179,10 +192,12 @@ def has_settled(
 
 
 def chatter(tension: Array, period: float) -> float:
-    """Root mean square [N], over time and tendons, of what lies above FAST in the changes of
-    tensions (m, n_a) [N] from one control period [s] to the next: by the Fourier transform under a
-    Hann window. Zero where the period is too long for such frequencies, else NaN for fewer than 8
-    changes."""
+    """Chatter: root mean square [N], over time and tendons, of fast changes of tensions.
+
+    Fast is what lies above FAST in the changes of tensions (m, n_a) [N] from one control period [s]
+    to the next: by the Fourier transform under a Hann window. Zero where the period is too long for
+    such frequencies, else NaN for fewer than 8 changes.
+    """
     if 2.0 * FAST * period >= 1.0:
         return 0.0
     change = np.diff(tension, axis=0)

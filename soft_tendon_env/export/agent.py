@@ -1,5 +1,6 @@
-"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to
-be sent, and its check.
+"""Export of a trained agent: one ONNX graph from measurements to the command.
+
+Measurements are in SI units; the command is to be sent. The graph is checked.
 
 PyTorch traces the observation (`differentiable.observation`), integral action, normalisation,
 network and action scaling. What is remembered from one call to the next goes in and comes out, NAME
@@ -383,7 +384,9 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(
     policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None
 ) -> onnx.ModelProto:
-    """ONNX model of a trained agent for the observation and the actions of its environment.
+    """Exports a trained agent as an ONNX model from measurements to commands.
+
+    The model is for the observation and the actions of its environment.
 
     Args:
         policy: trained agent, see `load_agent`.
@@ -411,7 +414,10 @@ def export_agent(
 
 
 def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
-    """The agent of a policy, and the integral action around it. Raises ValueError."""
+    """The agent of a policy, and the integral action around it.
+
+    Raises ValueError.
+    """
     integral = policy if isinstance(policy, IntegralPolicy) else None
     agent = policy if integral is None else integral.policy
     if (
@@ -426,7 +432,10 @@ def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
 
 
 def _trace(module: _ControlPeriod) -> onnx.ModelProto:
-    """ONNX model of a module. Raises ValueError where it makes an array of a tensor."""
+    """ONNX model of a module.
+
+    Raises ValueError where it makes an array of a tensor.
+    """
     file = io.BytesIO()
     options: dict[str, Any] = {
         "input_names": [*module.inputs],

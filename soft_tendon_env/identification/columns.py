@@ -1,5 +1,7 @@
-"""Columns of measured data: which of a file hold which quantity, as the table `[columns]` of the
-markers' file says."""
+"""Columns of measured data: which of a file hold which quantity.
+
+The table `[columns]` of the markers' file says so.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -56,8 +58,10 @@ def read_columns(
 
 
 def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Source]:
-    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name. Raises
-    ValueError for keys that are no quantities, and for units."""
+    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name.
+
+    Raises ValueError for keys that are no quantities, and for units.
+    """
     expected = {quantity: Source(quantity, 1.0) for quantity in units}
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
@@ -86,8 +90,10 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
 
 
 def _header_name(table: Table, column: str) -> str | None:
-    """Name of a column in a table's header, also in other letters of case; None without it. Raises
-    ValueError for several."""
+    """Name of a column in a table's header, also in other letters of case; None without it.
+
+    Raises ValueError for several.
+    """
     matches = [name for name in table.header if name.casefold() == column.casefold()]
     exact = matches.count(column)
     if exact:

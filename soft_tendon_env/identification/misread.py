@@ -71,8 +71,10 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str, list[Recording]]:
-    """Other reading that agrees best with the arm at the scene's numbers, in words, and the
-    recordings in it."""
+    """Other reading that agrees best with the arm at the scene's numbers, in words.
+
+    It comes with the recordings in it.
+    """
     nominal = np.zeros(len(plants.parameters))
     candidates = list[tuple[float, str, list[Recording]]]()
     frame = plants.markers.frame
@@ -94,8 +96,10 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
 
 
 def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
-    """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the
-    recordings."""
+    """Positions (samples, m, 3) [m] at coordinates x (k,).
+
+    They are infinite where the arm does not hold the recordings.
+    """
     try:
         for recording in recordings:
             check_commands(recording, plants.scene)

@@ -1,5 +1,7 @@
-"""Base of the package's own algorithms: the interface of Stable-Baselines3 and PPO's policies, on
-vector environments of this package."""
+"""Base of the package's own algorithms, with the interface of Stable-Baselines3.
+
+They have PPO's policies, on vector environments of this package.
+"""
 
 import math
 from abc import abstractmethod

@@ -1,5 +1,6 @@
-"""Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that
-a killed training can go on.
+"""Checkpoints of a training, atomic, so that a killed training can go on.
+
+One replaces the one before only when it is complete.
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling:
 `weights.npz`, `statistics.npz` and `config.json`, which has the digests of the other files. What a

@@ -1,5 +1,7 @@
-"""Configuration of a training: the keys of the files in configs/, read strictly, and what
-`--set key=value` changes of them."""
+"""Configuration of a training: the keys of the files in configs/, read strictly.
+
+`--set key=value` changes them.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,8 +57,9 @@ class Evaluation(Configuration):
 
 
 class Training(Configuration):
-    """Training of one agent, by reinforcement learning, by imitation of an expert, or by gradients
-    of the simulation.
+    """Training of one agent, by reinforcement learning, imitation or gradients.
+
+    Imitation is of an expert, gradients are those of the simulation.
 
     Attributes:
         task, algorithm: names of what is to be learned, and of the algorithm.
@@ -87,9 +90,15 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
-        """First arm's seed for `reset`, of a training that has done so many steps.
+        """Returns the first arm's seed for `reset`.
 
         Those of other arms follow. No two trainings share any.
+
+        Args:
+            done: number of steps that the training has done before.
+
+        Returns:
+            The seed.
         """
         sequence = np.random.SeedSequence((self.seed, done))
         (word,) = sequence.generate_state(1, np.uint64)
@@ -172,9 +181,19 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """Training of a file, overridden by `changes` "key=value" and by `more` keys.
+    """Reads a training from a file, with changes.
 
-    Raises ConfigurationError, ValueError.
+    Args:
+        path: of the TOML file.
+        changes: "key=value" with dotted keys, as of `--set`.
+        more: values of keys of the file's top, by name.
+
+    Returns:
+        The training.
+
+    Raises:
+        ConfigurationError: for keys and values that are not allowed.
+        ValueError: for changes that cannot be read, or a key that is in both.
     """
     table = read_toml(path)
     overrides = parsed_changes(changes)

@@ -1,5 +1,6 @@
-"""Hyperparameters that a configuration can say: arguments of the algorithm and of its policy, by
-their names.
+"""Hyperparameters of a configuration: arguments of the algorithm and of its policy.
+
+They go by their names.
 
 Their values are left to the algorithm, which refuses what it cannot be made of, but for some that
 it would take: RANGES.

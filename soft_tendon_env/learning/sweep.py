@@ -1,5 +1,6 @@
-"""Sweeps: trainings of every configuration with several seeds, side by side in processes, or on a
-Ray cluster.
+"""Sweeps: trainings of every configuration with several seeds, side by side.
+
+They are in processes, or on a Ray cluster.
 
 Every run has its folder OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are
 done are not repeated, and interrupted ones go on. A run that fails stops no other.

@@ -1,5 +1,7 @@
-"""Strain coordinates of a scene, what moves: actuation and passive fields, independent tensions and
-explicit bases; and all arrays of an arm."""
+"""Strain coordinates of a scene, what moves, and all arrays of an arm.
+
+They are actuation and passive fields, independent tensions and explicit bases.
+"""
 
 from itertools import pairwise
 
@@ -267,8 +269,10 @@ def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeA
 
 
 def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
-    """Legendre polynomials on [a, b] at points (intervals, 2), 0 beside it: (order + 1, intervals,
-    2)."""
+    """Legendre polynomials on [a, b] at points (intervals, 2): (order + 1, intervals, 2).
+
+    They are 0 beside the interval.
+    """
     length = b - a
     from_start = points - a
     on_unit = 2 * from_start / length - 1

@@ -1,5 +1,7 @@
-"""Policies turn observations into actions: model-based controllers and trained agents, with
-Stable-Baselines3's `predict`."""
+"""Policies turn observations into actions, with Stable-Baselines3's `predict`.
+
+They are model-based controllers and trained agents.
+"""
 
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
 from soft_tendon_env.policies.algorithms import register_algorithm

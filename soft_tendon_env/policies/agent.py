@@ -1,5 +1,4 @@
-"""Trained agents as policies: their files, network, normalisation of observations and integral
-action.
+"""Trained agents as policies: files, network, normalisation and integral action.
 
 An agent's folder has `weights.npz`, the arrays of its network; `statistics.npz`, mean and variance
 by which it sees observations, absent where it sees them as they are; and `config.json`, which says
@@ -76,7 +75,10 @@ OF_COORDINATES = {"coordinates", "rates", "target_coordinates"}
 
 
 def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Plain options of an environment as they are. Raises ConfigurationError."""
+    """Plain options of an environment as they are.
+
+    Raises ConfigurationError.
+    """
     Options.parse(options, "options")
     return options
 
@@ -162,7 +164,10 @@ def trained_folder() -> Path:
 
 
 def _agents_table() -> dict[str, Any]:
-    """agents.toml of the agents that ship. Raises ValueError, FileNotFoundError."""
+    """agents.toml of the agents that ship.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return read_toml(trained_folder() / "agents.toml")
 
 
@@ -219,7 +224,10 @@ def find_agent(name: str, task: str) -> Path:
 
 
 def read_config(folder: Path) -> AgentConfig:
-    """Configuration of the agent in a folder. Raises ValueError, FileNotFoundError."""
+    """Configuration of the agent in a folder.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return AgentConfig.parse(read_json(folder / CONFIG), str(folder / CONFIG))
 
 
@@ -249,22 +257,23 @@ class NetworkPolicy:
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
-    """Trained agent as a policy for an environment like its own, single or vector.
+    """Loads a trained agent as a policy for an environment like its own, single or vector.
 
-    Nothing is unpickled.
+    Nothing is unpickled. A TrainingWarning says where the task or preset is another than in its
+    training.
 
     Args:
         name: of an agent that ships for the environment's task, or an agent's folder.
         env: the environment.
         other_effects: whether the arm may have effects that it was not trained with.
 
+    Returns:
+        The policy, which acts by NumPy alone.
+
     Raises:
         TypeError: the environment is of another package.
         ValueError: the files were damaged, or are of another arm or control period.
         OSError: a file cannot be read.
-
-    Warns:
-        TrainingWarning: the task or preset is another than in its training.
     """
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
@@ -323,7 +332,7 @@ def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Polic
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
-    """Write an agent's weights and statistics into a folder, for a config.json that says the rest.
+    """Writes an agent's weights and statistics into a folder, beside its config.json.
 
     Args:
         folder: that is there.

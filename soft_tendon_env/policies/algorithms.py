@@ -1,5 +1,7 @@
 """Algorithms that train agents, by name, and the kind of policy network that each of them trains.
-To add one of your own, see `register_algorithm`."""
+
+To add one of your own, see `register_algorithm`.
+"""
 
 from typing import Any, Literal, TypeVar
 
@@ -27,9 +29,13 @@ Algorithm = TypeVar("Algorithm", bound=type)
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
-    """Class decorator: train with an algorithm of your own, by its class's name.
+    """Makes an algorithm available to trainings by its class's name: a class decorator.
 
-    It is a subclass of Stable-Baselines3's `BaseAlgorithm`.
+    Args:
+        algorithm: a subclass of Stable-Baselines3's `BaseAlgorithm`.
+
+    Returns:
+        The class itself.
     """
     ALGORITHMS[algorithm.__name__] = algorithm
     return algorithm

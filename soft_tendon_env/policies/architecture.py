@@ -129,7 +129,10 @@ def read_architecture(kind: Kind, arguments: Mapping[str, Any]) -> Architecture:
 
 
 def hidden_units(kind: Kind, net_arch: Any) -> tuple[int, ...]:
-    """Units of the hidden layers of a policy, by its argument `net_arch`. Raises ValueError."""
+    """Units of the hidden layers of a policy, by its argument `net_arch`.
+
+    Raises ValueError.
+    """
     if net_arch is None:
         return HIDDEN[kind]
     units = net_arch.get("pi", ()) if isinstance(net_arch, Mapping) else net_arch

@@ -1,5 +1,6 @@
-"""Controllers as policies: Stable-Baselines3's `predict` around a controller of
-`soft_tendon_env.control`.
+"""Controllers as policies: Stable-Baselines3's `predict` around a controller.
+
+Controllers are those of `soft_tendon_env.control`.
 
 What the controller knows comes out of the observation and of its own state; what it decides becomes
 an action.
@@ -59,7 +60,7 @@ def observation_options(
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
-    """Options of an environment under which a controller sees what it needs, and gives tensions.
+    """Returns options under which a controller sees what it needs, and gives tensions.
 
     Args:
         controller: of CONTROLLERS, or an entry like those there.
@@ -68,6 +69,9 @@ def observation_options(
         latency: known input delay [s] that the controller compensates, see `make_policy`.
         estimator: of ESTIMATORS, which finds the coordinates; None: they are observed.
         regime: of REGIMES, what a Kalman filter observes, by default "sensors".
+
+    Returns:
+        Options of an environment, by name.
 
     Raises:
         ValueError: a name is not known.
@@ -93,7 +97,7 @@ def make_policy(
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
 ) -> "ControllerPolicy":
-    """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy.
+    """Makes a controller of `soft_tendon_env.control.CONTROLLERS` a policy.
 
     Args:
         controller: of CONTROLLERS, or an entry like those there.
@@ -106,6 +110,9 @@ def make_policy(
         estimator: of ESTIMATORS, finds the coordinates from the other observations and the known
             noise of the sensors; None: they are observed.
         uncertainty: process noise and first uncertainty of a Kalman filter.
+
+    Returns:
+        The policy, for one row or many.
 
     Raises:
         TypeError: the environment is of another package.
@@ -232,7 +239,19 @@ def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
 
 
 class ControllerPolicy:
-    """Controller behind Stable-Baselines3's `predict`, for one row or many."""
+    """Controller behind Stable-Baselines3's `predict`, for one row or many.
+
+    Args:
+        controller: what acts.
+        env: its environment.
+        model: which knows what commands make tensions, by default the environment's.
+        estimator: finds the coordinates; None: they are observed.
+        predictor: of where the arm will be when commands arrive; None: they arrive at once.
+
+    Raises:
+        TypeError: the environment is of another package.
+        ConfigurationError: the observation lacks what the controller needs.
+    """
 
     def __init__(
         self,
@@ -242,19 +261,7 @@ class ControllerPolicy:
         estimator: protocol.Estimator | None = None,
         predictor: SmithPredictor | None = None,
     ) -> None:
-        """A controller's policy for an environment.
-
-        Args:
-            controller: what acts.
-            env: its environment.
-            model: which knows what commands make tensions, by default the environment's.
-            estimator: finds the coordinates; None: they are observed.
-            predictor: of where the arm will be when commands arrive; None: they arrive at once.
-
-        Raises:
-            TypeError: the environment is of another package.
-            ConfigurationError: the observation lacks what the controller needs.
-        """
+        """Makes the policy for the environment."""
         self.controller = controller
         self.estimator = estimator
         self.predictor = predictor
@@ -312,17 +319,17 @@ class ControllerPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
-        """Actions for one observation or many, and the state to give back with the next ones.
+        """Computes actions for one observation or many.
 
         Args:
             observation: of the environment, or rows of them.
             state: what the last call returned, None at the beginning of episodes; a UserWarning
-                says where it is never given back.
+                says where it is never passed.
             episode_start: (rows,) bool, rows that forget.
             deterministic: is not used: controllers always are.
 
         Returns:
-            Actions (n_a,), or (rows, n_a) for many, and the state.
+            Actions (n_a,), or (rows, n_a) for many, and the state to pass with the next ones.
         """
         self._lost.notice(state is None and not np.any(episode_start))
         flat = observation

@@ -1,5 +1,6 @@
-"""State estimators by name, and by what stands before a controller's name: filtered:tracking is
-`tracking` with the Kalman filter.
+"""State estimators by name, and by what stands before a controller's name.
+
+filtered:tracking is `tracking` with the Kalman filter.
 
 To add one, add an entry to ESTIMATORS: ESTIMATORS["lengths"] = EstimatorEntry("lengths:",
 LengthObserver).

@@ -1,5 +1,6 @@
-"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's
-policy.
+"""Policies by name: controllers, trained agents and policies of users.
+
+A name is parsed once into a type.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
@@ -69,16 +70,29 @@ ZIP = (
 
 @dataclass(frozen=True)
 class PolicyName:
-    """Name of a policy for a task ("TipPose", ...): `text`, as it was given, and what it means."""
+    """Name of a policy for a task, and what the name means.
+
+    `text` is the name as it was written, `task` "TipPose" or another.
+    """
 
     text: str
     task: str
 
     @staticmethod
     def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:
-        """The policy that a name means: the first of the three that fits.
+        """Parses the name of a policy.
 
-        Raises ValueError that says what names there are.
+        Of a controller, an agent and a policy of a user's own it is the first that fits.
+
+        Args:
+            text: the name, see `load_policy`.
+            task: name of the task.
+
+        Returns:
+            The policy that the name means.
+
+        Raises:
+            ValueError: for other names; the error says what names exist.
         """
         path = Path(text)
         if is_agent(text):
@@ -101,14 +115,22 @@ class PolicyName:
         raise ValueError(f"policy is {text!r}{_what_it_should_be(text, task, prefix, method)}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Options of an environment in which the policy sees what it needs: its own, and others.
+        """Returns options of an environment in which the policy sees what it needs.
 
-        given: those that are set. Raises ValueError, OSError.
+        Args:
+            given: options that are set already.
+
+        Returns:
+            Both together, by name.
+
+        Raises:
+            ValueError: for options that the policy cannot act with.
+            OSError: where a file cannot be read.
         """
         raise NotImplementedError
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options.
+        """Loads the policy for an environment with its options.
 
         Args:
             env: the environment.
@@ -116,20 +138,34 @@ class PolicyName:
                 that the name says, if it says one.
             other_effects: whether the arm may have effects that an agent was not trained with.
 
-        Raises ValueError, OSError, ModuleNotFoundError.
+        Returns:
+            The policy.
+
+        Raises:
+            ValueError: for files or models that do not fit the environment.
+            OSError: where a file cannot be read.
+            ModuleNotFoundError: where a module cannot be found.
         """
         raise NotImplementedError
 
     def fingerprint(self) -> Any:
-        """Plain values that tell it from others: its name, and digests of its files.
+        """Returns plain values that tell the policy from others.
 
-        Raises ValueError, OSError.
+        Returns:
+            Its name, and digests of its files.
+
+        Raises:
+            ValueError: for files that do not fit.
+            OSError: where a file cannot be read.
         """
         return self.text
 
 
 def _tuned_controller(text: str, task: str) -> "Controller":
-    """The controller that a file of parameters has. Raises ValueError."""
+    """The controller that a file of parameters has.
+
+    Raises ValueError.
+    """
     tuned = TunedController.parse(read_toml(Path(text)), text)
     named = PolicyName.parse(tuned.policy, task)
     if not isinstance(named, Controller):
@@ -268,12 +304,18 @@ class Agent(PolicyName):
 
     @property
     def config(self) -> AgentConfig:
-        """The configuration of its training. Raises ValueError, OSError."""
+        """The configuration of its training.
+
+        Raises ValueError, OSError.
+        """
         return read_config(find_agent(self.text, self.task))
 
     @property
     def arm(self) -> dict[str, Any]:
-        """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
+        """Options of the arm that it was trained on, all of them.
+
+        Raises ValueError, OSError.
+        """
         options = Options.parse(undisturbed(self.config.options), "options")
         return options.model_dump(mode="json", include=set(ARM))
 
@@ -306,7 +348,10 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
-        """Callable that makes the policy. Raises ValueError where there is no such thing."""
+        """Callable that makes the policy.
+
+        Raises ValueError where there is no such thing.
+        """
         try:
             module = importlib.import_module(self.module)
             made: Callable[..., Any] = getattr(module, self.name)
@@ -369,19 +414,41 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of an environment in which a policy sees what it needs: its own, and those given.
+    """Returns options of an environment in which a policy sees what it needs.
 
-    Raises ValueError, OSError.
+    Args:
+        name: of the policy, see `load_policy`.
+        task: name of the task, "TipPose", "Shape" or "Reach".
+        given: options that are set already.
+
+    Returns:
+        Both together, by name.
+
+    Raises:
+        ValueError: for a name that is not known, or options that the policy cannot act with.
+        OSError: where an agent's file cannot be read.
     """
     return PolicyName.parse(name, task).options(given)
 
 
 def load_policy(name: str, env: Any) -> Policy:
-    """The policy for an environment with the options that it needs, see `policy_options`.
+    """Loads the policy of a name for an environment with the options that it needs.
 
-    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model
-    has another fidelity; an agent's folder; "agent" or another of those that ship for the
-    environment's task, see agents/trained; module:name of what makes one. Raises TypeError for
-    environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    See `policy_options` for these options.
+
+    Args:
+        name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its
+            model has another fidelity; an agent's folder; "agent" or another of those that ship for
+            the environment's task, see agents/trained; module:name of what makes one.
+        env: single or vector environment of this package.
+
+    Returns:
+        The policy, to be used with `predict`.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for a name that is not known, or files that do not fit.
+        OSError: where a file cannot be read.
+        ModuleNotFoundError: where a module cannot be found.
     """
     return PolicyName.parse(name, episodes_of(env).task.name).load(env)

@@ -1,5 +1,7 @@
-"""Information regimes: sensor sets of policies and state estimators. To add one, add an entry to
-REGIMES."""
+"""Information regimes: sensor sets of policies and state estimators.
+
+To add one, add an entry to REGIMES.
+"""
 
 import math
 from collections.abc import Mapping

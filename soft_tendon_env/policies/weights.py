@@ -1,5 +1,6 @@
-"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors, in single
-precision, in an .npz file that is read without unpickling.
+"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors.
+
+They are in single precision, in an .npz file that is read without unpickling.
 
 What a training needs besides is not among them: critics, exploration, optimisers.
 """
@@ -51,7 +52,10 @@ def acting_arrays(state: Mapping[str, Any]) -> dict[str, Single]:
 
 
 def read_weights(path: Path) -> dict[str, Single]:
-    """Arrays by name of an .npz file, without unpickling. Raises ValueError, OSError."""
+    """Arrays by name of an .npz file, without unpickling.
+
+    Raises ValueError, OSError.
+    """
     arrays = read_arrays(path, "weights alone")
     for name, array in arrays.items():
         if array.dtype != np.float32:

@@ -1,4 +1,5 @@
-"""Episodes recorded to files that the Rerun viewer plays:
+"""Episodes recorded to files that the Rerun viewer plays.
+
 `pip install "soft_tendon_env[recording]"`, then `rerun FILE`.
 
 Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers once they are made,

@@ -1,5 +1,7 @@
-"""Robots: real arms, and a simulated one in their place, behind one interface, and the loop that
-runs policies on them."""
+"""Robots behind one interface, and the loop that runs policies on them.
+
+They are real arms, and a simulated one in their place.
+"""
 
 from soft_tendon_env.robots.dynamixel import DynamixelRobot
 from soft_tendon_env.robots.environment import Report, RobotEnv, rehearse, run_policy

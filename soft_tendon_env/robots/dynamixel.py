@@ -46,12 +46,17 @@ ROUND_OFF = 1e-9  # of a step of current, which is no step less
 
 @dataclass(eq=False)
 class DynamixelRobot:
-    """Dynamixel motors, one for each tendon, which take tensions [N]. Currents give the measured
-    tensions. Positions give the lengths of the tendons, as if these did not stretch; at the
-    beginning the tendons should be just taut. `tip_pose` gives the pose of the tip.
+    """Dynamixel motors, one for each tendon, which take tensions [N].
 
-    Raises ValueError for bad arguments, OSError where the port cannot be opened, ConnectionError
-    where a motor does not answer.
+    Currents give the measured tensions. Positions give the lengths of the tendons, as if these did
+    not stretch; at the beginning the tendons should be just taut. `tip_pose` gives the pose of the
+    tip.
+
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for bad arguments.
+        OSError: where the port cannot be opened.
+        ConnectionError: where a motor does not answer.
     """
 
     port: str  # serial port, "/dev/ttyUSB0" or "COM3"
@@ -115,8 +120,14 @@ class DynamixelRobot:
             )
 
     def read(self) -> Measurement:
-        """Currents and positions of all motors in one packet, and the tip's pose. Raises
-        ConnectionError."""
+        """Reads currents and positions of all motors in one packet, and the tip's pose.
+
+        Returns:
+            The measurement.
+
+        Raises:
+            ConnectionError: where the port is lost, or a motor does not answer.
+        """
         current, _, position = self._read_present()
         tip = None if self.tip_pose is None else self.tip_pose()
         turned = (self._zero - position) / TICKS  # [rad], in which the motors wind
@@ -134,11 +145,12 @@ class DynamixelRobot:
             command: (n_a,) [N].
 
         Returns:
-            What was sent (n_a,) [N]: whole steps of current, never beyond what was asked, within
-            the motors' limits.
+            The tensions (n_a,) [N] that were sent: whole steps of current, never beyond what was
+            asked, within the motors' limits.
 
         Raises:
             ConnectionError: where the port is lost, or a motor does not answer.
+            TypeError: for what is no array of numbers.
             ValueError: for another shape.
         """
         tension = checked_array("command", command, (len(self.ids),))
@@ -159,7 +171,11 @@ class DynamixelRobot:
         return np.asarray(ticks * self._tension_unit)
 
     def close(self) -> None:
-        """Takes the torque off and closes the port, as far as it is there."""
+        """Takes the torque off and closes the port, as far as it is there.
+
+        Raises:
+            ConnectionError: where the port is lost.
+        """
         try:
             self._set(EVERYBODY, BUS_WATCHDOG, 0)
             self._set(EVERYBODY, TORQUE_ENABLE, 0)
@@ -167,7 +183,10 @@ class DynamixelRobot:
             self._port.closePort()
 
     def _read_present(self) -> Array:
-        """Present currents, velocities and positions (3, n_a) in steps. Raises ConnectionError."""
+        """Present currents, velocities and positions (3, n_a) in steps.
+
+        Raises ConnectionError.
+        """
         self._ask("the motors", lambda: (None, self._reader.txRxPacket(), 0))
         self._heard = perf_counter()
         answers = [bytes(self._reader.data_dict[motor]) for motor in self.ids]
@@ -175,7 +194,10 @@ class DynamixelRobot:
         return np.array(rows, dtype=float).T
 
     def _set(self, motor: int, register: int, value: int) -> None:
-        """Set a register of one byte of a motor, or of EVERYBODY. Raises ConnectionError."""
+        """Set a register of one byte of a motor, or of EVERYBODY.
+
+        Raises ConnectionError.
+        """
 
         def write() -> tuple[None, int, int]:
             result, error = self._packets.write1ByteTxRx(self._port, motor, register, value)
@@ -184,8 +206,10 @@ class DynamixelRobot:
         self._ask(f"motor {motor}", write)
 
     def _ask(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
-        """Value that a call of the SDK returns with its result and error; a lost port does not stay
-        in use. Raises ConnectionError."""
+        """Value that a call of the SDK returns with its result and error.
+
+        A lost port does not stay in use. Raises ConnectionError.
+        """
         for _ in range(tries):
             try:
                 value, result, error = call()

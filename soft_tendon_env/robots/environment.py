@@ -1,5 +1,6 @@
-"""Robot behind the Gymnasium interface of a simulated arm, for policies and Stable-Baselines3 as
-they are, and runs of policies on it.
+"""Robot behind the Gymnasium interface of a simulated arm, and runs of policies on it.
+
+Policies and Stable-Baselines3 stay as they are.
 
 `env =
 RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3),
@@ -53,7 +54,7 @@ STANDS_OUT = 33.0
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
+    """Robot in place of the simulated arm of an environment with one arm.
 
     `reset` brings the robot from slack tendons to the first command, the pretension, and waits
     until it is at rest. The measurement at rest is the zero of tendon lengths and strains. Commands
@@ -75,7 +76,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     Raises:
         ConfigurationError: where the robot does not fit the environment.
-        TypeError, ValueError: for other arguments of wrong type or range.
+        TypeError: for other arguments of wrong type.
+        ValueError: for other arguments of wrong range.
         OSError: where the log cannot be written.
     """
 
@@ -146,15 +148,37 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """A new episode, which begins with the robot at rest. Raises RobotStopped if it does not
-        come to rest."""
+        """Begins a new episode, with the robot at rest.
+
+        Args:
+            seed: as of the environment.
+            options: as of the environment.
+
+        Returns:
+            The observation and the info.
+
+        Raises:
+            RobotStopped: if the robot does not come to rest.
+        """
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period, to its deadline; a robot that is stopped truncates the episode, with
-        the last observation and reward 0. Raises as the environment for actions of wrong shape or
-        with NaN, ResetNeeded."""
+        """Takes one control period, to its deadline.
+
+        A robot that is stopped truncates the episode, with the last observation and reward 0.
+
+        Args:
+            action: (n_a,) in [-1, 1]; larger ones are clipped.
+
+        Returns:
+            Observation, reward, whether the episode is terminated, whether it is truncated, info.
+
+        Raises:
+            TypeError: for an action of wrong type.
+            ValueError: for an action of wrong shape or with NaN.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
         if self._last is None:
             raise gym.error.ResetNeeded("step was called before reset")
         try:
@@ -171,7 +195,14 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         return self._safe.stopped
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go, from any thread, and waits until they are slack."""
+        """Lets the tendons go, from any thread, and waits until they are slack.
+
+        Args:
+            cause: of the stop, in words.
+
+        Returns:
+            The course of the stop; the first cause counts.
+        """
         return self._safe.stop(cause)
 
     def close(self) -> None:
@@ -223,8 +254,10 @@ def _misfit(robot: Robot, episodes: Episodes) -> str:
 
 class MeasuredArm(Arms):
     """The robot as one row of arms, whose steps command it and whose reading is what it measures.
+
     still: greatest speed [m/s] at rest. The simulated arm goes on beside it under the commands that
-    were sent: it is what recordings show, and nothing of it is observed."""
+    were sent: it is what recordings show, and nothing of it is observed.
+    """
 
     def __init__(
         self,
@@ -258,8 +291,10 @@ class MeasuredArm(Arms):
         self.zero = dict[str, Array]()  # by field, added to what the robot measures
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Let the robot begin, from slack tendons. Raises RobotStopped, also where it does not come
-        to rest."""
+        """Let the robot begin, from slack tendons.
+
+        Raises RobotStopped, also where it does not come to rest.
+        """
         super().place(members, q, tension)
         self.robot.begin()
         self.pacer = Pacer(self.robot.clock, self.pacer.period)
@@ -289,8 +324,10 @@ class MeasuredArm(Arms):
         tape: Tape | None = None,
         begins: bool = True,
     ) -> None:
-        """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at
-        its end. Raises RobotStopped."""
+        """Sends the command of a period (1, parts, n_a), and measures at its end.
+
+        The command becomes what was sent. Raises RobotStopped.
+        """
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
@@ -313,8 +350,10 @@ class MeasuredArm(Arms):
             getattr(self.reading, name)[0] = getattr(measured, name) + self.zero.get(name, 0.0)
 
     def _wait_for_rest(self) -> list[Measurement]:
-        """The last readings of the arm at rest under the first command, which rises evenly from
-        slack. Raises RobotStopped."""
+        """Last readings of the arm at rest under the first command.
+
+        The command rises evenly from slack. Raises RobotStopped.
+        """
         period = self.pacer.period
         slack = self.robot.slack
         # in periods
@@ -357,8 +396,10 @@ class MeasuredArm(Arms):
 
 
 def speed_of(position: Array, period: float) -> float:
-    """Speed of a point, root mean square, from noisy positions: of the cosine modes that stand out
-    of noise. Differences of samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s.
+    """Returns the speed of a point, root mean square, from noisy positions.
+
+    It is of the cosine modes that stand out of noise. Differences of samples are mostly noise: 1 mm
+    at 50 Hz makes 70 mm/s.
 
     Args:
         position: (m, 3) [m].
@@ -379,8 +420,10 @@ def speed_of(position: Array, period: float) -> float:
 
 
 class Report(NamedTuple):
-    """Report of a run: errors (m,) by name as measured in every period, timing, how it ended, and
-    whether it went on to its end."""
+    """Report of a run: errors, timing, how it ended, and whether it went on to its end.
+
+    Errors (m,) are by name, as measured in every period.
+    """
 
     errors: dict[str, Array]
     timing: Timing
@@ -389,8 +432,9 @@ class Report(NamedTuple):
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
-    """Runs a policy for a few periods on the simulated arm of an environment, so that nothing is
-    compiled while the robot waits.
+    """Runs a policy for a few periods on the simulated arm of an environment.
+
+    After that nothing is compiled while the robot waits.
 
     Args:
         policy: to run.
@@ -402,8 +446,7 @@ def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
-    """Runs a policy on a robot for a duration; in any case it slackens the tendons and closes the
-    robot.
+    """Runs a policy on a robot for a duration, then slackens the tendons and closes the robot.
 
     A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What
     the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with

@@ -1,5 +1,7 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are
-written; see docs/how_to/robots.md."""
+"""Interface of a real arm: measurements are read, and commands of its tendons written.
+
+See docs/how_to/robots.md.
+"""
 
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -18,8 +20,10 @@ PARTS = ("read", "write", "close", "command_unit", "senses")  # of a robot
 
 
 class Measurement(NamedTuple):
-    """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None:
-    not measured."""
+    """Sensor readings of an arm at one time, in SI units; None: not measured.
+
+    There are n_a tendons and s strain sensors.
+    """
 
     # [s] when it was measured, of any clock: one that is not later than the reading before is no
     # new reading
@@ -33,8 +37,9 @@ class Measurement(NamedTuple):
 
 
 class Robot(Protocol):
-    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception,
-    which ends a run safely.
+    """Tendon-driven arm with its motors and sensors.
+
+    `read` and `write` may raise any exception, which ends a run safely.
 
     clock: an attribute of simulated arms alone, see safety.Clock; real ones live in real time.
     """
@@ -43,12 +48,25 @@ class Robot(Protocol):
     senses: tuple[str, ...]  # fields of Measurement that it gives
 
     def read(self) -> Measurement:
-        """The newest measurement; it returns soon."""
+        """Reads the newest measurement; it returns soon.
+
+        Returns:
+            The measurement.
+        """
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and
-        rounding of its own; None: as it is. Calls come one at a time; slack comes from the
-        watchdog's thread, also while another call hangs."""
+        """Sends a command.
+
+        Calls come one at a time; slack comes from the watchdog's thread, also while another call
+        hangs.
+
+        Args:
+            command: (n_a,) in the unit `command_unit`.
+
+        Returns:
+            The command (n_a,) that was sent, in the same unit, after limits and rounding of its
+            own; None: as it is.
+        """
 
     def close(self) -> None:
         """Releases the arm, which is slack by then."""

@@ -1,5 +1,6 @@
-"""Safe commands in time: absolute deadlines, limits of size and rate, checks of what is measured,
-and a watchdog that lets the tendons go.
+"""Safe commands in time, and a watchdog that lets the tendons go.
+
+It has absolute deadlines, limits of size and rate, and checks of what is measured.
 
 The watchdog is a thread of its own that no signal reaches: the command goes to slack evenly within
 RAMP, also while another call of the robot hangs. Where writing fails it is tried again for TRYING,
@@ -42,8 +43,11 @@ ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
 class Clock:
-    """Monotonic clock. real: that of the machine; else it stands still but while somebody waits,
-    for simulations at any speed."""
+    """Monotonic clock.
+
+    real: that of the machine; else it stands still but while somebody waits, for simulations at any
+    speed.
+    """
 
     def __init__(self, real: bool = True) -> None:
         self.real = real
@@ -85,8 +89,10 @@ class Timing(NamedTuple):
 
 
 class Pacer:
-    """Absolute deadlines every `period` [s] from now on. A late period does not move the next ones:
-    the loop catches up by short ones."""
+    """Absolute deadlines every `period` [s] from now on.
+
+    A late period does not move the next ones: the loop catches up by short ones.
+    """
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock = clock
@@ -189,8 +195,10 @@ class SafeRobot:
         atexit.register(self.stop, "the interpreter ended")
 
     def begin(self) -> None:
-        """Begins, or begins again after a stop, with slack tendons: from now on the watchdog looks,
-        and signals act as Ctrl-C."""
+        """Begins, or begins again after a stop, with slack tendons.
+
+        From now on the watchdog looks, and signals act as Ctrl-C.
+        """
         self.stop("it begins again")
         if threading.current_thread() is threading.main_thread():
             for name in ENDS:
@@ -274,7 +282,10 @@ class SafeRobot:
         return self._sent.copy() if sent is None else sent
 
     def _checked_answer(self, answer: Any) -> Array:
-        """Command (n_a,) that a robot says it sent. Raises ValueError for one that cannot be."""
+        """Command (n_a,) that a robot says it sent.
+
+        Raises ValueError for one that cannot be.
+        """
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
@@ -292,8 +303,10 @@ class SafeRobot:
         raise RobotStopped(self.stop(cause).cause) from error
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go slack, and waits until they are, or cannot be. The first cause
-        counts; later calls wait, and try again."""
+        """Lets the tendons go slack, and waits until they are, or cannot be.
+
+        The first cause counts; later calls wait, and try again.
+        """
         if not self._closed:
             done = threading.Event()
             self._orders.put((cause, done))
@@ -301,8 +314,10 @@ class SafeRobot:
         return self.stopped or Stop(cause)
 
     def close(self) -> None:
-        """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it
-        stands among the failures."""
+        """Stops, and lets go of the robot, once.
+
+        Where that fails, as on a port that is lost, it stands among the failures.
+        """
         course = self.stop(FINISHED)
         if not self._closed:
             try:
@@ -315,8 +330,10 @@ class SafeRobot:
                 signal.signal(number, handler)
 
     def _watch(self) -> None:
-        """The watchdog: looks at the newest measurement's age, and lets the tendons go when it is
-        told to, until the robot is closed."""
+        """Watches the newest measurement's age until the robot is closed.
+
+        The watchdog lets the tendons go when it is told to.
+        """
         while not self._closed:
             try:
                 cause, done = self._orders.get(timeout=LOOKS * self._period)
@@ -333,8 +350,10 @@ class SafeRobot:
             done.set()
 
     def _go_slack(self, stop: Stop) -> None:
-        """The ramp, and the last command again as long as it fails. Steps are left out where the
-        robot takes longer for one."""
+        """The ramp, and the last command again as long as it fails.
+
+        Steps are left out where the robot takes longer for one.
+        """
         self.stopped = stop
         first = self._sent
         step = RAMP / RAMP_STEPS  # [s]
@@ -364,8 +383,10 @@ class SafeRobot:
             stop.failures.append(first_line(error))
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
-        """Sends a command (n_a,); returns what `write` does. After a stop nothing but slack is
-        sent."""
+        """Sends a command (n_a,); returns what `write` does.
+
+        After a stop nothing but slack is sent.
+        """
 
         def send() -> Any:
             if self.stopped is not None and not slackens:
@@ -377,8 +398,10 @@ class SafeRobot:
         return self._alone(send, HANGING if slackens else TRYING)
 
     def _alone(self, call: Callable[[], Any], longest: float) -> Any:
-        """Result of a call of the robot, after the one that goes on, for which it waits at most
-        `longest` [s]."""
+        """Result of a call of the robot, after the one that goes on.
+
+        It waits for that at most `longest` [s].
+        """
         is_free = self._lock.acquire(timeout=0.0 if self._hangs else longest)
         self._hangs = not is_free
         try:

@@ -1,5 +1,6 @@
-"""Geometry along the rod: tapers of a segment's sizes, and routings of a tendon, its offset d = (0,
-y, z) from the axis and d' = dd/dX.
+"""Geometry along the rod: tapers of a segment's sizes, and routings of tendons.
+
+A routing is the offset d = (0, y, z) of a tendon from the axis, and d' = dd/dX.
 
 To add one, write its class here and name it in `Size`, with its type as the tag, or in `Routing`.
 """
@@ -24,13 +25,17 @@ class AlongRod(Configuration):
     """Base of what varies along the rod: tapers of a segment's sizes and routings of a tendon."""
 
     def misfit(self, place: Any) -> str | None:
-        """Error message for what does not fit a segment's length, or a tendon's (first, last) arc
-        lengths [m]; None if it fits."""
+        """Error message for what does not fit the place along the rod; None if it fits.
+
+        The place is a segment's length, or a tendon's (first, last) arc lengths [m].
+        """
         return None
 
     def wavelength(self) -> float:
-        """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the
-        least distance of a table."""
+        """Shortest wavelength [m], which quadrature has to resolve.
+
+        It is infinite for a line, twice the least distance of a table.
+        """
         table = getattr(self, "arc_length", ())
         if not table:
             return float("inf")
@@ -58,8 +63,10 @@ class Taper(AlongRod):
 
     @abstractmethod
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Size [m] and its derivative along the rod [-] at `arc_length` [m] from the segment's
-        start, both of its shape."""
+        """Size [m] and its derivative along the rod [-], both of the shape of the arc lengths.
+
+        They are at `arc_length` [m] from the segment's start.
+        """
 
 
 class LinearTaper(Taper):
@@ -75,8 +82,9 @@ class LinearTaper(Taper):
 
 
 class TaperTable(Taper):
-    """Tabulated sizes [m] at arc lengths [m] from the segment's start to its end, interpolated by
-    PCHIP.
+    """Tabulated sizes at arc lengths, interpolated by PCHIP.
+
+    Both are in [m], the arc lengths from the segment's start to its end.
 
     PCHIP (Fritsch and Carlson 1980) never overshoots, so the size stays positive between positive
     values. Scenes may say `radius` for `size`.
@@ -120,8 +128,10 @@ Size = Annotated[
 
 
 class TendonRouting(AlongRod):
-    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the
-    section."""
+    """Base of the tendon routings.
+
+    Arc lengths are measured from the rod's base; y, z span the section.
+    """
 
     @abstractmethod
     def offset_and_slope(
@@ -154,8 +164,10 @@ class StraightRouting(TendonRouting):
 
 
 class ConvergingRouting(TendonRouting):
-    """Converging tendon, along a line from `start_offset` (y, z) [m] at its start to `end_offset`
-    at its end."""
+    """Converging tendon, along a line between two offsets (y, z) [m].
+
+    It begins at `start_offset` and ends at `end_offset`.
+    """
 
     type: Literal["converging"] = "converging"
     start_offset: Offset
@@ -172,8 +184,9 @@ class ConvergingRouting(TendonRouting):
 
 
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius, that of the circle around its section,
-    so that it follows a taper.
+    """Tendon at a fixed fraction of the rod's local radius.
+
+    That is the radius of the circle around its section, so that it follows a taper.
 
     y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
     """
@@ -221,8 +234,9 @@ class HelixRouting(TendonRouting):
 
 
 class TableRouting(TendonRouting):
-    """Tabulated tendon, through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by
-    not-a-knot cubic splines.
+    """Tabulated tendon through points, by not-a-knot cubic splines.
+
+    The points (`y`, `z`) [m] stand at `arc_length` [m], and are at least four.
 
     The table has to cover the tendon from end to end.
     """

@@ -1,5 +1,7 @@
-"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and
-which of the six strains exist."""
+"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases.
+
+They also say which of the six strains exist.
+"""
 
 from typing import Annotated, Literal
 
@@ -37,8 +39,9 @@ Strains = Annotated[tuple[Strain, ...], Field(min_length=1), AfterValidator(_che
 
 
 class Modes(Configuration):
-    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each
-    of its pieces.
+    """Legendre basis of order 0 to `order` for each of `strains`.
+
+    It spans the whole rod or each of its pieces.
 
     A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the
     strain's `borders`.
@@ -50,8 +53,10 @@ class Modes(Configuration):
 
 
 class Snapshots(Configuration):
-    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions:
-    `soft-tendon fields SCENE` makes them."""
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions.
+
+    `soft-tendon fields SCENE` makes them.
+    """
 
     type: Literal["snapshots"] = "snapshots"
     fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
@@ -68,8 +73,9 @@ PassiveStrain = Annotated[
 
 
 class StaticsBased(Configuration):
-    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to
-    `passive` moments and forces.
+    """Statics-based strain parametrisation (30).
+
+    The strain is the static answer to tensions and to `passive` moments and forces.
 
     The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the
     strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the
@@ -96,8 +102,7 @@ class StaticsBased(Configuration):
 
     @property
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields that have coordinates of their own, 0 without
-        any."""
+        """Highest Legendre order of the fields that have coordinates of their own, else 0."""
         if isinstance(self.passive, Snapshots):
             return SNAPSHOT_ORDER
         return max((modes.order for modes in self.passive), default=0)
@@ -120,8 +125,9 @@ class StaticsBased(Configuration):
 
 
 class ExplicitStrain(Configuration):
-    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode
-    names are rigid.
+    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`.
+
+    Strains that no mode names are rigid.
 
     Order 0 per piece is piecewise constant strain (PCS). `borders` are arc lengths [m] that cut the
     rod into further pieces.

@@ -160,7 +160,7 @@ class Target(Configuration):
         return 1
 
     def check(self, scene: Scene) -> None:
-        """Raise an error where the target does not fit the scene.
+        """Raises an error where the target does not fit the scene.
 
         Args:
             scene: of an environment.
@@ -170,7 +170,7 @@ class Target(Configuration):
         """
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """Motion of one episode.
+        """Draws the motion of one episode.
 
         Args:
             generator: of the episode.
@@ -257,7 +257,7 @@ TARGETS: dict[str, type[Target]] = {}
 
 
 def register_target(target: Class) -> Class:
-    """Class decorator: make a `Target` available to options, by name or as a table of that `type`.
+    """Makes a `Target` available to options, by name or as a table of that `type`: a decorator.
 
     A second class of the same module and name replaces the first.
 
@@ -282,7 +282,10 @@ def register_target(target: Class) -> Class:
 
 
 def _by_name(target: Any) -> Any:
-    """The target of a name or a table; else itself. Raises ConfigurationError."""
+    """The target of a name or a table; else itself.
+
+    Raises ConfigurationError.
+    """
     settings = {"type": target} if isinstance(target, str) else target
     if not isinstance(settings, dict):
         return target

@@ -40,7 +40,10 @@ class File(Target):
 
     @cached_property
     def course(self) -> "FileCourse":
-        """The poses, read once. Raises OSError, ValueError."""
+        """The poses, read once.
+
+        Raises OSError, ValueError.
+        """
         return FileCourse(self.path)
 
     def check(self, scene: Scene) -> None:
@@ -65,7 +68,10 @@ class FileCourse(PoseCourse):
     """Poses of a table as splines of time, see `read_table`."""
 
     def __init__(self, path: str) -> None:
-        """Read a file. Raises OSError, ValueError without poses or times that grow."""
+        """Read a file.
+
+        Raises OSError, ValueError without poses or times that grow.
+        """
         # these take longer to import than all else that most targets need
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
@@ -92,7 +98,10 @@ class FileCourse(PoseCourse):
 
 
 def _read_poses(path: str) -> Array:
-    """Rows (m, 8) of a file, by COLUMNS. Raises OSError, ValueError."""
+    """Rows (m, 8) of a file, by COLUMNS.
+
+    Raises OSError, ValueError.
+    """
     table = read_table(Path(path), COLUMNS)
     missing = [name for name in COLUMNS if name not in table.header]
     if missing:
