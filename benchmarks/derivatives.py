@@ -74,10 +74,10 @@ CASES = [
     *(("paper", name, table) for name, table in ARMS.items()),
     *(("three_tendon", name, table) for name, table in EFFECTS.items()),
 ]
-CHANGE, SEEDS = 0.05, 3
+CHANGE = 0.05
+SEEDS = 3
 LIVELY = 10  # periods of motion before costs are measured
-SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
-HEADER = (
+SENSORS = (0.25, 0.5, 0.75, 1.0)  HEADER = (
     "arm",
     "effect",
     "preset",

@@ -110,9 +110,11 @@ CASES = {
         {"effects.tendon_friction.coefficient": 0.2},
     ),
 }
-EVERYTHING, INSIDE = "all together", "loads inside"
+EVERYTHING = "all together"
+INSIDE = "loads inside"
 LEFT_OUT = ("disturbance",)  # of the page, not of the chart: it costs what gravity does
-INTERVALS, EVALUATIONS = 6, 1000
+INTERVALS = 6
+EVALUATIONS = 1000
 HEADER = ("effect", "evaluation", "in a step", "compilation [s]", "scene", "without it [mm]")
 
 FIRST_STEP = """

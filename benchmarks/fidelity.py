@@ -34,8 +34,11 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 KINDS = MOTIONS[:4]
 SHOWN = ("paper", "three_tendon", "helical")  # arms on the page
 SEEDS = range(100, 103)
-REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
-HELD, ROWS, STEPS = 5, 64, 400  # control periods
+REFERENCE = 5e-5  # share of the length
+WILD_REFERENCE = 2e-3  # share of the length
+HELD = 5  # control periods
+ROWS = 64
+STEPS = 400  # control periods
 HEADER = (
     "scene",
     "fidelity",

@@ -34,12 +34,13 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 OWN = (6, 9, 18)
-INTERVALS, STEP, COLUMNS = 16, 0.005, 4
-REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
-ANGULAR, STRAINS = (
-    ["torsion", "bend_y", "bend_z"],
-    ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
-)
+INTERVALS = 16
+STEP = 0.005  # [s]
+COLUMNS = 4
+REFERENCE = 5e-5  # share of the length
+WILD_REFERENCE = 2e-3  # share of the length
+ANGULAR = ["torsion", "bend_y", "bend_z"]
+STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 HEADER = ("scene", "strain fields", "coordinates", *(f"{kind} [mm]" for kind in KINDS))
 LOOKS = {
     "Legendre": ("#edae49", "s"),

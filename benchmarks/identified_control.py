@@ -39,22 +39,19 @@ from soft_tendon_env.scene.scene import Scene, rod_length, scene_to_dict
 from soft_tendon_env.tools.parallel import run_all
 
 DRAWING = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
-FRICTION, LATE = "effects.tendon_friction.coefficient", "effects.actuators.delay"
+FRICTION = "effects.tendon_friction.coefficient"
+LATE = "effects.actuators.delay"
 BEGINS = DRAWING.replace(
     {FRICTION: 0.1, LATE: 0.02}
 )  # with usual numbers of what the drawing does not know
 TIP = MarkerSet(markers={"tip": Marker(arc_length=rod_length(DRAWING))})
 ASKED = ("segments.*.young_modulus", "segments.*.damping", FRICTION, "base", DELAY)
-TRUE, BELIEVED = (
-    "fine",
-    "standard",
-)  # fidelities of robots, and of the models that are fitted and controlled with
+TRUE = "fine"  # fidelity of the robots
+BELIEVED = "standard"  # fidelity of the models that are fitted and controlled with
 NOISE = 5e-4  # [m]
-MOTIONS, STEPS, LARGEST = (
-    2,
-    8,
-    0.6,
-)  # logs; steps of each, of 0.3 to 0.8 s; share of the tensions' range
+MOTIONS = 2  # logs
+STEPS = 8  # of each, of 0.3 to 0.8 s
+LARGEST = 0.6  # share of the tensions' range
 STILL = 0.5  # [s] in which a robot that hangs still already is held
 SKIP = 1.0  # [s] that do not count
 TASK = "TipPose"

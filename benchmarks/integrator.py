@@ -30,7 +30,8 @@ SCENE = ste.load_scene("paper").replace(
     {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]}
 )
 LOAD_SEED = 5  # part of the seed of random loads, which no kind of motion has
-SEEDS, SECONDS = 8, 2.0
+SEEDS = 8
+SECONDS = 2.0  # length of a motion
 FIXED = (3, 4, 5)  # columns
 TOLERANCES = (2e-6, 1e-5, 3e-5, 1e-4)
 STATED = {2e-6: (3e-4, 1e-3), 1e-5: (1e-3, 2e-3), 3e-5: (2e-3, 4e-3), 1e-4: (4e-3, 1e-2)}

@@ -21,7 +21,8 @@ from soft_tendon_env.learning.curves import Curves, read_curves
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.policies.agent import find_agent
 
-TASK, ALGORITHMS = "TipPose", ("ppo", "sac", "apg")
+TASK = "TipPose"
+ALGORITHMS = ("ppo", "sac", "apg")
 HEADER = ("training", "seeds", "steps", "minutes", "error [mm]", "low [mm]", "high [mm]")
 
 

@@ -29,7 +29,9 @@ from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_
 from soft_tendon_env.accuracy.trial import search
 from soft_tendon_env.scene.scene import Scene, rod_length
 
-RESTS, SEEDS, REFERENCE = 12, range(100, 102), 1e-4  # of the length
+RESTS = 12
+SEEDS = range(100, 102)
+REFERENCE = 1e-4  # share of the length
 SHOWN = "standard"  # in the page's table; the CSV file and the picture have all presets
 HEADER = (
     "arm",

@@ -33,7 +33,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 import follow_ball
 
 EXAMPLE = "examples/follow_ball.py"
-ROWS, EPISODES = 64, 100
+ROWS = 64
+EPISODES = 100
 RETURNS = 0.0, 100.0
 THEIR_LOGS = (
     ("SoRoMoX, PPO, 512 environments, the better of two runs", "1,180", "1,842", "104"),

@@ -18,7 +18,9 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows
 from soft_tendon_env.policies import load_policy, policy_options
 
-PERIOD, SECONDS, FIDELITY = 0.02, 10.0, {"fidelity": "standard"}
+PERIOD = 0.02  # [s]
+SECONDS = 10.0  # length of an episode
+FIDELITY = {"fidelity": "standard"}
 LARGEST = {"idle": 0.0, "random": 1.0}  # action
 NAMED = {
     "PPO that ships": "ppo",

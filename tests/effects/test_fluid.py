@@ -8,8 +8,12 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.statics import static_equilibrium
 
-LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+LENGTH = 0.3  # [m]
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+DENSITY = 1070.0  # [kg/m^3]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
 FLAT = {

@@ -6,8 +6,11 @@ import pytest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, remember
 from soft_tendon_env.model.statics import static_equilibrium
 
-RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+SHEAR = 5e5 / 3  # shear modulus [Pa]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 LAW = {
     "effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}

@@ -11,7 +11,8 @@ import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_actuators
 
-OK, BAD = np.zeros(10), np.full(10, float("nan"))
+OK = np.zeros(10)
+BAD = np.full(10, float("nan"))
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
 SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
 BEND_Y, BEND_Z = (

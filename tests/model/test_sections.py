@@ -18,8 +18,12 @@ from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.scene import Scene, rod_radius, scene_to_dict
 
-L, E, NU, RHO, ETA = 0.3, 2e9, 0.3, 1200.0, 4e6
-G = E / (2 * (1 + NU))
+L = 0.3  # length [m]
+E = 2e9  # Young's modulus [Pa]
+NU = 0.3  # Poisson's ratio
+RHO = 1200.0  # density [kg/m^3]
+ETA = 4e6  # viscosity [Pa s]
+G = E / (2 * (1 + NU))  # shear modulus [Pa]
 SHEAR = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 KIRCHHOFF = SHEAR[:3]
 TUBE = {"type": "tube", "radius": 0.006, "inner_radius": 0.005}

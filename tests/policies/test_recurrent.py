@@ -23,7 +23,8 @@ SHAPES = {
     "action_net.weight": (2, 16),
     "action_net.bias": (2,),
 }
-BEGINS, GOES_ON = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
+BEGINS = np.ones(3, dtype=bool)
+GOES_ON = np.zeros(3, dtype=bool)
 
 
 def draw_arrays():
