@@ -77,7 +77,8 @@ CASES = [
 CHANGE = 0.05
 SEEDS = 3
 LIVELY = 10  # periods of motion before costs are measured
-SENSORS = (0.25, 0.5, 0.75, 1.0)  HEADER = (
+SENSORS = (0.25, 0.5, 0.75, 1.0)  # shares of the length
+HEADER = (
     "arm",
     "effect",
     "preset",

@@ -66,13 +66,16 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
 @pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
 def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step):
     """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
-    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    model = uniform(changes={**TWO, "quadrature.intervals": 4})
+    q = np.array([3.0, -1.0])
     work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
-    work.inputs.before[:], work.inputs.since[0] = work.strain.xi, step
+    work.inputs.before[:] = work.strain.xi
+    work.inputs.since[0] = step
     for i in range(1, 4):
         external_force(model.arm, False, work)
-        left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
+        time = i * step
+        left = 0.5 * np.exp(-time / 0.1) + 2.0 * np.exp(-time / 0.01)
         np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
 
