@@ -26,7 +26,8 @@ import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture, write_tables
 from tqdm import tqdm
 
-from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
+from soft_tendon_env import register
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.summaries import bootstrap_interval
 from soft_tendon_env.identification import Estimate, Marker, MarkerSet, identify
@@ -79,7 +80,7 @@ class TipCourse(PoseCourse):
         return pose_samples(own.tip_pose, own.tip_twist)
 
 
-@register_target
+@register("target", "holdable")
 class Holdable(Target):
     """Random poses that a robot can hold. scene: its own; seed: of the motion."""
 

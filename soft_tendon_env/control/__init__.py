@@ -3,7 +3,7 @@
 protocol.py has their interfaces, catalogue.py all of them by name.
 """
 
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, entry_of
+from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, controllers_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty
 from soft_tendon_env.control.protocol import (
     Controller,
@@ -25,4 +25,4 @@ __all__ = [
     "ExtendedKalmanFilter",
     "InputError",
 ]
-__all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "entry_of"]
+__all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "controllers_of"]

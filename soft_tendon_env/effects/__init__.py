@@ -13,7 +13,6 @@ from soft_tendon_env.effects.base import (
     Discretisation,
     Effect,
     Effects,
-    register_effect,
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -42,5 +41,4 @@ __all__ = [
     "limits_step",
     "kernel",
     "moves_base",
-    "register_effect",
 ]

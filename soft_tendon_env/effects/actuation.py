@@ -11,9 +11,10 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Discretisation, Effect
 from soft_tendon_env.mechanics.terms.command_filter import NEVER
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import NotNegative, Number, Positive
 
 FINEST = 1.0 / 8.0  # of the longest step
@@ -22,7 +23,7 @@ STEEPEST = 100.0  # mu phi along the stress-free arm
 SAME = 1e-9  # of a number of steps, by which another one may differ and be the same
 
 
-@register_effect("actuators")
+@register("effect", "actuators")
 class Actuators(Effect):
     """`[effects.actuators]`: first-order lag with a limited rate, after a dead time.
 
@@ -70,7 +71,7 @@ class Actuators(Effect):
         return np.concatenate([np.zeros(tendons), table.ravel()])
 
 
-@register_effect("tendon_elasticity")
+@register("effect", "tendon_elasticity")
 class TendonElasticity(Effect):
     """`[effects.tendon_elasticity]`: tendons as springs with slack.
 
@@ -131,7 +132,7 @@ class TendonElasticity(Effect):
         }
 
 
-@register_effect("tendon_friction")
+@register("effect", "tendon_friction")
 class TendonFriction(Effect):
     """`[effects.tendon_friction]`: Coulomb friction of tendons in their channels, regularised.
 

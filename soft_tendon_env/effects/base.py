@@ -1,15 +1,15 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
-An effect is a configuration class under `@register_effect("name")`, its parameters, a `Struct` of
-numbers and arrays, and the kernels that it needs, see mechanics/effects.py; here or in a user's own
-file as `examples/own_effect.py`. It is then the optional table `[effects.name]` of every scene. A
-scene without that table neither compiles nor calls it.
+An effect is a configuration class under `@register("effect", "name")`, its parameters, a `Struct`
+of numbers and arrays, and the kernels that it needs, see mechanics/effects.py; here or in a user's
+own file as `examples/own_effect.py`. It is then the optional table `[effects.name]` of every scene.
+A scene without that table neither compiles nor calls it.
 """
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict
@@ -23,6 +23,7 @@ from soft_tendon_env.tools.configuration import (
     not_registered,
     shown,
 )
+from soft_tendon_env.tools.registry import Registry, check_class
 from soft_tendon_env.tools.types import Array as Array
 
 
@@ -47,6 +48,7 @@ class Discretisation:
     radius: Callable[[Array], Array]
     # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
     hull: Callable[[Array], Array]
+    has_corners: Callable[[Array], Array]  # whether that outline is a rectangle, else an ellipse
     discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
     # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
     elasticity: Callable[[Array], Array]
@@ -59,6 +61,17 @@ class Discretisation:
     # all of the scene, for those that depend on another one, as buoyancy on gravity
     effects: "Effects"
     step: float  # [s], the longest time step of the scene's integrator
+
+    def half_widths(self, arc_length: Array) -> Array:
+        """Returns half widths of the rod's outline along y and z.
+
+        Args:
+            arc_length: Arc lengths (m,) [m].
+
+        Returns:
+            Half widths (2, m) [m].
+        """
+        return 0.5 * self.hull(arc_length)[:2]
 
 
 class Configured(NamedTuple):
@@ -245,40 +258,21 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
     return numbers
 
 
-Class = TypeVar("Class", bound=type[Effect])
+def _checked_effect(name: str, effect: Any) -> type[Effect]:
+    """The class of an effect. Raises TypeError, ValueError where it lacks something."""
+    check_class("effect", name, effect, Effect)
+    if hasattr(Effects, name):
+        raise ValueError(f"the name of the effect {name!r} is taken, by a method of Effects")
+    if effect.parameters is Effect.parameters and not effect.is_actuation:
+        raise TypeError(
+            f"the effect {name!r}, {effect.__qualname__}, lacks a method parameters(rod), whose"
+            " Struct its kernels read"
+        )
+    return effect
 
-EFFECTS: dict[str, type[Effect]] = {}
+
+EFFECTS: Registry[type[Effect]] = Registry("effect", _checked_effect)
 """Every registered effect's configuration class, by the name that scenes use."""
-
-
-def register_effect(name: str) -> Callable[[Class], Class]:
-    """Makes an `Effect` available to scenes as `[effects.name]`: a class decorator.
-
-    Registering a class of the same module and name again replaces it, as in a notebook.
-
-    Args:
-        name: of the table in a scene.
-
-    Returns:
-        The decorator, which returns the class itself.
-
-    Raises:
-        ValueError: by the decorator, for a name that is taken.
-    """
-
-    def add(effect: Class) -> Class:
-        present = EFFECTS.get(name, effect)
-        is_same_module = present.__module__ == effect.__module__
-        is_same_class = is_same_module and present.__qualname__ == effect.__qualname__
-        if hasattr(Effects, name) or not is_same_class:
-            raise ValueError(
-                f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or"
-                " a method of Effects"
-            )
-        EFFECTS[name] = effect
-        return effect
-
-    return add
 
 
 class Effects(Configuration):

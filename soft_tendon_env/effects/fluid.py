@@ -29,7 +29,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect
 from soft_tendon_env.effects.loads import weights
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
@@ -39,12 +39,13 @@ from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_to_block
 from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import NotNegative, Positive, Triple
 
 STILL = 1e-60  # added to the square of what is divided by
 
 
-@register_effect("fluid")
+@register("effect", "fluid")
 class Fluid(Effect):
     """`[effects.fluid]`: drag, added mass and buoyancy of the whole arm in a fluid.
 

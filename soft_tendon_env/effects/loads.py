@@ -21,7 +21,6 @@ from soft_tendon_env.effects.base import (
     DeadLoads,
     Discretisation,
     Effect,
-    register_effect,
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import (
@@ -53,6 +52,7 @@ from soft_tendon_env.mechanics.terms.transposed_kinematics import (
 )
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import (
     Direction,
     Frequency,
@@ -72,7 +72,7 @@ ALWAYS = (0.0, 0.0, 0.0)
 """Numbers of a load without a signal."""
 
 
-@register_effect("gravity")
+@register("effect", "gravity")
 class Gravity(Effect):
     """`[effects.gravity]`: weight of the rod and its payload, in the world frame."""
 
@@ -109,7 +109,7 @@ def gravity_wrench(gravity, nodes):
         store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
 
 
-@register_effect("tip_load")
+@register("effect", "tip_load")
 class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
@@ -213,7 +213,7 @@ class Load(Configuration):
     )
 
 
-@register_effect("disturbance")
+@register("effect", "disturbance")
 class Disturbance(Effect):
     """`[effects.disturbance]`: loads at points of the rod, in `[[effects.disturbance.loads]]`.
 
@@ -323,7 +323,7 @@ def limit_disturbance_step(disturbance, nodes, longest):
                     longest[0] = min(longest[0], edge - nodes.time)
 
 
-@register_effect("moving_base")
+@register("effect", "moving_base")
 class MovingBase(Effect):
     """`[effects.moving_base]`: motion of the base from its pose in the scene.
 

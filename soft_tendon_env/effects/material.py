@@ -10,12 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Positive
 
 # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a
@@ -24,7 +25,7 @@ SHORT = 0.25
 SMALL_TIME = 1e-3  # relaxation times, below which a mean is its series
 
 
-@register_effect("nonlinear_elasticity")
+@register("effect", "nonlinear_elasticity")
 class NonlinearElasticity(Effect):
     """`[effects.nonlinear_elasticity]`: stress that stiffens with the strain e = xi - xi*.
 
@@ -93,7 +94,7 @@ class Branch(Configuration):
     relaxation_time: Positive = Field(description="relaxation time [s]")
 
 
-@register_effect("viscoelastic_memory")
+@register("effect", "viscoelastic_memory")
 class ViscoelasticMemory(Effect):
     """`[effects.viscoelastic_memory]`: Maxwell branches, the standard linear solid.
 

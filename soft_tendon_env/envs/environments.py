@@ -1,12 +1,13 @@
 """Gymnasium environments of tasks, with one arm and with many that compiled code steps together.
 
-There are two classes per task, whose description is their documentation.
+There are two classes per task, whose description is their documentation. Those of registered tasks
+are made when the tasks are registered, as Gymnasium's entry points and pickles find them by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -24,14 +25,13 @@ from soft_tendon_env.envs.observation import of_row
 from soft_tendon_env.envs.options import MASK, Options, reset_options, row_seeds
 from soft_tendon_env.envs.randomization import drawn_in_rows
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.envs.tasks import Task, task_of_class
+from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-Class = TypeVar("Class", bound="EpisodesEnv")
 ONE = np.zeros(1, dtype=np.int64)
 """The only row of an environment with one arm."""
 
@@ -362,6 +362,9 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         for row in members.tolist():
             if seeds[row] is not None or row not in generators:
                 generators[row], _ = seeding.np_random(seeds[row])
+        if isinstance(seed, int | np.integer):
+            # as every vector environment of Gymnasium has it; rows draw from their own
+            self._np_random, self._np_random_seed = seeding.np_random(seeds[0])
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True
@@ -529,94 +532,85 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     return MODES[mode]
 
 
-def compute_reward(
-    self: EpisodesEnv,
-    achieved_goal: NDArray[Any],
-    desired_goal: NDArray[Any],
-    info: Any,
-) -> Any:
-    """Computes rewards of goals, as hindsight experience replay asks for.
+class GoalRewards(EpisodesEnv):
+    """Rewards of goals, which environments of goal-conditioned tasks have besides."""
 
-    Args:
-        self: the environment, of which this is a method.
-        achieved_goal: positions (..., 3) [m].
-        desired_goal: positions of the same shape [m].
-        info: of steps, which rewards do not depend on.
+    def compute_reward(
+        self,
+        achieved_goal: NDArray[Any],
+        desired_goal: NDArray[Any],
+        info: Any,
+    ) -> Any:
+        """Computes rewards of goals, as hindsight experience replay asks for.
 
-    Returns:
-        Rewards (...); a float for one goal.
+        Args:
+            achieved_goal: positions (..., 3) [m].
+            desired_goal: positions of the same shape [m].
+            info: of steps, which rewards do not depend on.
 
-    Raises:
-        ValueError: for other shapes.
-    """
-    reward = self.episodes.goal_reward(achieved_goal, desired_goal)
-    return float(reward) if reward.ndim == 0 else reward
+        Returns:
+            Rewards (...); a float for one goal.
 
-
-_CLASSES: dict[str, Any] = {}
-"""Classes that were made, by their names."""
+        Raises:
+            ValueError: for other shapes.
+        """
+        reward = self.episodes.goal_reward(achieved_goal, desired_goal)
+        return float(reward) if reward.ndim == 0 else reward
 
 
-def class_of(
-    task: Task,
-    suffix: str,
-    base: type[Class],
-    doc: str,
-) -> type[Class]:
-    """Class `<task><suffix>` of environments, the same at every call.
+class TipPoseEnv(TendonRodEnv):
+    """Environment of the task TipPose with one arm; its description takes this place."""
 
-    Args:
-        task: that the class is of; with a goal it has `compute_reward`.
-        suffix: of its name.
-        base: of the class.
-        doc: its docstring.
-
-    Returns:
-        The class.
-    """
-    name = f"{task.name}{suffix}"
-    is_known = name in _CLASSES and _CLASSES[name].task is task
-    if not is_known:
-        attributes: dict[str, Any] = {
-            "task": task,
-            "__doc__": doc,
-            "__module__": base.__module__,
-        }
-        if task.goal:
-            attributes["compute_reward"] = compute_reward
-        _CLASSES[name] = type(name, (base,), attributes)
-    return _CLASSES[name]
+    __doc__ = TIP_POSE.description
+    task = TIP_POSE
 
 
-def environment_class(task: Task) -> type[TendonRodEnv]:
-    """Returns the class of a task's environments with one arm, `<name>Env`.
+class TipPoseVectorEnv(TendonRodVectorEnv):
+    """Rows of `TipPoseEnv`."""
 
-    Args:
-        task: of the environments.
-
-    Returns:
-        The class, the same at every call.
-    """
-    return class_of(task, "Env", TendonRodEnv, task.description)
+    task = TIP_POSE
 
 
-def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """Returns the class of a task's environments with many arms, `<name>VectorEnv`.
+class ShapeEnv(TendonRodEnv):
+    """Environment of the task Shape with one arm; its description takes this place."""
 
-    Args:
-        task: of the environments.
-
-    Returns:
-        The class, the same at every call.
-    """
-    return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
+    __doc__ = SHAPE.description
+    task = SHAPE
 
 
-def __getattr__(name: str) -> type[TendonRodEnv] | type[TendonRodVectorEnv]:
-    """`<name>Env` and `<name>VectorEnv` of every registered task.
+class ShapeVectorEnv(TendonRodVectorEnv):
+    """Rows of `ShapeEnv`."""
 
-    Gymnasium's entry points and pickles ask for them.
-    """
-    if name.endswith("VectorEnv"):
-        return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
-    return environment_class(task_of_class(name, "Env", __name__))
+    task = SHAPE
+
+
+class ReachEnv(GoalRewards, TendonRodEnv):
+    """Environment of the task Reach with one arm; its description takes this place."""
+
+    __doc__ = REACH.description
+    task = REACH
+
+
+class ReachVectorEnv(GoalRewards, TendonRodVectorEnv):
+    """Rows of `ReachEnv`."""
+
+    task = REACH
+
+
+def _make_classes(name: str, task: Task) -> None:
+    """Make the classes of a task in this module, where they are not written already."""
+    classes = globals()
+    rows_doc = f"Rows of `{name}Env`."
+    for base, suffix, doc in (
+        (TendonRodEnv, "Env", task.description),
+        (TendonRodVectorEnv, "VectorEnv", rows_doc),
+    ):
+        present = classes.get(name + suffix)
+        if present is not None and present.task is task:
+            continue
+        bases = (GoalRewards, base) if task.goal else (base,)
+        attributes = {"task": task, "__doc__": doc, "__module__": __name__}
+        classes[name + suffix] = type(name + suffix, bases, attributes)
+
+
+TASKS.follow(_make_classes)

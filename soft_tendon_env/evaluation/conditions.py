@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from soft_tendon_env.envs.options import given_scene
+from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.policies.regimes import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import not_among, plain
+from soft_tendon_env.tools.configuration import ConfigurationError, not_among, plain, shown
+from soft_tendon_env.tools.registry import Registry, register
 
 NOMINAL = "nominal"
 AND = ","  # between the names of conditions that hold together
@@ -52,7 +54,23 @@ class Condition:
         return options
 
 
-MODEL_ERRORS: dict[str, Condition] = {
+def _checked_condition(name: str, condition: Any) -> Condition:
+    """The condition itself. Raises TypeError, ValueError where it does not do."""
+    if not isinstance(condition, Condition):
+        raise TypeError(f"the condition {name!r} should be a Condition, not {shown(condition)}")
+    if AND in name:
+        raise ValueError(f"the condition's name {name!r} has {AND!r}, which stands between names")
+    try:
+        Randomization(**condition.randomize)
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, f"the condition {name!r}") from error
+    return condition
+
+
+MODEL_ERRORS: Registry[Condition] = Registry("condition", _checked_condition)
+"""Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
+
+_SHIPPED: dict[str, Condition] = {
     NOMINAL: Condition("the arm as its model says"),
     "stiffness-20%": Condition(randomize={"stiffness": 0.8}),
     "stiffness+20%": Condition(randomize={"stiffness": 1.2}),
@@ -64,7 +82,9 @@ MODEL_ERRORS: dict[str, Condition] = {
     "noise": Condition(randomize={"noise": {**NOISE, "curvature_rate": 0.5, "stretch_rate": 0.01}}),
     "latency-20ms": Condition(randomize={"latency": 0.02}),
 }
-"""Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
+
+for _name, _condition in _SHIPPED.items():
+    register("condition", _name, _condition)
 
 
 def _pushes(scene: Scene) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control import controllers_of
 from soft_tendon_env.policies.agent import find_agent, is_agent
 from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
 from soft_tendon_env.tools.files import read_json
@@ -26,7 +26,7 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
     every = list[str]()
     for name in names:
         if name == ALL:
-            every += CONTROLLERS.get(task, {})
+            every += controllers_of(task)
         else:
             every.append(name)
     agents = dict[str, dict[int | None, str]]()

@@ -1,7 +1,7 @@
 """Metrics of episodes, each defined once: errors, settling, effort, chatter, time per action.
 
-`score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to
-METRICS: tables and files follow.
+`score` judges an `Episode`; summaries.py puts scores together. `register("metric", "name",
+Metric(...))` adds a metric: tables and files follow.
 """
 
 import math
@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.tools.checks import checked_number
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
@@ -219,11 +221,35 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
-METRICS: dict[str, Metric] = {
-    "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
-    "chatter": Metric(
-        "chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)
-    ),
-}
+OTHER_NUMBERS = ("return", "seconds")
+"""Names of numbers of a score that are no metrics."""
+
+
+def _checked_metric(name: str, metric: Any) -> Metric:
+    """The metric itself. Raises TypeError, ValueError where it lacks something."""
+    if not isinstance(metric, Metric):
+        raise TypeError(f"the metric {name!r} should be a Metric, not {shown(metric)}")
+    if not callable(metric.of_episode):
+        raise TypeError(
+            f"the metric {name!r} has of_episode = {shown(metric.of_episode)}: it should be a"
+            " function of an episode and the first sample that counts"
+        )
+    if name in OTHER_NUMBERS:
+        raise ValueError(f"the metric's name {name!r} is taken, by a number of every score")
+    return metric
+
+
+METRICS: Registry[Metric] = Registry("metric", _checked_metric)
 """Metrics by name: tensions applied over tendons and time, and what of their changes lies above
 FAST."""
+
+register(
+    "metric",
+    "effort",
+    Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
+)
+register(
+    "metric",
+    "chatter",
+    Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
+)

@@ -4,7 +4,7 @@ The table `[columns]` of the markers' file says so.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,6 +57,12 @@ def read_columns(
     return table, sources
 
 
+def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
+    """Quantities that a key of `[columns]` names; group 1 of a match is what its `*` stands for."""
+    pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
+    return [match for match in map(pattern.fullmatch, quantities) if match is not None]
+
+
 def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Source]:
     """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name.
 
@@ -66,8 +72,7 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
-        pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
-        matches = [match for match in map(pattern.fullmatch, units) if match is not None]
+        matches = matches_of(key, units)
         if not matches:
             raise ValueError(
                 f"columns.{key} is no quantity that is read here: {not_among(key, units)}"

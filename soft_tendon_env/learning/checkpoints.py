@@ -31,8 +31,14 @@ BUFFER = "replay_buffer.pkl"
 MODEL = "model.zip"
 PICKLED = "vecnormalize.pkl"
 ENVIRONMENT = "environment.pkl"
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
-"""Attributes of a model that belong to its environment."""
+LAST = (
+    "_last_obs",
+    "_last_original_obs",
+    "_last_episode_starts",
+    "_last_lstm_states",
+    "action_space",
+)
+"""Attributes of a model that belong to its environment, as far as it has them."""
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
@@ -44,7 +50,7 @@ def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
     return {
         "env": unwrapped(statistics),
         "returns": statistics.returns,
-        "last": {name: getattr(model, name) for name in LAST},
+        "last": {name: getattr(model, name) for name in LAST if hasattr(model, name)},
         "generators": (torch.get_rng_state(), np.random.get_state()),
     }
 

@@ -15,13 +15,14 @@ from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
+from soft_tendon_env.learning.hyperparameters import hyperparameter_problems
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
     Problem,
     not_among,
+    not_registered,
     override,
     parsed_changes,
     read_toml,
@@ -104,12 +105,21 @@ class Training(Configuration):
         (word,) = sequence.generate_state(1, np.uint64)
         return SEEDS["training"].start + int(word >> np.uint64(16))
 
+    @field_validator("learning_rate", mode="before")
+    @classmethod
+    def _is_rate(cls, rate: Any) -> Any:
+        if not isinstance(rate, int | float | list | tuple):
+            raise ValueError(
+                'should be a number such as 3e-4, [first, last], or [first, last, "geometric"]'
+            )
+        return rate
+
     @field_validator("algorithm")
     @classmethod
     def _is_trained(cls, algorithm: str) -> str:
-        names = (*ALGORITHMS, *MODULES)
-        if algorithm not in names:
-            raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
+        if algorithm not in ALGORITHMS:
+            known = not_registered(algorithm, ALGORITHMS)
+            raise ValueError(f"should be an algorithm to train with: {known}")
         return algorithm
 
     @field_validator("options")

@@ -39,7 +39,7 @@ from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.networks import policy_arguments
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 from soft_tendon_env.policies.agent import CONFIG
-from soft_tendon_env.policies.algorithms import network_kind
+from soft_tendon_env.policies.algorithms import policy_name
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -169,11 +169,7 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 
 def make_model(training: Training) -> BaseAlgorithm:
-    """Agent that has learned nothing yet, with its environment.
-
-    Raises ValueError.
-    """
-    network_kind(training.algorithm)  # raises where its agents could not act later
+    """Agent that has learned nothing yet, with its environment. Raises ValueError."""
     env = make_training_env(training)
     arguments: dict[str, Any] = dict(training.hyperparameters)
     arguments["learning_rate"] = learning_rate(training)
@@ -185,8 +181,8 @@ def make_model(training: Training) -> BaseAlgorithm:
         gamma=arguments.get("gamma", 0.99),
     )
     has_goals = isinstance(env.observation_space, gym.spaces.Dict)
-    policy = "MultiInputPolicy" if has_goals else "MlpPolicy"
     kind = training_class(training.algorithm)
+    policy = policy_name(kind, has_goals)
     try:
         _gather_settings(kind, arguments)
         model: BaseAlgorithm = kind(

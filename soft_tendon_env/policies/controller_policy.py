@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
-from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
+from soft_tendon_env.control.catalogue import LOOKS_AHEAD, Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL, Setting, Uncertainty
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -33,6 +33,7 @@ from soft_tendon_env.tools.configuration import (
     not_registered,
     shown,
 )
+from soft_tendon_env.tools.registry import Registry
 from soft_tendon_env.tools.types import Array
 
 # share of the largest command by which one that is observed in single precision may differ from
@@ -78,7 +79,7 @@ def observation_options(
     """
     estimator_entry = _among("estimator", estimator, ESTIMATORS)
     reference = _among("task", task, TASKS).measured_reference
-    entry = _among("controller", controller, CONTROLLERS.get(task, {}))
+    entry = _controller(controller, task)
     ahead = _periods_ahead(entry, latency, period, estimator_entry)
     options: dict[str, Any] = {"action": "tension"}
     options["preview"] = [period * k for k in range(1, ahead + 1)]
@@ -134,7 +135,7 @@ def make_policy(
     if latency is None:
         latency = delay
     late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
-    entry: Entry = _among("controller", controller, CONTROLLERS.get(episodes.task.name, {}))
+    entry = _controller(controller, episodes.task.name)
     ahead = _periods_ahead(entry, late, episodes.period, estimator_entry)
     _check_preview(entry, episodes, ahead)
     greatest = late
@@ -223,19 +224,25 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
         raise ConfigurationError([Problem(("preview",), text)], "environment")
 
 
-def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
-    """Entry of a table by its name; a controller's entry itself, or None, as it is.
-
-    Raises ValueError.
-    """
-    if chosen is None or isinstance(chosen, Entry):
+def _controller(chosen: str | Entry, task: str) -> Entry:
+    """Entry of a controller by its name, or itself. Raises ValueError."""
+    if isinstance(chosen, Entry):
         return chosen
+    entries = controllers_of(task)
+    if isinstance(chosen, str) and chosen in entries:
+        return entries[chosen]
+    raise ValueError(f"controller is {shown(chosen)}: {valid_controllers(str(chosen), task)}")
+
+
+def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
+    """Entry of a table by its name; None as it is. Raises ValueError."""
+    if chosen is None:
+        return None
     if isinstance(chosen, str) and chosen in valid:
         return valid[chosen]
-    # users add to those two
-    describe = not_registered if kind in ("controller", "task") else not_among
-    known = describe(str(chosen), valid)
-    raise ValueError(f"{kind} is {shown(chosen)}: {known}")
+    # users add to registries
+    describe = not_registered if isinstance(valid, Registry) else not_among
+    raise ValueError(f"{kind} is {shown(chosen)}: {describe(str(chosen), valid)}")
 
 
 class ControllerPolicy:

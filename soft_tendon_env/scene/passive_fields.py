@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
-from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
+from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.forks import cached_property
@@ -286,7 +286,7 @@ def fields_of(scene: Scene) -> PassiveFields:
     Raises:
         ConfigurationError: where there are none, or not these.
     """
-    assert not isinstance(scene.strain, ExplicitStrain)
+    assert isinstance(scene.strain, StaticsBased)
     passive = scene.strain.passive
     assert isinstance(passive, Snapshots)
     fields = _named_fields(scene, passive)

@@ -2,18 +2,27 @@
 
 A routing is the offset d = (0, y, z) of a tendon from the axis, and d' = dd/dX.
 
-To add one, write its class here and name it in `Size`, with its type as the tag, or in `Routing`.
+One is a class under `@register("taper", "name")` or `@register("routing", "name")`, here or in a
+user's own file as `examples/own_routing.py`.
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Discriminator, Field, Tag, field_validator
+from pydantic import (
+    AliasChoices,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    SerializeAsAny,
+    Tag,
+    field_validator,
+)
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.registry import TableRegistry, register
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
 
 Offset = tuple[Number, Number]
@@ -69,6 +78,11 @@ class Taper(AlongRod):
         """
 
 
+TAPERS: TableRegistry[Taper] = TableRegistry("taper", Taper)
+"""Registered tapers, by the `type` that tables name."""
+
+
+@register("taper", "linear")
 class LinearTaper(Taper):
     """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
@@ -81,6 +95,7 @@ class LinearTaper(Taper):
         return self.base + slope * arc_length, np.full_like(arc_length, slope)
 
 
+@register("taper", "table")
 class TaperTable(Taper):
     """Tabulated sizes at arc lengths, interpolated by PCHIP.
 
@@ -113,18 +128,16 @@ class TaperTable(Taper):
 
 
 def _kind_of_size(value: Any) -> Any:
-    """Type of a size as it is written, or of a taper."""
-    if isinstance(value, Mapping):
-        return value.get("type")
-    return getattr(value, "type", "number")
+    """Tag of a size: whether it is a taper or a number."""
+    return "taper" if isinstance(value, Taper) else "number"
 
 
 Size = Annotated[
-    Annotated[Length, Tag("number")]
-    | Annotated[LinearTaper, Tag("linear")]
-    | Annotated[TaperTable, Tag("table")],
+    Annotated[Length, Tag("number")] | Annotated[SerializeAsAny[Taper], Tag("taper")],
     Discriminator(_kind_of_size),
+    BeforeValidator(TAPERS.parse),
 ]
+"""A length [m], or a taper, also as a table with its `type`."""
 
 
 class TendonRouting(AlongRod):
@@ -132,6 +145,14 @@ class TendonRouting(AlongRod):
 
     Arc lengths are measured from the rod's base; y, z span the section.
     """
+
+    @property
+    def direction(self) -> float | None:
+        """Direction [rad] from y towards z in which `radius` is that of the rod's outline.
+
+        By default there is none: `radius` is then that of the circle around the section.
+        """
+        return None
 
     @abstractmethod
     def offset_and_slope(
@@ -141,7 +162,7 @@ class TendonRouting(AlongRod):
 
         Args:
             arc_length: (m,) [m] from the rod's base.
-            radius: (m,) of the rod there [m].
+            radius: (m,) of the rod there [m], see `direction`.
             radius_slope: (m,) d radius/dX there [-].
             ends: the tendon's first and last arc length [m].
 
@@ -149,7 +170,16 @@ class TendonRouting(AlongRod):
             y and z [m], and their d/dX [-], each (m, 2).
         """
 
+    def turn_rate(self) -> float:
+        """Greatest angle per arc length [rad/m] by which the tendon winds around the axis."""
+        return 0.0
 
+
+ROUTINGS: TableRegistry[TendonRouting] = TableRegistry("routing", TendonRouting)
+"""Registered tendon routings, by the `type` that tables name."""
+
+
+@register("routing", "straight")
 class StraightRouting(TendonRouting):
     """Straight tendon, parallel to the axis at `offset` (y, z) [m]."""
 
@@ -163,6 +193,7 @@ class StraightRouting(TendonRouting):
         return offset, np.zeros_like(offset)
 
 
+@register("routing", "converging")
 class ConvergingRouting(TendonRouting):
     """Converging tendon, along a line between two offsets (y, z) [m].
 
@@ -183,27 +214,34 @@ class ConvergingRouting(TendonRouting):
         return offset, np.tile(slope, (len(arc_length), 1))
 
 
+@register("routing", "surface")
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius.
+    """Tendon at a fixed fraction of the way from the axis to the rod's outline.
 
-    That is the radius of the circle around its section, so that it follows a taper.
+    It follows a taper, and stays inside of a flat section up to the fraction 1.
 
-    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
+    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z,
+    with the distance r of the outline in that direction.
     """
 
     type: Literal["surface"] = "surface"
     fraction: NotNegative = 1.0
     angle: Number
 
+    @property
+    def direction(self) -> float:
+        """Direction [rad] in which the outline's distance counts."""
+        return float(np.deg2rad(self.angle))
+
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        angle = np.deg2rad(self.angle)
-        unit = np.array([np.cos(angle), np.sin(angle)])
-        direction = self.fraction * unit
-        return np.outer(radius, direction), np.outer(radius_slope, direction)
+        unit = np.array([np.cos(self.direction), np.sin(self.direction)])
+        way = self.fraction * unit
+        return np.outer(radius, way), np.outer(radius_slope, way)
 
 
+@register("routing", "helix")
 class HelixRouting(TendonRouting):
     """Helical tendon around the axis at a fixed `radius` [m].
 
@@ -227,12 +265,16 @@ class HelixRouting(TendonRouting):
         slope = self.angular_rate * tangent
         return offset, slope
 
+    def turn_rate(self) -> float:
+        return abs(self.angular_rate)
+
     def wavelength(self) -> float:
         if not self.angular_rate:
             return float("inf")
         return 2 * np.pi / abs(self.angular_rate)
 
 
+@register("routing", "table")
 class TableRouting(TendonRouting):
     """Tabulated tendon through points, by not-a-knot cubic splines.
 
@@ -268,7 +310,5 @@ class TableRouting(TendonRouting):
         )
 
 
-Routing = Annotated[
-    StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting,
-    Field(discriminator="type"),
-]
+Routing = Annotated[SerializeAsAny[TendonRouting], BeforeValidator(ROUTINGS.parse)]
+"""A tendon routing, also as a table with its `type`."""

@@ -16,8 +16,8 @@ from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.routing import Ends, Routing, Size
-from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Stiffness, Tube
-from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
+from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Tube
+from soft_tendon_env.scene.strain import AnyStrain, StaticsBased
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
@@ -115,8 +115,8 @@ class Segment(Configuration):
 
     Segments follow each other from the base.
 
-    It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, or
-    Stiffness, which needs no material.
+    It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, one of
+    the user's own, or Stiffness, which needs no material.
     """
 
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
@@ -143,9 +143,8 @@ class Segment(Configuration):
     def _said_once(cls, value: Any, info: ValidationInfo) -> Any:
         section: Any = info.data.get("section")
         is_radius = info.field_name == "radius"
-        # every section has its own size, Stiffness its own material
-        kind = Section if is_radius else Stiffness
-        takes_its_place = isinstance(section, kind)
+        # every section has its own size, and some their own material
+        takes_its_place = section is not None and (is_radius or not section.has_material)
         if takes_its_place and value is not None:
             raise ValueError(
                 f"should be left out: the section, of type {section.type!r}, takes its place"
@@ -284,7 +283,7 @@ class Scene(Configuration):
     segments: tuple[Segment, ...] = Field(min_length=1)
     tendons: tuple[Tendon, ...] = Field(min_length=1)
     base: Base = Base()
-    strain: Annotated[StaticsBased | ExplicitStrain, Field(discriminator="type")] = StaticsBased()
+    strain: AnyStrain = StaticsBased()
     quadrature: Quadrature = Quadrature()
     integrator: Integrator = Integrator()
     effects: Effects = Effects()
@@ -472,7 +471,15 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
         Offset (y, z) [m], and its slope d/dX [-], each (m, 2).
     """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    radius, radius_slope = rod_radius(scene, arc_length)
+    direction = tendon.routing.direction
+    if direction is None:
+        radius, radius_slope = rod_radius(scene, arc_length)
+    else:
+        radius, radius_slope = along_rod(
+            scene,
+            arc_length,
+            lambda segment, places: segment.shape.outline_radius(direction, places, segment.length),
+        )
     ends = tendon_ends(scene, tendon)
     return tendon.routing.offset_and_slope(arc_length, radius, radius_slope, ends)
 

@@ -11,7 +11,8 @@ Timoshenko and J. N. Goodier, Theory of Elasticity, 1970, chapter 10):
 - inertia per length rho diag(Iy + Iz, Iy, Iz, A, A, A).
 
 The shear correction factor k is 1 unless a section says otherwise: a solid circle has none, and a
-tube without a hole is one. To add a section, write its class here and name it in `AnySection`.
+tube without a hole is one. A section is a class under `@register("section", "name")`, here or in a
+user's own file as `examples/own_section.py`.
 """
 
 from abc import abstractmethod
@@ -19,11 +20,12 @@ from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.scene.routing import Size, Taper
 from soft_tendon_env.tools.configuration import Configuration, Problem
+from soft_tendon_env.tools.registry import TableRegistry, register
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
 # viscosity of the six strains in eta, (6, 1): 3 along the rod (Trouton's ratio)
@@ -42,9 +44,16 @@ class Section(Configuration):
     Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
 
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
+
+    Attributes:
+        sizes: names of the fields that are sizes.
+        has_material: whether it is of one material, whose numbers the segment has then.
+        has_corners: whether the outline is the rectangle of its widths, else it is their ellipse.
     """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
+    has_material: ClassVar[bool] = True
+    has_corners: ClassVar[bool] = False
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
@@ -89,6 +98,21 @@ class Section(Configuration):
                 values[i] = size
         return values, slopes
 
+    def sizes_along(self, length: float) -> Array:
+        """Computes the sizes at many places of a segment, all extremes of tables among them.
+
+        Args:
+            length: of the segment [m].
+
+        Returns:
+            The sizes [m], (sizes, m).
+        """
+        # between the points of a table a size has no other extremes
+        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
+        places = np.concatenate([length * PLACES, *tables])
+        values, _ = self.at(places, length)
+        return values
+
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes the radius of the circle around the section, and its derivative along the rod.
 
@@ -101,6 +125,19 @@ class Section(Configuration):
         """
         values, slopes = self.at(arc_length, length)
         return values[0], slopes[0]
+
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Returns how far the outline is from the axis in a direction.
+
+        Args:
+            angle: From y towards z [rad].
+            arc_length: From the start of the segment (m,) [m].
+            length: Of the segment [m].
+
+        Returns:
+            Distance [m], and its derivative along the rod [-], each (m,).
+        """
+        return self.outer_radius(arc_length, length)
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Computes widths, perimeter and area of the outline.
@@ -144,6 +181,10 @@ class Section(Configuration):
                 yield Problem((name,), text)
 
 
+SECTIONS: TableRegistry[Section] = TableRegistry("section", Section)
+"""Registered cross-sections, by the `type` that tables name."""
+
+
 class Solid(Section):
     """Base of the sections of one material."""
 
@@ -177,6 +218,7 @@ class Solid(Section):
         return np.stack([elasticity, viscosity, inertia])
 
 
+@register("section", "tube")
 class Tube(Solid):
     """Round tube; without a hole it is the solid circle.
 
@@ -203,10 +245,7 @@ class Tube(Solid):
         yield from super().misfits(length)
         if not self.inner_radius:
             return
-        # also the points of tables, between which a size has no other extremes
-        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
-        places = np.concatenate([length * PLACES, *tables])
-        (outer, inner), _ = self.at(places, length)
+        outer, inner = self.sizes_along(length)
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
             text = (
@@ -217,7 +256,7 @@ class Tube(Solid):
 
 
 class Flat(Solid):
-    """Base of the sections with a `width` along y and a `height` along z."""
+    """Base of the sections with a `width` along y and a `height` along z, their first sizes."""
 
     sizes: ClassVar[tuple[str, ...]] = ("width", "height")
 
@@ -225,11 +264,14 @@ class Flat(Solid):
     height: Size  # along z [m]
 
 
+@register("section", "rectangle")
 class Rectangle(Flat):
     """Solid rectangle.
 
     Torsion is Timoshenko and Goodier's (170), summed to round-off.
     """
+
+    has_corners: ClassVar[bool] = True
 
     type: Literal["rectangle"] = "rectangle"
 
@@ -253,22 +295,37 @@ class Rectangle(Flat):
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes half the diagonal, and its derivative along the rod."""
         values, slopes = self.at(arc_length, length)
-        diagonal = np.hypot(*values)
-        slope = 0.5 * (values * slopes).sum(axis=0) / diagonal
+        sides = values[:2]
+        diagonal = np.hypot(*sides)
+        slope = 0.5 * (sides * slopes[:2]).sum(axis=0) / diagonal
         return 0.5 * diagonal, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Computes widths, perimeter and area of the rectangle."""
-        (width, height), _ = self.at(arc_length, length)
+        (width, height, *_), _ = self.at(arc_length, length)
         perimeter = 2.0 * (width + height)
         area = width * height
         return np.stack([width, height, perimeter, area])
+
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the way from the axis to the side that a direction meets."""
+        values, slopes = self.at(arc_length, length)
+        half_y, half_z = 0.5 * values[:2]
+        slope_y, slope_z = 0.5 * slopes[:2]
+        along_y = abs(np.cos(angle))
+        along_z = abs(np.sin(angle))
+        # the direction leaves through a side across y where its slope is below the diagonal's
+        meets_y = half_z * along_y >= half_y * along_z
+        radius = np.where(meets_y, half_y, half_z) / np.where(meets_y, along_y, along_z)
+        slope = np.where(meets_y, slope_y, slope_z) / np.where(meets_y, along_y, along_z)
+        return radius, slope
 
     def outline(self, circle: Array) -> Array:
         """Returns points of the square that the outline is in parts of half its widths."""
         return np.clip(np.sqrt(2.0) * circle, -1.0, 1.0)
 
 
+@register("section", "ellipse")
 class Ellipse(Flat):
     """Solid ellipse."""
 
@@ -300,12 +357,25 @@ class Ellipse(Flat):
         area = np.pi * a * b
         return np.stack([2.0 * a, 2.0 * b, perimeter, area])
 
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the radius of the ellipse in a direction."""
+        values, slopes = self.at(arc_length, length)
+        a, b = 0.5 * values
+        a_slope, b_slope = 0.5 * slopes
+        # 1 / r^2 = (cos / a)^2 + (sin / b)^2
+        along_y = np.cos(angle) ** 2 / a**2
+        along_z = np.sin(angle) ** 2 / b**2
+        radius = 1.0 / np.sqrt(along_y + along_z)
+        slope = radius**3 * (along_y * a_slope / a + along_z * b_slope / b)
+        return radius, slope
+
 
 def _both(value: Any) -> Any:
     """A pair, also of one number for both."""
     return value if isinstance(value, list | tuple) else (value, value)
 
 
+@register("section", "stiffness")
 class Stiffness(Section):
     """Stiffnesses themselves, as measured or from a finite element model.
 
@@ -314,6 +384,8 @@ class Stiffness(Section):
     The segment then has no `young_modulus`, `poisson_ratio`, `density` and `damping`. Damping is
     Kelvin-Voigt with one time constant, Upsilon = `retardation_time` Sigma.
     """
+
+    has_material: ClassVar[bool] = False
 
     type: Literal["stiffness"] = "stiffness"
     bending: tuple[Positive, Positive]  # (E Iy, E Iz) [N m^2]
@@ -346,7 +418,8 @@ class Stiffness(Section):
         return np.stack([sigma, self.retardation_time * sigma, inertia])
 
 
-AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
+AnySection = Annotated[SerializeAsAny[Section], BeforeValidator(SECTIONS.parse)]
+"""A cross-section, also as a table with its `type`."""
 
 
 class Discs(Configuration):

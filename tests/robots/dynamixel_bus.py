@@ -21,6 +21,7 @@ STATUS = 0x55
 SYNC_READ = 0x82
 SYNC_WRITE = 0x83
 EVERYBODY = 0xFE
+OPERATING_MODE = 11
 TORQUE = 64
 WATCHDOG = 98
 GOALS = range(100, 104)
@@ -50,6 +51,8 @@ class Motor:
 
     def __init__(self, position, clock):
         self.table, self.heard, self._clock = bytearray(256), 0.0, clock
+        self.table[OPERATING_MODE] = 3  # of positions, as motors are delivered
+        self.table[TORQUE] = 1  # as somebody may have left it
         struct.pack_into("<H", self.table, 38, 1193)  # current limit
         struct.pack_into("<i", self.table, 132, position)
 
@@ -59,6 +62,8 @@ class Motor:
     def write(self, address, data):
         if address in GOALS and (not self.table[TORQUE] or self.has_stopped):
             return
+        if address == OPERATING_MODE and self.table[TORQUE]:
+            return  # registers of the EEPROM are locked under torque
         self.table[address : address + len(data)] = data
         if address == 102:
             self.table[126:128] = data  # the present current
