@@ -8,8 +8,12 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.statics import static_equilibrium
 
-LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+LENGTH = 0.3  # [m]
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+DENSITY = 1070.0  # [kg/m^3]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
 FLAT = {
@@ -53,12 +57,18 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
 
     def parts(q):
         work = workspace_at(model, q)
-        pose = np.moveaxis(work.kinematics.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
-        J = np.moveaxis(work.kinematics.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
-        U = np.einsum("iab,a->ib", pose[:, :9].reshape(-1, 3, 3), current) * [0.0, 1.0, 1.0]
-        return np.append(
-            -np.einsum("i,nia,ia->n", mass, J, U), 0.5 * np.einsum("i,ia,ia->", mass, U, U)
-        )
+        packed_pose = work.kinematics.pose.reshape(-1, 12, LANES)
+        pose = np.moveaxis(packed_pose, 1, 2).reshape(-1, 12)
+        packed_J = work.kinematics.J.reshape(n, -1, 6, LANES)
+        J = np.moveaxis(packed_J, 2, 3).reshape(n, -1, 6)
+        linear = J[..., 3:]
+        # the fluid's velocity across the rod, in the section's frame
+        rotation = pose[:, :9].reshape(-1, 3, 3)
+        U = np.einsum("iab,a->ib", rotation, current)
+        U[:, 0] = 0.0
+        momentum = -np.einsum("i,nia,ia->n", mass, linear, U)
+        energy = 0.5 * np.einsum("i,ia,ia->", mass, U, U)
+        return np.append(momentum, energy)
 
     gradient = slope(parts, q, 1e-5)
     momentum, potential = gradient[:n], gradient[n]

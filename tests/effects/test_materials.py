@@ -6,8 +6,11 @@ import pytest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, remember
 from soft_tendon_env.model.statics import static_equilibrium
 
-RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+SHEAR = 5e5 / 3  # shear modulus [Pa]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 LAW = {
     "effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}
@@ -63,13 +66,16 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
 @pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
 def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step):
     """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
-    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    model = uniform(changes={**TWO, "quadrature.intervals": 4})
+    q = np.array([3.0, -1.0])
     work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
-    work.inputs.before[:], work.inputs.since[0] = work.strain.xi, step
+    work.inputs.before[:] = work.strain.xi
+    work.inputs.since[0] = step
     for i in range(1, 4):
         external_force(model.arm, False, work)
-        left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
+        time = i * step
+        left = 0.5 * np.exp(-time / 0.1) + 2.0 * np.exp(-time / 0.01)
         np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
 

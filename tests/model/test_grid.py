@@ -47,12 +47,16 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (make_rod(s, grid, at_points(s, grid)) for s in (scene, scene.replace(payload)))
-    base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
-    mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
-    np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
+    carrying = scene.replace(payload)
+    bare = make_rod(scene, grid, at_points(scene, grid))
+    loaded = make_rod(carrying, grid, at_points(carrying, grid))
+    density = 100.0  # of the rod, whose radius goes from 3 to 2 cm [kg/m^3]
+    base_share = 0.5 * newton_cotes(6)[0] * density * np.pi * 0.03**2
+    frustum = np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3
+    np.testing.assert_allclose(bare.mass + base_share, density * frustum, rtol=1e-12)
     difference = (loaded.inertia - bare.inertia).reshape(grid.packs, 6, LANES)
-    np.testing.assert_allclose(difference[-1, :, -1], [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
+    at_tip = difference[-1, :, -1]
+    np.testing.assert_allclose(at_tip, [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
     assert np.count_nonzero(difference) == 6
 
 
@@ -74,12 +78,16 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get
     the last point's."""
     _, grid = grid_of(name, 3)
-    strain = np.random.default_rng(0).normal(size=(*lead, 2 * grid.real.sum(), 6))
+    rng = np.random.default_rng(0)
+    point_count = 2 * grid.real.sum()
+    strain = rng.normal(size=(*lead, point_count, 6))
     packed = grid.packed(strain)
     assert packed.shape == (*lead, 2 * grid.length.size * 6)
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
-    empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
-    np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
+    by_interval = grid.at_points(packed, 6)
+    empty = by_interval[..., ~grid.real, :, :]
+    last = strain[..., None, -1:, :]
+    np.testing.assert_array_equal(empty, np.broadcast_to(last, empty.shape))
 
 
 def scene_and_grid(name, **changes):

@@ -104,11 +104,15 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to
     be given up."""
     model = model_of(name, **changes)
-    u = np.random.default_rng(0).uniform(0.0, 10.0, model.tendon_count)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0.0, 10.0, model.tendon_count)
     near = ChordSolver(model, static_equilibrium(model, u).q, u)
-    q, tip = near.at((1.0 + step) * u)
-    found = static_equilibrium(model, (1.0 + step) * u)
-    np.testing.assert_allclose(tip, found.tip_pose, atol=1e-8)
+    neighbour = (1.0 + step) * u
+    q, tip = near.at(neighbour)
+    searched = static_equilibrium(model, neighbour)
+    np.testing.assert_allclose(tip, searched.tip_pose, atol=1e-8)
     np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
-    moved = static_equilibrium(model, 1.0001 * u, near.q).q - near.q
-    assert np.linalg.norm(1e-4 * near.answer @ u - moved) < 1e-2 * np.linalg.norm(moved)
+    small = 1e-4
+    moved = static_equilibrium(model, (1.0 + small) * u, near.q).q - near.q
+    predicted = small * near.answer @ u
+    assert np.linalg.norm(predicted - moved) < 1e-2 * np.linalg.norm(moved)

@@ -16,7 +16,8 @@ from soft_tendon_env.scene.routing import (
 from soft_tendon_env.scene.sections import Ellipse, Rectangle
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ENDS, LENGTH = (0.1, 0.5), 0.4
+ENDS = (0.1, 0.5)
+LENGTH = 0.4
 RADII = TaperTable(arc_length=(0.0, 0.1, 0.25, 0.4), size=(0.02, 0.018, 0.01, 0.012))
 ROUTINGS = {
     "straight": StraightRouting(offset=(0.01, -0.02)),

@@ -68,12 +68,18 @@ ANGLES = (
 @kernel
 def on_packs(Omegas, rates, xs, out):
     """T x and T_dot x, flat fields (pack, component, lane)."""
-    for i in range(Omegas.size // (6 * LANES)):
-        Omega, x = load6(Omegas, i), load6(xs, i)
-        c = coefficients(dot(Omega[0], Omega[0]))
+    packs = Omegas.size // (6 * LANES)
+    for i in range(packs):
+        Omega = load6(Omegas, i)
+        rate = load6(rates, i)
+        x = load6(xs, i)
+        angle_squared = dot(Omega[0], Omega[0])
+        c = coefficients(angle_squared)
         A, C = dexp_operator(Omega, c)
-        store6(out, 2 * i, operator_apply(A, C, x))
-        store6(out, 2 * i + 1, dexp_dot_apply(Omega, load6(rates, i), c, x))
+        applied = operator_apply(A, C, x)
+        store6(out, 2 * i, applied)
+        applied_dot = dexp_dot_apply(Omega, rate, c, x)
+        store6(out, 2 * i + 1, applied_dot)
 
 
 def evaluate_on_packs(Omegas, rates, xs):
@@ -132,11 +138,17 @@ def samples():
     """Twists of every angle with linear parts from tiny to large, random directions; a whole number
     of packs."""
     rng = np.random.default_rng(1)
-    axes, pushes = rng.normal(size=(2, len(ANGLES) * 3, 3))
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    angles, sizes = np.repeat(ANGLES, 3), np.tile([1e-3, 1.0, 30.0], len(ANGLES))
-    Omegas = np.hstack([axes * angles[:, None], pushes * sizes[:, None]])
-    Omegas = np.vstack([Omegas, np.tile(Omegas[-1], (-len(Omegas) % LANES, 1))])
+    sizes = [1e-3, 1.0, 30.0]
+    count = len(ANGLES) * len(sizes)
+    axes, pushes = rng.normal(size=(2, count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angular = axes * np.repeat(ANGLES, len(sizes))[:, None]
+    linear = pushes * np.tile(sizes, len(ANGLES))[:, None]
+    Omegas = np.hstack([angular, linear])
+    # The last pack is filled with the last twist.
+    missing = -count % LANES
+    filling = np.tile(Omegas[-1], (missing, 1))
+    Omegas = np.vstack([Omegas, filling])
     rates, xs = rng.normal(size=(2, len(Omegas), 6))
     return (Omegas, rates, xs), exact(Omegas, rates, xs)
 
