@@ -143,9 +143,7 @@ def test_the_step_balances_the_linearised_equation_of_motion(terms, h):
     way = h * end
     of_arm = terms.elastic_force + terms.stiffness @ way + terms.damping @ end + terms.bias
     of_effects = (
-        terms.external_force
-        - terms.external_stiffness @ way
-        - terms.external_damping @ (end - v)
+        terms.external_force - terms.external_stiffness @ way - terms.external_damping @ (end - v)
     )
     force = terms.actuation @ u - of_arm + of_effects
     np.testing.assert_allclose(terms.mass @ (end - v) / h, force, rtol=1e-9, atol=1e-9)

@@ -205,9 +205,7 @@ def moving(model, random_state):
 @pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])
 @pytest.mark.parametrize("integral_time", [None, 0.5])
 @pytest.mark.parametrize("error", [None, ERROR], ids=["exact", "erring"])
-def test_the_law_holds_over_the_period(
-    model, moving, monkeypatch, objective, integral_time, error
-):
+def test_the_law_holds_over_the_period(model, moving, monkeypatch, objective, integral_time, error):
     """The velocity at its end is the present one, what the gains ask for, and what the target's
     velocity gains: its mean over this period and the next differ by a period's acceleration."""
     monkeypatch.setattr(tip_tracking, "FREE", 1e-7)
@@ -229,9 +227,7 @@ def test_the_law_holds_over_the_period(
     target_velocity = aim.velocity - PERIOD * acceleration
     present = aim.jacobian @ moving.q_dot
     gains = tracking.gains
-    feedback = (
-        gains.kp * aim.error + gains.kd * (target_velocity - present) + gains.ki * integral
-    )
+    feedback = gains.kp * aim.error + gains.kd * (target_velocity - present) + gains.ki * integral
     expected = present + PERIOD * (acceleration + feedback)
     np.testing.assert_allclose(velocity, expected, atol=1e-4 * np.abs(expected - present).max())
     assert output.report["singular"] == 0.0
