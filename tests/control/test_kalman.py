@@ -404,6 +404,25 @@ def test_an_update_is_kalman_s(arm, belief, size):
     np.testing.assert_array_equal(updated.covariance, updated.covariance.T)
 
 
+def test_updates_that_no_arm_can_take_are_given_up(arm, belief):
+    """From what is usual to what is absurd: the shape is one that the model has, or there is no
+    update; of the greatest there is none."""
+    found = filter_of(arm, ("tendon_length",), greatest_latency=0.08)
+    layout, scale = layout_of(arm), arm.coordinate_scale()
+    q = scale * belief.mean[layout.z]
+    tip_pose = moved_pose(arm.tip_pose(q), belief.mean[layout.tip])
+    given_up = []
+    for size in np.geomspace(1e-3, 1e12, 46):
+        lengths = arm.tendon_lengths(q) + size * np.array([1.0, -0.5, 0.3])
+        measured = Measurement(tip_pose, SENT, 1.0, tendon_length=lengths)
+        updated = found._update(belief, measured)
+        given_up.append(updated is None)
+        if updated is not None:
+            arm.tip_pose(scale * updated.mean[layout.z])
+    assert not given_up[0]
+    assert given_up[-1]
+
+
 def test_gains_and_latency_stay_within_their_bounds(arm):
     """A tendon pulls with half to twice of what is asked for; commands are late by at most what is
     told, and not early."""
