@@ -187,6 +187,8 @@ def test_late_commands_take_over_within_a_period(latency, parts):
         np.testing.assert_allclose(actuators.sent(1)[-1], history[-1])
     np.testing.assert_array_equal(actuators.command[0], BEFORE)
     np.testing.assert_allclose(actuators.command[1], GREATEST)
+    actuators.begin(1, np.random.default_rng(1), BEFORE)
+    assert (actuators.sent(1) == BEFORE).all()
 
 
 def test_commands_that_are_too_late_are_refused():

@@ -32,15 +32,15 @@ def rates_by_differences(tensions, times):
 
 def test_the_closed_spline_is_the_uniform_cubic_b_spline_of_its_points():
     """A knot is where the point that comes second counts most; after a period it begins anew."""
-    spline = ClosedSpline(POINTS, period=3.0)
-    times = np.linspace(0.0, 2.999, 41)
-    knots = 0.5 * np.arange(-3.0, 11.0)
+    spline = ClosedSpline(POINTS, period=2.4)
+    times = np.linspace(0.0, 2.399, 41)
+    knots = 0.4 * np.arange(-3.0, 11.0)
     around = np.concatenate([POINTS, POINTS])[: knots.size - 4]
     expected = BSpline(knots, around, 3)(times)
     tension, rate = spline(times)
     np.testing.assert_allclose(tension, expected, atol=1e-12)
-    np.testing.assert_allclose(spline(times + 6.0)[0], tension, atol=1e-12)
-    np.testing.assert_allclose(spline.knots, 0.5 * np.arange(7.0))
+    np.testing.assert_allclose(spline(times + 4.8)[0], tension, atol=1e-12)
+    np.testing.assert_allclose(spline.knots, 0.4 * np.arange(7.0))
     inner = times + 0.013
     np.testing.assert_allclose(spline(inner)[1], rates_by_differences(spline, inner), atol=1e-6)
 
