@@ -108,7 +108,11 @@ def test_balls_swing_across_the_straight_arm_and_begin_beside_it(turned):
     with the phase of a quarter turn they begin at an end."""
     scene = "three_tendon"
     if turned:
-        scene = {"scene": scene, "base.position": [1.0, 2.0, 3.0], "base.quaternion": [0.6, 0.0, 0.8, 0.0]}
+        scene = {
+            "scene": scene,
+            "base.position": [1.0, 2.0, 3.0],
+            "base.quaternion": [0.6, 0.0, 0.8, 0.0],
+        }
     changes = SETTINGS["obstacles"].options({"scene": scene})["scene"]
     balls = changes["effects.contact"]["obstacles"]
     base = load_scene("three_tendon").base.pose

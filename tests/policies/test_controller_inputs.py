@@ -1,0 +1,129 @@
+"""What a controller is told of an observation: poses, targets and memories by their formulas; how
+far ahead it should be told."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.policies.controller_policy import (
+    _memories,
+    _periods_ahead,
+    _target_coordinates,
+    _target_poses,
+    _tip_poses,
+    _under_tensions,
+)
+from soft_tendon_env.policies.estimators import ESTIMATORS
+
+POSITIONS = np.array([[0.1, 0.2, 0.3], [-0.1, 0.0, 0.2]])
+ROTATIONS = Rotation.from_euler("xyz", [[0.3, -0.8, 1.1], [2.0, 0.1, -0.4]]).as_matrix()
+
+
+def observed(rotations):
+    """First two columns side by side, as the group `tip_rotation` has them."""
+    columns = np.concatenate([rotations[:, :, 0], rotations[:, :, 1]], axis=1)
+    return {"tip_position": POSITIONS, "tip_rotation": columns}
+
+
+def test_poses_are_those_of_position_and_two_columns():
+    poses = _tip_poses(observed(ROTATIONS))
+    np.testing.assert_allclose(poses[:, :3, :3], ROTATIONS, atol=1e-12)
+    np.testing.assert_array_equal(poses[:, :3, 3], POSITIONS)
+    np.testing.assert_array_equal(poses[:, 3], [[0, 0, 0, 1]] * 2)
+
+
+def test_rounded_columns_are_made_orthonormal_again():
+    """The first keeps its direction, the second turns in their plane."""
+    rounded = ROTATIONS + np.random.default_rng(0).normal(0.0, 1e-3, (2, 3, 3))
+    R = _tip_poses(observed(rounded))[:, :3, :3]
+    np.testing.assert_allclose(R.swapaxes(1, 2) @ R, np.tile(np.eye(3), (2, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    first = rounded[:, :, 0] / np.linalg.norm(rounded[:, :, 0], axis=1)[:, None]
+    np.testing.assert_allclose(R[:, :, 0], first, atol=1e-12)
+    volume = np.linalg.det(np.stack([rounded[:, :, 0], rounded[:, :, 1], R[:, :, 1]], axis=2))
+    np.testing.assert_allclose(volume, 0.0, atol=1e-12)
+
+
+def test_targets_are_poses_from_the_tip_on_now_and_ahead():
+    poses = _tip_poses(observed(ROTATIONS))
+    errors = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 3, 6))
+    values = {"target_error": errors[:, 0], "preview": errors[:, 1:].reshape(2, 12)}
+    targets = _target_poses(values, poses)
+    assert targets.shape == (2, 3, 4, 4)
+    for row in range(2):
+        for k in range(3):
+            expected = moved_pose(poses[row], errors[row, k])
+            np.testing.assert_allclose(targets[row, k], expected, atol=1e-12)
+    (alone,) = _target_poses({"target_error": errors[:1, 0]}, poses[:1])
+    np.testing.assert_allclose(alone, targets[0, :1], atol=1e-12)
+    assert _target_poses({}, poses) is None
+
+
+def test_coordinates_of_targets_are_ways_from_the_arm_or_stand_by_themselves():
+    q, way, ahead = np.array([1.0, 2.0]), np.array([0.5, -0.5]), np.array([0.1, 0.2, 0.3, 0.4])
+    groups = {"coordinates": q, "target_coordinates": way}
+    np.testing.assert_array_equal(_target_coordinates(groups, 1), [[1.5, 1.5]])
+    groups["coordinate_preview"] = ahead
+    expected = [[1.5, 1.5], [1.1, 2.2], [1.3, 2.4]]
+    np.testing.assert_allclose(_target_coordinates(groups, 3), expected)
+    wanted = {"wanted_coordinates": np.arange(6.0)}
+    np.testing.assert_array_equal(_target_coordinates(wanted, 3), np.arange(6.0).reshape(3, 2))
+    assert _target_coordinates({"coordinates": q}, 3) is None
+
+
+def test_rows_that_begin_have_no_memory():
+    assert _memories(2, None, None) == [None, None]
+    assert _memories(2, ("a", "b"), None) == ["a", "b"]
+    assert _memories(2, ("a", "b"), np.array([True, False])) == [None, "b"]
+
+
+@pytest.mark.parametrize(
+    ("latency", "estimator", "periods"),
+    [
+        (0.0, None, 2),
+        (0.02, None, 3),
+        (0.03, None, 4),
+        (0.0, "kalman", 2),
+        (0.03, "kalman", 4),
+        (0.0, "adaptive", 6),  # up to 80 ms
+    ],
+)
+def test_targets_are_told_for_as_long_as_commands_are_late(latency, estimator, periods):
+    """Two periods of feedback, and as many as commands may be late, begun ones too."""
+    entry = CONTROLLERS["TipPose"]["tracking"]
+    found = None if estimator is None else ESTIMATORS[estimator]
+    assert _periods_ahead(entry, latency, 0.02, found) == periods
+
+
+@pytest.mark.parametrize(
+    ("name", "ahead"), [("predictive", 7), ("long_horizon_predictive", 25), ("feedforward", 2)]
+)
+def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
+    """Six intervals of one period, twelve of two, and the period that begins."""
+    entry = CONTROLLERS["TipPose"][name]
+    assert entry.looks_ahead == ahead
+    if name == "predictive":
+        longer = entry.with_parameters({"horizon": 3, "hold": 4})
+        assert longer.looks_ahead == 13
+        assert longer.parameters == {**entry.parameters, "horizon": 3, "hold": 4}
+
+
+def test_controllers_have_their_numbers_as_parameters():
+    parameters = CONTROLLERS["TipPose"]["tracking"].parameters
+    assert parameters == {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
+    shapes = CONTROLLERS["Shape"]["tracking"].parameters
+    assert shapes == {"settling_time": 0.4, "damping": 10.0}
+    assert CONTROLLERS["Shape"]["feedforward"].parameters == {}
+
+
+def test_controllers_believe_in_tensions_that_arrive_at_once(build):
+    """The delay of the actuators is told apart; without one the model is the arm's."""
+    late = build("three_tendon", {"effects.actuators.delay": 0.03})
+    model, delay = _under_tensions(late)
+    assert delay == 0.03
+    assert model.scene.effects.actuators.delay == 0.0
+    assert model.scene.segments == late.scene.segments
+    prompt = build("three_tendon")
+    assert _under_tensions(prompt) == (prompt, 0.0)
