@@ -43,10 +43,12 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
 
 def test_a_warm_start_ends_where_a_cold_one_does(problem):
     A, b, least, greatest = problem
-    cold = allocate(A.T @ A, -A.T @ b, least, greatest)
-    opposite = allocate(A.T @ A, A.T @ b, least, greatest)
-    for start in (cold.multipliers, opposite.multipliers, np.zeros(least.size)):
-        warm = allocate(A.T @ A, -A.T @ b, least, greatest, start)
+    hessian, gradient = A.T @ A, -A.T @ b
+    cold = allocate(hessian, gradient, least, greatest)
+    opposite = allocate(hessian, -gradient, least, greatest)
+    starts = [cold.multipliers, opposite.multipliers, 0.0 * least]
+    for start in starts:
+        warm = allocate(hessian, gradient, least, greatest, start)
         assert warm.solved
         np.testing.assert_allclose(warm.x, cold.x, atol=1e-9)
 

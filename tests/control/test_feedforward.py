@@ -76,7 +76,8 @@ def test_moving_tips_are_followed(build, limits_of, arm):
     model = build(*ARMS[arm])
     limits = limits_of(model)
     phase = np.arange(model.tendon_count)
-    tensions = [0.15 * limits[:, 1] * (1.0 + np.sin(0.1 * k + phase)) for k in range(16)]
+    waves = [1.0 + np.sin(0.1 * k + phase) for k in range(16)]
+    tensions = [0.15 * limits[:, 1] * wave for wave in waves]
     poses = np.stack([static_equilibrium(model, tension).tip_pose for tension in tensions])
     times = PERIOD * np.arange(2.0)
     windows = [poses[k : k + 2] for k in range(15)]
@@ -85,9 +86,11 @@ def test_moving_tips_are_followed(build, limits_of, arm):
     controller = StaticFeedforward(model, limits, PERIOD, objective)
     path = followed_equilibria(controller, model, targets)
     tips = np.stack([model.tip_pose(q)[:3, 3] for q in path])
-    away = np.linalg.norm(tips - poses[1:, :3, 3], axis=1)
+    positions = poses[:, :3, 3]
+    away = np.linalg.norm(tips - positions[1:], axis=1)
     assert away.max() < 2e-3 * model.length
-    assert np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) > 0.02 * model.length
+    extent = np.ptp(positions, axis=0)
+    assert np.linalg.norm(extent) > 0.02 * model.length
 
 
 def input_for(model, target):
@@ -132,12 +135,14 @@ def test_a_period_looks_at_a_fifth_of_the_length_at_most(build, limits_of, holdi
     """However far the target is; the tip goes on its way there."""
     model = build("three_tendon")
     controller = StaticFeedforward(model, 10.0 * limits_of(model), PERIOD, TipPosition())
-    start = controller.act(input_for(model, holding(model, [0.5, 0.0, 0.0]))).memory
+    near = holding(model, [0.5, 0.0, 0.0])
+    start = controller.act(input_for(model, near)).memory
     after = controller.act(input_for(model, far), start).memory
     way = after.tip_pose[:3, 3] - start.tip_pose[:3, 3]
-    assert 0.05 * model.length < np.linalg.norm(way) < 0.3 * model.length
-    before, now = (np.linalg.norm(pose[:3, 3] - FAR) for pose in (start.tip_pose, after.tip_pose))
-    assert now < before
+    share = np.linalg.norm(way) / model.length
+    assert 0.05 < share < 0.3
+    before = np.linalg.norm(FAR - start.tip_pose[:3, 3])
+    assert np.linalg.norm(FAR - after.tip_pose[:3, 3]) < before
 
 
 def test_every_step_lowers_errors_and_efforts(build, limits_of, far):

@@ -133,12 +133,14 @@ def test_the_velocity_is_the_target_s(model, objective, time):
     target = target_through(model, path, (0.0, 0.02, 0.04, 0.06))
     q = path[0] + time / 0.02 * (path[1] - path[0])
     h = 1e-3
-    now, later = (aim_from(model, objective, target, q, time=t) for t in (time, time + h))
+    now = aim_from(model, objective, target, q, time=time)
+    later = aim_from(model, objective, target, q, time=time + h)
     short = aim_from(model, objective, target, q, time=time, period=h)
     speed = np.linalg.norm(short.velocity)
     assert np.linalg.norm(now.error) < 1e-3
     assert speed > 0.01
-    np.testing.assert_allclose((later.error - now.error) / h, short.velocity, atol=2e-3 * speed)
+    growth = (later.error - now.error) / h
+    np.testing.assert_allclose(growth, short.velocity, atol=2e-3 * speed)
     np.testing.assert_allclose(now.velocity, short.velocity, atol=0.05 * speed)
 
 

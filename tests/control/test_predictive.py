@@ -156,17 +156,23 @@ def test_bounds_hold_for_the_whole_plan(model, holding, drive):
     assert 0.0 < motion.reports[-1]["limited"] <= 1.0
 
 
-def test_a_plan_goes_on_by_a_period_a_period(model):
+@pytest.mark.parametrize(
+    ("hold", "expected"),
+    [(1, [1.0, 2.0, 2.0]), (2, [0.5, 1.5, 2.0]), (4, [0.25, 1.25, 2.0])],
+)
+def test_a_plan_goes_on_by_a_period_a_period(model, hold, expected):
     """Where its intervals last two, tensions are half those of the next interval; its end is held
     on."""
-    tension = np.arange(3.0)[:, None] * np.ones(10)
-    for hold, expected in ((1, [1.0, 2.0, 2.0]), (2, [0.5, 1.5, 2.0]), (4, [0.25, 1.25, 2.0])):
-        tuning = Tuning(horizon=3, hold=hold)
-        controller = Predictive(model, WIDE, PERIOD, TipPosition(), tuning)
-        memory = Plan(tension, np.zeros(30), np.zeros(10), np.zeros((10, 10)), None, None)
-        continued = controller._continued(np.ones(10), memory)
-        np.testing.assert_allclose(continued, np.array(expected)[:, None] * np.ones(10))
-        assert tuning.looks_ahead == 3 * hold + 1
+    tuning = Tuning(horizon=3, hold=hold)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition(), tuning)
+    alike = np.ones(10)
+    tension = np.outer([0.0, 1.0, 2.0], alike)
+    multipliers = np.zeros(30)
+    response = np.zeros((10, 10))
+    memory = Plan(tension, multipliers, 0.0 * alike, response, None, None)
+    continued = controller._continued(alike, memory)
+    np.testing.assert_allclose(continued, np.outer(expected, alike))
+    assert tuning.looks_ahead == 3 * hold + 1
 
 
 def test_displaced_measurements_are_followed(model, holding):

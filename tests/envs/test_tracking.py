@@ -61,8 +61,9 @@ def test_positions_are_measured_by_the_rod_s_length_and_angles_by_half_a_radian(
     assert GRADES == (4.0, 0.4, 0.04)
     each = [1.0 / (1.0 + (1.0 / grade) ** 2) for grade in GRADES]
     np.testing.assert_allclose(terms["graded_position"], [1.0, np.mean(each)])
-    assert (POSITION.scale, ANGLE.scale, BACKBONE.scale, COORDINATES.scale) == (0.05, 0.5, 0.05, 10)
-    assert [e.of_length for e in (POSITION, ANGLE, BACKBONE, COORDINATES)] == [1, 0, 1, 0]
+    every = (POSITION, ANGLE, BACKBONE, COORDINATES)
+    assert [error.scale for error in every] == [0.05, 0.5, 0.05, 10.0]
+    assert [error.of_length for error in every] == [True, False, True, False]
 
 
 def test_effort_and_smoothness_are_one_less_mean_squares():
@@ -144,29 +145,32 @@ def test_shapes_are_compared_along_the_backbone():
     episodes = env.episodes
     model, q, target = env.model, episodes.arms.rows.q[0], episodes.target.q[0, 0]
     places = model.length * np.arange(1, 21) / 20
-    way = model.backbone_at(q, places)[:, :3, 3] - model.backbone_at(target, places)[:, :3, 3]
-    expected = np.sqrt(np.mean(np.sum(way**2, axis=1)))
-    assert info["backbone_error"] == pytest.approx(expected, rel=1e-6)
-    assert info["coordinate_error"] == pytest.approx(np.linalg.norm(q - target), rel=1e-9)
+    backbone = model.backbone_at(q, places)
+    target_backbone = model.backbone_at(target, places)
+    ways = backbone[:, :3, 3] - target_backbone[:, :3, 3]
+    squares = np.sum(ways**2, axis=1)
+    assert info["backbone_error"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
+    way = np.linalg.norm(q - target)
+    assert info["coordinate_error"] == pytest.approx(way, rel=1e-9)
 
 
 @pytest.mark.no_jit
 def test_targets_are_read_at_their_steps_in_a_table_that_is_written_round():
     rng = np.random.default_rng(0)
     rows, room = 2, 5
-    poses = np.tile(np.eye(4), (rows, room, 1, 1))
-    for row in range(rows):
-        for place in range(room):
-            poses[row, place] = moved_pose(np.eye(4), rng.uniform(-1.0, 1.0, 6))
+    twists = rng.uniform(-1.0, 1.0, (rows * (room + 1), 6))
+    every_pose = np.stack([moved_pose(np.eye(4), twist) for twist in twists])
+    tips = every_pose[:rows]
+    poses = every_pose[rows:].reshape(rows, room, 4, 4)
     others = rng.normal(size=(rows, room, 7))
-    table = TargetTable(pose=poses, other=others, ahead=np.array([0, 1, 3]))
-    tips = np.stack([moved_pose(np.eye(4), rng.uniform(-1.0, 1.0, 6)) for _ in range(rows)])
+    ahead = np.array([0, 1, 3])
+    table = TargetTable(pose=poses, other=others, ahead=ahead)
     steps = np.array([4, 11])
     pose, other = np.empty((rows, 3, 4, 4)), np.empty((rows, 3, 7))
     error, offset = np.empty((rows, 3, 6)), np.empty((2, rows))
     targets_ahead(table, steps, tips, pose, other, error, offset)
     for row in range(rows):
-        places = (steps[row] + np.array([0, 1, 3])) % room
+        places = (steps[row] + ahead) % room
         np.testing.assert_array_equal(pose[row], poses[row, places])
         np.testing.assert_array_equal(other[row], others[row, places])
         for j, place in enumerate(places):

@@ -169,9 +169,11 @@ def test_gaps_are_of_the_best_of_both_kinds_where_both_play():
 
 
 def test_the_bounds_of_a_gap_in_return_are_in_order():
-    agent = Standing([[score_of(seed, 0.0, reward) for seed, reward in enumerate((1.0, 2.0, 6.0))]])
-    controller = Standing([[score_of(seed, 0.0, 3.0) for seed in range(3)]])
-    standings = {("agent", "x"): agent, ("controller", "x"): controller}
+    rewards = {"agent": (1.0, 2.0, 6.0), "controller": (3.0, 3.0, 3.0)}
+    standings = {}
+    for name, of_seeds in rewards.items():
+        scores = [score_of(seed, 0.0, reward) for seed, reward in enumerate(of_seeds)]
+        standings[name, "x"] = Standing([scores])
     gap = gaps(standings, {"agent"}, "return")["x"]
     assert gap.low <= gap.value <= gap.high
     assert (gap.low, gap.high) == pytest.approx((-3.0, 2.0))

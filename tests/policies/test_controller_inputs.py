@@ -36,14 +36,16 @@ def test_poses_are_those_of_position_and_two_columns():
 
 def test_rounded_columns_are_made_orthonormal_again():
     """The first keeps its direction, the second turns in their plane."""
-    rounded = ROTATIONS + np.random.default_rng(0).normal(0.0, 1e-3, (2, 3, 3))
-    R = _tip_poses(observed(rounded))[:, :3, :3]
-    np.testing.assert_allclose(R.swapaxes(1, 2) @ R, np.tile(np.eye(3), (2, 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    first = rounded[:, :, 0] / np.linalg.norm(rounded[:, :, 0], axis=1)[:, None]
-    np.testing.assert_allclose(R[:, :, 0], first, atol=1e-12)
-    volume = np.linalg.det(np.stack([rounded[:, :, 0], rounded[:, :, 1], R[:, :, 1]], axis=2))
-    np.testing.assert_allclose(volume, 0.0, atol=1e-12)
+    errors = np.random.default_rng(0).normal(0.0, 1e-3, (2, 3, 3))
+    rounded = ROTATIONS + errors
+    poses = _tip_poses(observed(rounded))
+    for pose, (x, y, _) in zip(poses, rounded.swapaxes(1, 2), strict=True):
+        R = pose[:3, :3]
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        np.testing.assert_allclose(R[:, 0], x / np.linalg.norm(x), atol=1e-12)
+        volume = np.cross(x, y) @ R[:, 1]
+        assert volume == pytest.approx(0.0, abs=1e-12)
 
 
 def test_targets_are_poses_from_the_tip_on_now_and_ahead():

@@ -71,29 +71,36 @@ def draw(*shape):
 
 def test_layers_are_their_formulas():
     weight, bias = draw(2, 4), draw(2)
-    affine = [[sum(w * x) for w in weight] for x in SEEN]
-    np.testing.assert_allclose(Linear(weight)(SEEN), affine, rtol=1e-5)
-    np.testing.assert_allclose(Linear(weight, bias)(SEEN), np.array(affine) + bias, rtol=1e-5)
-    np.testing.assert_array_equal(Clip(0.5)(SEEN), np.clip(SEEN, -0.5, 0.5))
+    products = np.array([[sum(w * x) for w in weight] for x in SEEN])
+    np.testing.assert_allclose(Linear(weight)(SEEN), products, rtol=1e-5)
+    affine = Linear(weight, bias)
+    np.testing.assert_allclose(affine(SEEN), products + bias, rtol=1e-5)
+    clipped = np.clip(SEEN, -0.5, 0.5)
+    np.testing.assert_array_equal(Clip(0.5)(SEEN), clipped)
     mean, deviation, scale = draw(4), np.abs(draw(4)) + 1.0, draw(4)
     renormalisation = Renormalisation(mean, deviation, scale, draw(4))
     expected = scale * (SEEN - mean) / deviation + draw(4)
     np.testing.assert_allclose(renormalisation(SEEN), expected, rtol=1e-5)
-    both = Feedforward((Linear(weight, bias), Clip(0.5)))
-    np.testing.assert_allclose(both(SEEN), np.clip(np.array(affine) + bias, -0.5, 0.5), rtol=1e-5)
+    both = Feedforward((affine, Clip(0.5)))
+    expected = np.clip(products + bias, -0.5, 0.5)
+    np.testing.assert_allclose(both(SEEN), expected, rtol=1e-5)
 
 
 def test_the_memory_is_a_minimal_gated_unit():
     """m+ = (1 - f) m + f tanh(W [x, f m] + c), with f = sigmoid(V [x, m] + b)."""
-    V, W, b, c = draw(3, 7), 0.5 * draw(3, 7), draw(3), 0.2 * draw(3)
+    V, b = draw(3, 7), draw(3)
+    W, c = 0.5 * V, 0.2 * b
     memory = draw(3, 3)
     gates = Gates(Linear(V, b), Linear(W, c))
     assert gates.size == 3
-    for row, after in zip(range(3), gates(SEEN, memory), strict=True):
-        x, m = SEEN[row], memory[row]
-        f = sigmoid(V @ np.concatenate([x, m]) + b)
-        candidate = np.tanh(W @ np.concatenate([x, f * m]) + c)
-        np.testing.assert_allclose(after, (1 - f) * m + f * candidate, rtol=1e-5, atol=1e-6)
+    after = gates(SEEN, memory)
+    for x, m, m_after in zip(SEEN, memory, after, strict=True):
+        remembered = np.concatenate([x, m])
+        f = sigmoid(V @ remembered + b)
+        recalled = np.concatenate([x, f * m])
+        candidate = np.tanh(W @ recalled + c)
+        expected = (1 - f) * m + f * candidate
+        np.testing.assert_allclose(m_after, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_gains_multiply_the_way_to_the_target():
