@@ -268,16 +268,24 @@ def test_a_period_s_prediction_is_the_motion_and_forgets_at_its_rates(arm, errin
     found = filter_of(arm, (), greatest_latency=0.08, uncertainty=UNCERTAINTY)
     predicted = found._predict(erring, in_transit())
     layout, mean = layout_of(arm), erring.mean
+    scale = arm.coordinate_scale()
+    gain = 1.0 + mean[layout.gain]
+    offset = mean[layout.offset]
     simulation = Simulation(arm)
-    simulation.reset(
-        mean[layout.z] * arm.coordinate_scale(), mean[layout.v] * arm.coordinate_scale()
-    )
-    for tension, seconds in ((SENT[1], 0.005), (SENT[2], 0.015)):
-        simulation.step((1.0 + mean[layout.gain]) * tension + mean[layout.offset], seconds)
-    for part, value in ((layout.z, simulation.state.q), (layout.v, simulation.state.q_dot)):
-        scaled = value / arm.coordinate_scale()
+    simulation.reset(scale * mean[layout.z], scale * mean[layout.v])
+    # 25 ms late: the command before last takes over after 5 ms
+    simulation.step(gain * SENT[1] + offset, 0.005)
+    simulation.step(gain * SENT[2] + offset, 0.015)
+    state = simulation.state
+    for part, value in ((layout.z, state.q), (layout.v, state.q_dot)):
+        scaled = value / scale
         np.testing.assert_allclose(predicted.mean[part], scaled, atol=1e-3 * np.abs(scaled).max())
-    kept = {"offset": np.exp(-PERIOD / 2.0), "gain": np.exp(-PERIOD / 0.5), "tip": 1, "latency": 1}
+    kept = {
+        "offset": np.exp(-PERIOD / 2.0),
+        "gain": np.exp(-PERIOD / 0.5),
+        "tip": 1.0,
+        "latency": 1.0,
+    }
     for name, share in kept.items():
         part = getattr(layout, name)
         np.testing.assert_allclose(predicted.mean[part], share * mean[part], rtol=1e-12)

@@ -168,9 +168,12 @@ def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state
 
 
 def test_a_radian_is_worth_a_tenth_of_the_rod(model):
-    turned = moved_pose(np.eye(4), np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0]))
+    twist = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+    tip_pose = np.eye(4)
+    turned = moved_pose(tip_pose, twist)
     target = Reference(np.zeros(1), turned[None])
-    error = tip_pose_objective(model).error(np.zeros(3), np.eye(4), target, 0.0)
+    objective = tip_pose_objective(model)
+    error = objective.error(np.zeros(3), tip_pose, target, 0.0)
     assert np.linalg.norm(error) == pytest.approx(0.03 * model.length)
 
 
@@ -178,11 +181,12 @@ def test_positions_are_those_of_poses_where_these_are_told(model, random_state):
     goal = model.tip_pose(random_state(model, 1)[0])
     of_pose = Reference(np.zeros(1), goal[None])
     of_position = Reference(np.zeros(1), tip_position=goal[None, :3, 3])
-    q = random_state(model, 0)[0]
+    q, _ = random_state(model, 0)
+    tip_pose = model.tip_pose(q)
+    way = goal[:3, 3] - tip_pose[:3, 3]
     for target in (of_pose, of_position):
-        error = TipPosition().error(q, model.tip_pose(q), target, 0.0)
-        tip_pose = model.tip_pose(q)
-        np.testing.assert_allclose(tip_pose[:3, :3] @ error, goal[:3, 3] - tip_pose[:3, 3])
+        error = TipPosition().error(q, tip_pose, target, 0.0)
+        np.testing.assert_allclose(tip_pose[:3, :3] @ error, way)
 
 
 def test_a_model_sees_the_pose_displaced_as_its_tip_is(model, random_state):
@@ -244,6 +248,9 @@ def test_bending_by_an_angle_counts_as_half_of_the_length_times_the_angle(model)
     """A pull and two pushes that sum to nothing bend the straight arm evenly."""
     q = 1e-3 * np.array([1.0, -0.5, -0.5])
     target = Reference(np.zeros(1), q=q[None])
-    error = Shape(model).error(np.zeros(3), np.eye(4), target, 0.0)
-    angle = np.linalg.norm(pose_error(np.eye(4), model.tip_pose(q))[:3])
-    assert np.linalg.norm(error) == pytest.approx(0.5 * model.length * angle, rel=1e-4)
+    straight = np.eye(4)
+    error = Shape(model).error(np.zeros(3), straight, target, 0.0)
+    way = pose_error(straight, model.tip_pose(q))
+    angle = np.linalg.norm(way[:3])
+    expected = 0.5 * model.length * angle
+    assert np.linalg.norm(error) == pytest.approx(expected, rel=1e-4)

@@ -46,5 +46,7 @@ def test_holding_keeps_the_last_tensions_and_says_so(controller):
 
 def test_noise_of_strains_is_by_sensor_angular_before_linear():
     noise = SensorNoise(curvature=0.5, stretch=0.25, curvature_rate=4.0, stretch_rate=3.0)
-    np.testing.assert_array_equal(noise.of_strains(2), [*[0.5] * 3, *[0.25] * 3] * 2)
-    np.testing.assert_array_equal(noise.of_strain_rates(2), [*[4.0] * 3, *[3.0] * 3] * 2)
+    of_sensor = [0.5, 0.5, 0.5, 0.25, 0.25, 0.25]
+    np.testing.assert_array_equal(noise.of_strains(2), of_sensor + of_sensor)
+    of_rates = [4.0, 4.0, 4.0, 3.0, 3.0, 3.0]
+    np.testing.assert_array_equal(noise.of_strain_rates(2), of_rates + of_rates)

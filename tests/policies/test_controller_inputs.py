@@ -99,27 +99,6 @@ def test_targets_are_told_for_as_long_as_commands_are_late(latency, estimator, p
     assert _periods_ahead(entry, latency, 0.02, found) == periods
 
 
-@pytest.mark.parametrize(
-    ("name", "ahead"), [("predictive", 7), ("long_horizon_predictive", 25), ("feedforward", 2)]
-)
-def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
-    """Six intervals of one period, twelve of two, and the period that begins."""
-    entry = CONTROLLERS["TipPose"][name]
-    assert entry.looks_ahead == ahead
-    if name == "predictive":
-        longer = entry.with_parameters({"horizon": 3, "hold": 4})
-        assert longer.looks_ahead == 13
-        assert longer.parameters == {**entry.parameters, "horizon": 3, "hold": 4}
-
-
-def test_controllers_have_their_numbers_as_parameters():
-    parameters = CONTROLLERS["TipPose"]["tracking"].parameters
-    assert parameters == {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
-    shapes = CONTROLLERS["Shape"]["tracking"].parameters
-    assert shapes == {"settling_time": 0.4, "damping": 10.0}
-    assert CONTROLLERS["Shape"]["feedforward"].parameters == {}
-
-
 def test_controllers_believe_in_tensions_that_arrive_at_once(build):
     """The delay of the actuators is told apart; without one the model is the arm's."""
     late = build("three_tendon", {"effects.actuators.delay": 0.03})
