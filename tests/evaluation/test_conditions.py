@@ -143,6 +143,8 @@ def test_no_seed_has_two_purposes():
         assert first.stop <= second.start or second.stop <= first.start
     assert len(Settings().errors) == len(MODEL_ERRORS)
     assert Settings(errors=("all", "nominal")).errors == tuple(MODEL_ERRORS)
+    with pytest.raises(ValueError, match="names 'gravity'"):
+        Settings(errors=("nominal", "gravity"))
 
 
 @pytest.mark.parametrize(
