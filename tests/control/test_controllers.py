@@ -4,7 +4,7 @@ from outside by name."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference, controllers_of
 from soft_tendon_env.control.catalogue import PRESETS
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
@@ -12,11 +12,7 @@ from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
 PERIOD = 0.02
-ENTRIES = [
-    pytest.param(entry, id=f"{task}-{name}")
-    for task, entries in CONTROLLERS.items()
-    for name, entry in entries.items()
-]
+ENTRIES = [pytest.param(entry, id=key.replace("/", "-")) for key, entry in CONTROLLERS.items()]
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
 
@@ -116,7 +112,7 @@ def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, l
 )
 def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
     """Six intervals of one period, twelve of two, and the period that begins."""
-    entry = CONTROLLERS["TipPose"][name]
+    entry = controllers_of("TipPose")[name]
     assert entry.looks_ahead == ahead
     if name == "predictive":
         longer = entry.with_parameters({"horizon": 3, "hold": 4})
@@ -125,15 +121,15 @@ def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
 
 
 def test_controllers_have_their_numbers_as_parameters():
-    parameters = CONTROLLERS["TipPose"]["tracking"].parameters
+    parameters = controllers_of("TipPose")["tracking"].parameters
     assert parameters == {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
-    shapes = CONTROLLERS["Shape"]["tracking"].parameters
+    shapes = controllers_of("Shape")["tracking"].parameters
     assert shapes == {"settling_time": 0.4, "damping": 10.0}
-    assert CONTROLLERS["Shape"]["feedforward"].parameters == {}
+    assert controllers_of("Shape")["feedforward"].parameters == {}
 
 
 def test_presets_are_their_controllers_with_other_numbers():
-    entries = CONTROLLERS["TipPose"]
+    entries = controllers_of("TipPose")
     for name, (base, added, numbers) in PRESETS.items():
         preset = entries[name]
         assert preset.parameters == {**entries[base].parameters, **numbers}

@@ -10,7 +10,12 @@ import pytest
 from scipy.optimize import minimize
 
 from soft_tendon_env import Simulation, static_equilibrium, tension_for_tip_pose
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, Reference
+from soft_tendon_env.control import (
+    ControllerInput,
+    ControllerOutput,
+    Reference,
+    controllers_of,
+)
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
@@ -27,7 +32,7 @@ FAR = np.array([2.0, 1.0, 0.5])
 CASES = [
     pytest.param(task, entry, id=f"{task}-{name}")
     for task in ("TipPose", "Reach")
-    for name, entry in CONTROLLERS[task].items()
+    for name, entry in controllers_of(task).items()
     if entry.make is not PaperTipPose  # unstable at this period
 ]
 LONG = [
@@ -241,7 +246,7 @@ def test_nothing_is_wound_up(build, limits_of, drive, holding, far, task, name):
     model = build("three_tendon")
     limits = limits_of(model)
     near = holding(model, 0.2 * limits[:, 1])
-    controller = CONTROLLERS[task][name].make(model, limits, PERIOD)
+    controller = controllers_of(task)[name].make(model, limits, PERIOD)
     simulation = Simulation(model)
     memory = drive(controller, simulation, far, 50).memory
     beginning = simulation.state

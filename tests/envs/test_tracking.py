@@ -20,10 +20,10 @@ from soft_tendon_env.envs.tracking import (
     error_unit,
     goal_distance,
     goal_reward,
-    register_reward_term,
     weights_of,
 )
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registry import register
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 AVAILABLE = {**TERMS, **POSITION.terms, **ANGLE.terms, "own": Term(lambda now: now.own)}
@@ -87,13 +87,12 @@ def test_the_reward_is_the_mean_by_weight_of_terms_of_all_kinds():
 
 
 @pytest.mark.parametrize("name", ["effort", "position", "graded_angle", "coordinates"])
-def test_names_of_terms_that_are_there_are_taken(name):
+def test_names_of_terms_that_are_there_are_taken(forgotten, name):
     def term(tracking):
-        return None
+        return tracking.distance
 
-    term.__name__ = name
-    with pytest.raises(ValueError, match=f"the reward term '{name}' is taken"):
-        register_reward_term(term)
+    with pytest.raises(ValueError, match=name):
+        register("reward_term", name, term)
 
 
 def test_every_weight_that_is_none_is_told():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control import controllers_of
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.policies.controller_policy import (
     _memories,
@@ -94,7 +94,7 @@ def test_rows_that_begin_have_no_memory():
 )
 def test_targets_are_told_for_as_long_as_commands_are_late(latency, estimator, periods):
     """Two periods of feedback, and as many as commands may be late, begun ones too."""
-    entry = CONTROLLERS["TipPose"]["tracking"]
+    entry = controllers_of("TipPose")["tracking"]
     found = None if estimator is None else ESTIMATORS[estimator]
     assert _periods_ahead(entry, latency, 0.02, found) == periods
 

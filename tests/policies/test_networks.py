@@ -7,7 +7,15 @@ import pytest
 
 from soft_tendon_env.policies.activations import ACTIVATIONS
 from soft_tendon_env.policies.architecture import read_architecture
-from soft_tendon_env.policies.layers import Clip, Feedforward, Gains, Gates, Linear, Renormalisation
+from soft_tendon_env.policies.layers import (
+    Clip,
+    Feedforward,
+    Gains,
+    Gates,
+    Linear,
+    LstmLayer,
+    Renormalisation,
+)
 from soft_tendon_env.policies.network import PolicyNetwork, flatten
 from soft_tendon_env.policies.normalization import (
     Moments,
@@ -93,7 +101,8 @@ def test_the_memory_is_a_minimal_gated_unit():
     memory = draw(3, 3)
     gates = Gates(Linear(V, b), Linear(W, c))
     assert gates.size == 3
-    after = gates(SEEN, memory)
+    seen_after, after = gates(SEEN, memory)
+    np.testing.assert_array_equal(seen_after, np.hstack([SEEN, after]))
     for x, m, m_after in zip(SEEN, memory, after, strict=True):
         remembered = np.concatenate([x, m])
         f = sigmoid(V @ remembered + b)
@@ -101,6 +110,22 @@ def test_the_memory_is_a_minimal_gated_unit():
         candidate = np.tanh(W @ recalled + c)
         expected = (1 - f) * m + f * candidate
         np.testing.assert_allclose(m_after, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_lstms_forget_and_take_in_by_their_gates():
+    """c+ = f c + i tanh(g) and h+ = o tanh(c+), with the gates i, f, g, o of PyTorch's order."""
+    of_input = Linear(draw(8, 4), draw(8))
+    of_hidden = Linear(draw(8, 2), 0.5 * draw(8))
+    hidden, cell = draw(3, 2), draw(2, 3).T
+    next_hidden, next_cell = LstmLayer(of_input, of_hidden)(SEEN, hidden, cell)
+    for row in range(3):
+        from_input = of_input.weight @ SEEN[row] + of_input.bias
+        from_hidden = of_hidden.weight @ hidden[row] + of_hidden.bias
+        i, f, g, o = np.split(from_input + from_hidden, 4)
+        c = sigmoid(f) * cell[row] + sigmoid(i) * np.tanh(g)
+        np.testing.assert_allclose(next_cell[row], c, rtol=1e-5, atol=1e-6)
+        h = sigmoid(o) * np.tanh(c)
+        np.testing.assert_allclose(next_hidden[row], h, rtol=1e-5, atol=1e-6)
 
 
 def test_gains_multiply_the_way_to_the_target():
