@@ -471,7 +471,15 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
         Offset (y, z) [m], and its slope d/dX [-], each (m, 2).
     """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    radius, radius_slope = rod_radius(scene, arc_length)
+    direction = tendon.routing.direction
+    if direction is None:
+        radius, radius_slope = rod_radius(scene, arc_length)
+    else:
+        radius, radius_slope = along_rod(
+            scene,
+            arc_length,
+            lambda segment, places: segment.shape.outline_radius(direction, places, segment.length),
+        )
     ends = tendon_ends(scene, tendon)
     return tendon.routing.offset_and_slope(arc_length, radius, radius_slope, ends)
 
