@@ -90,6 +90,15 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
     )
 
 
+def test_there_is_no_chatter_where_a_period_is_too_long_for_it():
+    """Changes every 50 ms are of 10 Hz at most, of however few; a little faster they are above."""
+    tension = np.tile([[0.0], [1.0]], (20, 1))
+    for few in (tension, tension[:4]):
+        assert chatter(few, 0.05) == 0.0
+    assert chatter(tension, 0.04) == pytest.approx(1.0, rel=0.01)
+    assert math.isnan(chatter(tension[:8], 0.04))
+
+
 @pytest.mark.parametrize(
     ("judge", "said"),
     [
