@@ -190,7 +190,7 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
     reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
-    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(estimate))
+    linear = stdtrit(reading_freedom, tail) * np.sqrt(variances(estimate))
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
     deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
@@ -216,8 +216,15 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     )
 
 
-def _variances(estimate: Fit) -> Array:
-    """Variances (k,) of the coordinates, of data and priors; infinite without information."""
+def variances(estimate: Fit) -> Array:
+    """Variances of the coordinates, of data and priors.
+
+    Args:
+        estimate: of `fit`.
+
+    Returns:
+        Variances (k,), infinite without information.
+    """
     total = estimate.information + np.diag(estimate.prior)
     information, directions = np.linalg.eigh(total)
     largest = max(information[-1], np.finfo(float).tiny)

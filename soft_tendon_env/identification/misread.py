@@ -1,4 +1,5 @@
-"""Data that were misread: another reading of axes, signs or units that explains them far better."""
+"""Data that were misread: another reading of axes, signs, units or markers that explains them far
+better."""
 
 import itertools
 import math
@@ -19,10 +20,11 @@ EXACT = 1e-6
 BETTER = 3.0  # factor by which it explains them far better
 FEW = 12  # holds, evenly over the data
 SAMPLES = 60  # of the motion
+FEW_MARKERS = 4  # of which all orders are tried
 
 
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
-    """Finding where another reading of axes, signs or units explains the data far better.
+    """Finding where another reading of axes, signs, units or markers explains the data far better.
 
     Args:
         readings: of the data as they are read.
@@ -65,6 +67,8 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
             recording,
             command=recording.command[:SAMPLES],
             positions=recording.positions[:SAMPLES],
+            session=None,
+            row=0,
         )
         for recording in chosen
     ]
@@ -85,8 +89,16 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
             positions = (recording.positions - frame.translation) @ R.T + frame.translation
             read.append(replace(recording, positions=positions))
         candidates.append((_distance(simulated, read), text, read))
+    for text, order in _orders([*plants.markers.markers]).items():
+        read = [
+            replace(recording, positions=recording.positions[:, order]) for recording in recordings
+        ]
+        candidates.append((_distance(simulated, read), text, read))
     for text, factor in _command_factors(plants).items():
-        read = [replace(recording, command=factor * recording.command) for recording in recordings]
+        read = [
+            replace(recording, command=factor * recording.command, session=None)
+            for recording in recordings
+        ]
         simulated = _simulate(plants, read, nominal)
         candidates.append((_distance(simulated, read), text, read))
     _, text, read = min(candidates, key=lambda candidate: candidate[0])
@@ -130,6 +142,24 @@ def _axes() -> dict[str, Array]:
     return matrices
 
 
+def _orders(names: Sequence[str]) -> dict[str, list[int]]:
+    """Other orders of the markers: all of them for a few, otherwise two exchanged."""
+    orders = dict[str, list[int]]()
+    own_order = [*range(len(names))]
+    for first, second in itertools.combinations(own_order, 2):
+        order = own_order.copy()
+        order[first], order[second] = second, first
+        orders[f"markers {names[first]} and {names[second]} exchanged"] = order
+    if len(names) <= FEW_MARKERS:
+        for order in map(list, itertools.permutations(own_order)):
+            moved = [i for i in own_order if order[i] != i]
+            if len(moved) > 2:
+                before = ", ".join(names[i] for i in moved)
+                after = ", ".join(names[order[i]] for i in moved)
+                orders[f"markers {before} read as {after}"] = order
+    return orders
+
+
 def _command_factors(plants: Plants) -> dict[str, float]:
     """The other sign of commands and other units, as factors."""
     unit = plants.scene.effects.command_unit
@@ -137,7 +167,8 @@ def _command_factors(plants: Plants) -> dict[str, float]:
     current = 1.0
     for key, column in plants.markers.columns.items():
         if key.startswith(COMMANDS[unit]) and column.unit:
-            current = UNITS[unit][column.unit]
+            # counts are in the SI unit once their scale has been taken
+            current = UNITS[unit].get(column.unit, 1.0)
             break
     factors = {
         f"commands in {name}": factor / current

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.identification.backlash import after_play
 from soft_tendon_env.identification.clusters import clusters
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import Parameter, Quantity
@@ -41,6 +42,7 @@ class Measurement(NamedTuple):
     offsets: Array  # (m, 3) of the markers [m]
     gain: Array  # (n_a,) of the commands
     offset: Array  # (n_a,) of the commands, after the gain
+    backlash: Array  # (n_a,) half-width of the commands' play, before the gain
 
     def positions(self, poses: Array) -> Array:
         """Positions (..., m, 3) [m] of markers in the world, of section poses (..., m, 4, 4) along
@@ -98,12 +100,14 @@ class Plants:
             offsets=self.markers.offsets,
             gain=np.ones(n_a),
             offset=np.zeros(n_a),
+            backlash=np.zeros(n_a),
         )
         arrays = {
             Quantity.BASE_POSITION: measurement.position,
             Quantity.MARKER_OFFSET: measurement.offsets,
             Quantity.COMMAND_GAIN: measurement.gain,
             Quantity.COMMAND_OFFSET: measurement.offset,
+            Quantity.COMMAND_BACKLASH: measurement.backlash,
         }
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             if parameter.quantity in arrays:
@@ -122,6 +126,8 @@ class Readings:
         self.recordings = sorted(recordings, key=lambda recording: bool(recording.period))
         # equilibrium of each that was found last, from which the next one is sought
         self._rests: list[Array | None] = [None] * len(recordings)
+        # commands after the play of a width, by files and widths: most parameters leave them
+        self._arriving = dict[tuple[int, bytes], Array]()
         has_motions = any(recording.period for recording in recordings)
         self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]
@@ -147,6 +153,13 @@ class Readings:
             poses = self._poses(x)
         simulated = self.plants.measurement(x).positions(poses)
         return np.asarray((simulated - self.measured)[self.seen])
+
+    def by_recording(self, readings: Array) -> list[Array]:
+        """Readings (N,) as an array (samples, m, 3) for each recording, NaN where a marker was not
+        seen."""
+        whole = np.full(self.measured.shape, np.nan)
+        whole[self.seen] = readings
+        return np.split(whole, self.ends[:-1])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within
@@ -200,10 +213,23 @@ class Readings:
         scene = self.plants.scene_at(x, self.plants.scene)
         model = self.plants.model.with_scene(scene)
         measurement = self.plants.measurement(x)
+        gain, offset = measurement.gain, measurement.offset
         return [
-            (model, measurement.gain * recording.command + measurement.offset)
+            (model, gain * self._arriving_command(recording, measurement.backlash) + offset)
             for recording in self.recordings
         ]
+
+    def _arriving_command(self, recording: Recording, backlash: Array) -> Array:
+        """Commands (samples, n_a) of a recording after the play of a half-width (n_a,), which knows
+        all that its file has before."""
+        if not backlash.any():
+            return recording.command
+        session = recording.command if recording.session is None else recording.session
+        key = id(session), backlash.tobytes()
+        if key not in self._arriving:
+            self._arriving[key] = after_play(session, backlash)
+        last = recording.row + len(recording.command)
+        return self._arriving[key][recording.row : last]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
         """Poses (samples, m, 4, 4) of markers' sections from the base's place; of holds `near`
