@@ -112,8 +112,10 @@ def _misfits(estimate: Fit, fitted: Readings, judge: Readings | None) -> list[Mi
 def _may_be_misread(estimate: Fit, fitted: Readings) -> bool:
     """Whether an estimate leaves errors that are large beside the arm and its motion."""
     measured = np.ma.masked_invalid(fitted.measured)
-    variance = measured.var(axis=0).sum(axis=-1)  # of each marker
-    spread = float(np.sqrt(variance.mean()))
+    by_axis = measured.var(axis=0)
+    variance = by_axis.sum(axis=-1)  # of each marker
+    mean_variance = variance.mean()
+    spread = float(np.sqrt(mean_variance))
     bound = MISREAD_LENGTH * fitted.plants.model.length
     if spread > 0.0:  # of a single reading it is 0, and says nothing
         bound = min(MISREAD_SPREAD * spread, bound)

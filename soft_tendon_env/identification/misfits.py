@@ -72,8 +72,10 @@ def misfit_texts(misfits: Sequence[Misfit], arm: Arm, noise: float | None) -> li
         Sentences; none for residuals as small as those of simulated data without noise.
     """
     of_fit = [misfit for misfit in misfits if not misfit.held_out]
-    squares = np.concatenate([misfit.residual.ravel() ** 2 for misfit in of_fit])
-    root = float(np.sqrt(np.nanmean(squares)))
+    residuals = [misfit.residual.ravel() for misfit in of_fit]
+    squares = np.concatenate(residuals) ** 2
+    mean_square = np.nanmean(squares)
+    root = float(np.sqrt(mean_square))
     far_texts = _held_out_texts(misfits, arm)
     if root < EXACT * arm.length:  # of simulated data
         return far_texts
@@ -90,8 +92,11 @@ def misfit_texts(misfits: Sequence[Misfit], arm: Arm, noise: float | None) -> li
     # positions that stand out are what held-out data are far off by, where they are among these
     outlying = _outlying(misfits, arm.length)
     texts += _outlier_texts(misfits, outlying, arm)
-    pairs = zip(misfits, outlying, strict=True)
-    if not any(misfit.held_out and is_outlying.any() for misfit, is_outlying in pairs):
+    is_held_out_ruined = False
+    for misfit, is_outlying in zip(misfits, outlying, strict=True):
+        if misfit.held_out and is_outlying.any():
+            is_held_out_ruined = True
+    if not is_held_out_ruined:
         texts += far_texts
     for misfit in of_fit:
         texts += _start_texts(misfit.recording, arm.length)
@@ -112,17 +117,20 @@ def drift_text(misfits: Sequence[Misfit]) -> str | None:
     if len(holds) < FEWEST_OF_DRIFT:
         return None
     # a camera that moves shifts all markers alike
-    shift = np.array([np.nanmean(misfit.residual[0], axis=0) for misfit in holds])  # (holds, 3)
+    means = [np.nanmean(misfit.residual[0], axis=0) for misfit in holds]
+    shift = np.array(means)  # (holds, 3)
     shift -= shift.mean(axis=0)
     count = len(holds)
     place = np.linspace(-1.0, 1.0, count)
     powers = np.vander(place, DRIFT_DEGREE + 1, increasing=True)
     polynomials, _ = np.linalg.qr(powers)
     basis = polynomials[:, 1:]  # the first is constant, which the shift is free of
-    share = _squares_within(basis, shift) / max((shift**2).sum(), np.finfo(float).tiny)
-    if share < DRIFT_SHARE or not _is_beyond_chance(basis, shift):
+    squares = float((shift**2).sum())
+    is_most = _squares_within(basis, shift) >= DRIFT_SHARE * squares
+    if squares == 0.0 or not is_most or not _is_beyond_chance(basis, shift):
         return None
-    drift = basis @ (basis.T @ shift)
+    coefficients = basis.T @ shift
+    drift = basis @ coefficients
     way = float(np.linalg.norm(drift[-1] - drift[0]))
     first, last = (misfit.recording.name for misfit in (holds[0], holds[-1]))
     return (
@@ -161,7 +169,8 @@ def _outlying(misfits: Sequence[Misfit], length: float) -> list[Array]:
     of_all = OUTLYING * np.nanmedian(every)
     least = max(of_all, GROSS * length)
     count = (every > least).sum()
-    if count > FEW_OUTLIERS * np.isfinite(every).sum():
+    seen_count = np.isfinite(every).sum()
+    if count > FEW_OUTLIERS * seen_count:
         least = np.inf
     return [distance > least for distance in distances]
 
@@ -200,11 +209,12 @@ def _held_out_texts(misfits: Sequence[Misfit], arm: Arm) -> list[str]:
     worst_first = sorted(held_out, key=lambda misfit: -misfit.error)
     names = list[str]()
     for misfit in worst_first[:NAMED]:
-        by_marker = np.nanmax(np.nan_to_num(misfit.distance), axis=0)
+        distance = np.nan_to_num(misfit.distance)
+        by_marker = distance.max(axis=0)
         marker = int(by_marker.argmax())
-        names.append(
-            f"{misfit.recording.name!r} ({arm.markers[marker]} by {1e3 * by_marker[marker]:.3g} mm)"
-        )
+        marker_name = arm.markers[marker]
+        farthest = 1e3 * by_marker[marker]
+        names.append(f"{misfit.recording.name!r} ({marker_name} by {farthest:.3g} mm)")
     return [
         f"Held-out recordings are off by {1e3 * held_out_error:.2g} mm, those of the fit by"
         f" {1e3 * fit_error:.2g} mm: the worst are {', '.join(names)}. They are ruined, or the"
@@ -248,10 +258,12 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
     holds = [misfit for misfit in misfits if not misfit.recording.period]
     if len(holds) <= 2 * tendons + 2:
         return 0.0
-    commands = np.array([misfit.recording.command[0] for misfit in holds])
-    columns = np.array([misfit.residual[0].ravel() for misfit in holds])
-    is_whole = np.isfinite(columns).all(axis=0)  # coordinates that all holds have
-    columns = columns[:, is_whole]
+    command_rows = [misfit.recording.command[0] for misfit in holds]
+    residual_rows = [misfit.residual[0].ravel() for misfit in holds]
+    commands = np.array(command_rows)
+    every_column = np.array(residual_rows)
+    is_whole = np.isfinite(every_column).all(axis=0)  # coordinates that all holds have
+    columns = every_column[:, is_whole]
     # an orthonormal basis of what a quadratic law of the commands could make
     constant = np.ones((len(holds), 1))
     law = np.hstack([constant, commands, commands**2])
@@ -260,7 +272,8 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
     basis = U[:, is_independent]
     if not _is_beyond_chance(basis, columns):
         return 0.0
-    return float(np.sqrt(_squares_within(basis, columns) / columns.size))
+    mean_square = _squares_within(basis, columns) / columns.size
+    return float(np.sqrt(mean_square))
 
 
 def _is_beyond_chance(basis: Array, columns: Array) -> bool:

@@ -39,12 +39,14 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     # readings are ranked at the scene's own numbers, and only the best of them is fitted
     text, read = _best_reading(plants, few)
     estimate_x = np.zeros(len(plants.parameters)) if x is None else x
-    distance = _distance(_simulate(plants, few, estimate_x), few)
+    simulated = _simulate(plants, few, estimate_x)
+    distance = _distance(simulated, few)
     try:
         estimate = fit(Readings(plants, read), noise)
     except ValueError:  # the arm does not hold that reading either
         return None
-    fitted_distance = _distance(_simulate(plants, read, estimate.x), read)
+    simulated = _simulate(plants, read, estimate.x)
+    fitted_distance = _distance(simulated, read)
     least = max(fitted_distance, EXACT * plants.model.length)
     if not BETTER * least < distance:
         return None
@@ -86,21 +88,26 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
         R = frame.rotation @ S @ frame.rotation.T
         read = list[Recording]()
         for recording in recordings:
-            positions = (recording.positions - frame.translation) @ R.T + frame.translation
+            inside = recording.positions - frame.translation
+            positions = inside @ R.T + frame.translation
             read.append(replace(recording, positions=positions))
-        candidates.append((_distance(simulated, read), text, read))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
     for text, order in _orders([*plants.markers.markers]).items():
-        read = [
-            replace(recording, positions=recording.positions[:, order]) for recording in recordings
-        ]
-        candidates.append((_distance(simulated, read), text, read))
+        read = list[Recording]()
+        for recording in recordings:
+            positions = recording.positions[:, order]
+            read.append(replace(recording, positions=positions))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
     for text, factor in _command_factors(plants).items():
-        read = [
-            replace(recording, command=factor * recording.command, session=None)
-            for recording in recordings
-        ]
+        read = list[Recording]()
+        for recording in recordings:
+            command = factor * recording.command
+            read.append(replace(recording, command=command, session=None))
         simulated = _simulate(plants, read, nominal)
-        candidates.append((_distance(simulated, read), text, read))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
     _, text, read = min(candidates, key=lambda candidate: candidate[0])
     return text, read
 
@@ -130,7 +137,8 @@ def _axes() -> dict[str, Array]:
     all_signs = itertools.product((1, -1), repeat=3)
     for order, signs in itertools.product(orders, all_signs):
         exchange = np.eye(3)[list(order)]
-        S = np.array(signs)[:, None] * exchange
+        column = np.array(signs)[:, None]
+        S = column * exchange
         axes = list[str]()
         for axis, sign in zip(order, signs, strict=True):
             name = "xyz"[axis]
@@ -148,15 +156,20 @@ def _orders(names: Sequence[str]) -> dict[str, list[int]]:
     own_order = [*range(len(names))]
     for first, second in itertools.combinations(own_order, 2):
         order = own_order.copy()
-        order[first], order[second] = second, first
-        orders[f"markers {names[first]} and {names[second]} exchanged"] = order
-    if len(names) <= FEW_MARKERS:
-        for order in map(list, itertools.permutations(own_order)):
-            moved = [i for i in own_order if order[i] != i]
-            if len(moved) > 2:
-                before = ", ".join(names[i] for i in moved)
-                after = ", ".join(names[order[i]] for i in moved)
-                orders[f"markers {before} read as {after}"] = order
+        order[first] = second
+        order[second] = first
+        text = f"markers {names[first]} and {names[second]} exchanged"
+        orders[text] = order
+    if len(names) > FEW_MARKERS:
+        return orders
+    for permutation in itertools.permutations(own_order):
+        moved = [i for i in own_order if permutation[i] != i]
+        if len(moved) <= 2:  # their own order, and the exchanges above
+            continue
+        before = ", ".join(names[i] for i in moved)
+        after = ", ".join(names[permutation[i]] for i in moved)
+        text = f"markers {before} read as {after}"
+        orders[text] = [*permutation]
     return orders
 
 

@@ -133,9 +133,8 @@ class Readings:
         samples = [len(recording.command) for recording in self.recordings]
         self.ends = np.cumsum(samples)
         nothing = np.empty((0, len(plants.markers.markers), 3))  # its shape, without recordings
-        self.measured = np.concatenate(
-            [nothing, *(recording.positions for recording in self.recordings)]
-        )
+        positions = [recording.positions for recording in self.recordings]
+        self.measured = np.concatenate([nothing, *positions])
         self.seen = np.isfinite(self.measured)
         sample_cluster = np.repeat(clusters(self.recordings), samples)
         reading_cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)
@@ -151,8 +150,9 @@ class Readings:
         Raises as `positions`."""
         if poses is None:
             poses = self._poses(x)
-        simulated = self.plants.measurement(x).positions(poses)
-        return np.asarray((simulated - self.measured)[self.seen])
+        measurement = self.plants.measurement(x)
+        error = measurement.positions(poses) - self.measured
+        return np.asarray(error[self.seen])
 
     def by_recording(self, readings: Array) -> list[Array]:
         """Readings (N,) as an array (samples, m, 3) for each recording, NaN where a marker was not
@@ -200,36 +200,41 @@ class Readings:
     def errors(self, x: Array) -> dict[str, float]:
         """Mean distance [m] of the seen markers from where they are simulated, by recordings, NaN
         without any. Raises as `positions`."""
-        distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
+        error = self.positions(x) - self.measured
+        distance = np.linalg.norm(error, axis=-1)
         # without recordings there is one empty part
         parts = np.split(distance, self.ends[:-1])
-        return {
-            recording.name: mean_of_finite(part.ravel())
-            for recording, part in zip(self.recordings, parts, strict=False)
-        }
+        errors = dict[str, float]()
+        for recording, part in zip(self.recordings, parts, strict=False):
+            errors[recording.name] = mean_of_finite(part.ravel())
+        return errors
 
     def _arms(self, x: Array) -> list[tuple[Model, Array]]:
         """The model at coordinates x (k,), with the commands (samples, n_a) of each recording."""
         scene = self.plants.scene_at(x, self.plants.scene)
         model = self.plants.model.with_scene(scene)
         measurement = self.plants.measurement(x)
-        gain, offset = measurement.gain, measurement.offset
-        return [
-            (model, gain * self._arriving_command(recording, measurement.backlash) + offset)
-            for recording in self.recordings
-        ]
+        arms = list[tuple[Model, Array]]()
+        for recording in self.recordings:
+            arriving = self._arriving_command(recording, measurement.backlash)
+            command = measurement.gain * arriving + measurement.offset
+            arms.append((model, command))
+        return arms
 
     def _arriving_command(self, recording: Recording, backlash: Array) -> Array:
         """Commands (samples, n_a) of a recording after the play of a half-width (n_a,), which knows
         all that its file has before."""
         if not backlash.any():
             return recording.command
-        session = recording.command if recording.session is None else recording.session
+        session = recording.session
+        if session is None:
+            session = recording.command
         key = id(session), backlash.tobytes()
         if key not in self._arriving:
             self._arriving[key] = after_play(session, backlash)
+        arriving = self._arriving[key]
         last = recording.row + len(recording.command)
-        return self._arriving[key][recording.row : last]
+        return arriving[recording.row : last]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
         """Poses (samples, m, 4, 4) of markers' sections from the base's place; of holds `near`
@@ -301,10 +306,12 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
         # springs of tendons that follow the arm stand in parallel with it (Woodbury's identity)
         terms = model.terms(q, np.zeros_like(q), u)
         columns = terms.actuation[:, pulls]
-        spring_compliance = np.diag(1.0 / model.arm.effects.transmission.stiffness[pulls])
+        stiffness = model.arm.effects.transmission.stiffness[pulls]
+        spring_compliance = np.diag(1.0 / stiffness)
         response = compliance @ columns
         stretch = columns.T @ compliance
-        forces = np.linalg.solve(spring_compliance + columns.T @ response, stretch)
+        in_parallel = spring_compliance + columns.T @ response
+        forces = np.linalg.solve(in_parallel, stretch)
         compliance = compliance - response @ forces
     return Near(q, compliance, pulls)
 
@@ -331,7 +338,8 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
     if not path.elastic:
         return command, np.zeros(command.size, dtype=bool)
     stretch = command - path.length + model.tendon_lengths(q)
-    u = np.clip(path.stiffness * stretch, 0.0, path.strength)
+    unbounded = path.stiffness * stretch
+    u = np.clip(unbounded, 0.0, path.strength)
     # a slack tendon, and one at its drive's strength, keep their tension as the arm moves
     is_taut = u > 0.0
     is_held = u < path.strength

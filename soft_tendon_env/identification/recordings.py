@@ -9,6 +9,7 @@ may name a column `group`, of recordings whose errors are common.
 
 import contextlib
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, time, timedelta
@@ -73,13 +74,13 @@ def read_recordings(
     recordings = list[Recording]()
     for path in paths:
         recordings += _read(Path(path), scene, markers)
-    names = [recording.name for recording in recordings]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(
-            f"hold {twice[0]!r} is there {names.count(twice[0])} times: every hold should have a"
-            " name of its own"
-        )
+    times = Counter(recording.name for recording in recordings)
+    for name in sorted(times):
+        if times[name] > 1:
+            raise ValueError(
+                f"hold {name!r} is there {times[name]} times: every hold should have a name of its"
+                " own"
+            )
     return recordings
 
 
@@ -160,15 +161,19 @@ def _commands(table: Table, sources: Mapping[str, Source], scene: Scene) -> Arra
 def _positions(table: Table, sources: Mapping[str, Source], markers: MarkerSet) -> Array:
     """Positions (rows, m, 3) [m] of markers in the world, NaN where they were not seen."""
     columns = [sources[name] for name in _position_names(markers)]
-    inside = table.numbers(columns).reshape(len(table.rows), -1, 3)
+    numbers = table.numbers(columns)
+    inside = numbers.reshape(len(table.rows), -1, 3)
     # of a tool that NDI's trackers lost
-    is_lost = np.abs(inside).max(axis=2) > LOST
+    largest = np.abs(inside).max(axis=2)
+    is_lost = largest > LOST
     inside[is_lost] = np.nan
     # three zeros are what some trackers write for what was not seen; a marker may be at the base
     is_zero = (inside == 0.0).all(axis=2)
-    inside[is_zero & (markers.arc_lengths > 0.0)] = np.nan
+    is_beyond_base = markers.arc_lengths > 0.0
+    inside[is_zero & is_beyond_base] = np.nan
     frame = markers.frame
-    return np.asarray(inside @ frame.rotation.T + frame.translation)
+    turned = inside @ frame.rotation.T
+    return np.asarray(turned + frame.translation)
 
 
 def _times(table: Table, source: Source) -> Array:
@@ -177,10 +182,11 @@ def _times(table: Table, source: Source) -> Array:
     place = table.header.index(source.column)
     times = np.empty(len(table.rows))
     for row, (where, cells) in enumerate(table.rows):
-        if ":" in cells[place]:
-            times[row] = _iso_seconds(where, source.column, cells[place])
+        text = cells[place]
+        if ":" in text:
+            times[row] = _iso_seconds(where, source.column, text)
         else:
-            times[row] = read_number(where, source.column, cells[place], source.factor)
+            times[row] = read_number(where, source.column, text, source.factor)
     return times
 
 
@@ -188,9 +194,13 @@ def _iso_seconds(where: str, name: str, text: str) -> float:
     """Seconds since 1970 of a date and time; of a time alone, since midnight. Raises ValueError."""
     with contextlib.suppress(ValueError):
         of_day = time.fromisoformat(text)
-        return float(timedelta(hours=of_day.hour, minutes=of_day.minute).total_seconds()) + (
-            of_day.second + 1e-6 * of_day.microsecond
+        since_midnight = timedelta(
+            hours=of_day.hour,
+            minutes=of_day.minute,
+            seconds=of_day.second,
+            microseconds=of_day.microsecond,
         )
+        return since_midnight.total_seconds()
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
@@ -271,7 +281,8 @@ def check_commands(recording: Recording, scene: Scene) -> None:
     unit = scene.effects.command_unit
     for i, (least, greatest) in enumerate(command_limits(scene)):
         values = recording.command[:, i]
-        outside = values[(values < least) | (values > greatest)]
+        is_outside = (values < least) | (values > greatest)
+        outside = values[is_outside]
         if outside.size:
             name = f"{COMMANDS[unit]}_{i}"
             text = (
@@ -279,7 +290,8 @@ def check_commands(recording: Recording, scene: Scene) -> None:
                 f" {least:g} to {greatest:g} {unit}"
             )
             largest = float(np.abs(values).max())
-            guess = _unit_guess(name, largest, max(-least, greatest), unit)
+            most = max(-least, greatest)
+            guess = _unit_guess(name, largest, most, unit)
             raise ValueError(f"{recording.where}: {text}{guess}")
 
 

@@ -34,7 +34,8 @@ def fewer_parameters_text(estimate: Fit, fit_error: float, judge: Readings) -> s
         return None
     count = estimate.x.size
     with np.errstate(divide="ignore", invalid="ignore"):
-        significance = np.abs(estimate.x) / np.sqrt(variances(estimate))
+        deviation = np.sqrt(variances(estimate))
+        significance = np.abs(estimate.x) / deviation
     least_first = np.argsort(significance)
     for kept in sorted({int(share * count) for share in KEPT}):
         left_out = least_first[: count - kept]
@@ -69,10 +70,12 @@ def _estimate_without(estimate: Fit, left_out: Array) -> Array:
     is_kept[left_out] = False
     # the sum of squares is stationary at the estimate: (A + P) step = 0, with the step of those
     # left out given
-    normal = estimate.information + np.diag(estimate.prior)
+    prior = np.diag(estimate.prior)
+    normal = estimate.information + prior
     step = np.where(is_kept, 0.0, -estimate.x)
     force = normal @ step
-    kept_normal = normal[np.ix_(is_kept, is_kept)]
-    answer, *_ = np.linalg.lstsq(kept_normal, -force[is_kept], rcond=None)
-    step[is_kept] = answer
+    kept = np.flatnonzero(is_kept)
+    kept_normal = normal[np.ix_(kept, kept)]
+    answer, *_ = np.linalg.lstsq(kept_normal, -force[kept], rcond=None)
+    step[kept] = answer
     return np.asarray(estimate.x + step)

@@ -40,17 +40,30 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
         raise FileNotFoundError(f"there is no file {path}")
     load = _matlab_arrays if path.suffix.lower() == ".mat" else _numpy_arrays
     arrays = {name: array for name, array in load(path).items() if array.dtype.kind in KINDS}
-    lengths = Counter(length for array in arrays.values() for length in {*array.shape} - {1})
-    if not lengths:
+    row_count = _row_count(arrays)
+    if row_count == 0:
         raise ValueError(f"{path} has no arrays of numbers: it should have a row for each sample")
-    most = max(lengths.values())
-    row_count = max(length for length, times in lengths.items() if times == most)
     columns = dict[str, NDArray[Any]]()
     for name, array in arrays.items():
         columns |= _columns(name, array, row_count)
-    texts = [[_text(value) for value in column.tolist()] for column in columns.values()]
-    rows = [(f"{path}, row {i + 1}", [*cells]) for i, cells in enumerate(zip(*texts, strict=True))]
+    texts = list[list[str]]()
+    for column in columns.values():
+        texts.append([_text(value) for value in column.tolist()])
+    rows = list[tuple[str, list[str]]]()
+    for i, cells in enumerate(zip(*texts, strict=True)):
+        where = f"{path}, row {i + 1}"
+        rows.append((where, [*cells]))
     return [*columns], rows
+
+
+def _row_count(arrays: Mapping[str, NDArray[Any]]) -> int:
+    """Length that most arrays have a side of, of several the greatest; 0 without arrays."""
+    times = Counter[int]()
+    for array in arrays.values():
+        lengths = {*array.shape} - {1}
+        times.update(lengths)
+    most = max(times.values(), default=0)
+    return max((length for length in times if times[length] == most), default=0)
 
 
 def _text(value: Any) -> str:
@@ -69,11 +82,15 @@ def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArra
         return {name: by_row}
     columns = dict[str, NDArray[Any]]()
     for index in itertools.product(*map(range, by_row.shape[1:])):
-        column = by_row[(slice(None), *index)]
-        columns["_".join([name, *map(str, index)])] = column
+        place: tuple[Any, ...] = (slice(None), *index)
+        column = by_row[place]
+        numbers = [str(i) for i in index]
+        own_name = "_".join([name, *numbers])
+        columns[own_name] = column
         if by_row.shape[-1] == 3:
-            *before, axis = index
-            columns["_".join([name, *map(str, before), "xyz"[axis]])] = column
+            axis = "xyz"[index[-1]]
+            name_by_axis = "_".join([name, *numbers[:-1], axis])
+            columns[name_by_axis] = column
     return columns
 
 
