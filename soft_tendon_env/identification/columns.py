@@ -1,8 +1,10 @@
-"""Columns of measured data: which of a file hold which quantity, as the table `[columns]` of the
-markers' file says."""
+"""Columns of measured data: which of a file hold which quantity.
+
+The table `[columns]` of the markers' file says so.
+"""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,17 +68,24 @@ def read_columns(
     return table, sources
 
 
+def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
+    """Quantities that a key of `[columns]` names; group 1 of a match is what its `*` stands for."""
+    pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
+    return [match for match in map(pattern.fullmatch, quantities) if match is not None]
+
+
 def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Expected]:
-    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name. Raises
-    ValueError for keys that are no quantities, and for units."""
+    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name.
+
+    Raises ValueError for keys that are no quantities, and for units.
+    """
     expected = {
         quantity: Expected(quantity, quantity, Column(), unit) for quantity, unit in units.items()
     }
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
-        pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
-        matches = [match for match in map(pattern.fullmatch, units) if match is not None]
+        matches = matches_of(key, units)
         if not matches:
             raise ValueError(
                 f"columns.{key} is no quantity that is read here: {not_among(key, units)}"
@@ -93,8 +102,10 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
 
 
 def _check_unit(key: str, column: Column, si_unit: str) -> None:
-    """Raises ValueError for a unit or a scale that a quantity cannot have, and for counts that have
-    no scale."""
+    """Raises ValueError for a unit or a scale that a quantity cannot have.
+
+    Counts need a scale.
+    """
     has_scale = "scale" in column.model_fields_set
     if not si_unit and (column.unit or has_scale):
         raise ValueError(f"columns.{key} is text: it has neither a unit nor a scale")
@@ -110,8 +121,10 @@ def _check_unit(key: str, column: Column, si_unit: str) -> None:
 
 
 def _factor(expected: Expected, column: str, table: Table) -> float:
-    """Factor that makes SI units of a column's numbers. Raises ValueError where the file itself
-    gives another unit than `[columns]`."""
+    """Factor that makes SI units of a column's numbers.
+
+    Raises ValueError where the file itself gives another unit than `[columns]`.
+    """
     units = UNITS.get(expected.si_unit, {})
     entry = expected.entry
     of_file = table.units.get(column)
@@ -127,8 +140,10 @@ def _factor(expected: Expected, column: str, table: Table) -> float:
 
 
 def _header_name(table: Table, column: str) -> str | None:
-    """Name of a column in a table's header, also in other letters of case; None without it. Raises
-    ValueError for several."""
+    """Name of a column in a table's header, also in other letters of case; None without it.
+
+    Raises ValueError for several.
+    """
     if column in table.header:
         return column
     numbered = [name for name in table.header if name.rpartition(".")[0] == column]

@@ -1,5 +1,7 @@
-"""Findings about an estimate in words: what the data do not contain, signs that the model lacks
-something, data that were misread."""
+"""Findings about an estimate in words.
+
+They say what the data do not contain, signs that the model lacks something, data that were misread.
+"""
 
 from collections.abc import Sequence
 
@@ -47,8 +49,9 @@ def findings(
     noise: float | None,
     judge: Readings | None = None,
 ) -> list[str]:
-    """Findings about an estimate: that the data are misread, or what they do not contain and the
-    model lacks.
+    """Returns findings about an estimate.
+
+    They say that the data are misread, or what they do not contain and the model lacks.
 
     Args:
         estimate: of `fit`.

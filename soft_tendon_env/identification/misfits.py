@@ -60,8 +60,7 @@ class Arm(NamedTuple):
 
 
 def misfit_texts(misfits: Sequence[Misfit], arm: Arm, noise: float | None) -> list[str]:
-    """Findings about residuals: drift, outliers, held-out data that are met badly, and signs that
-    the model lacks something.
+    """Findings about residuals: outliers, held-out data that are met badly, a lacking model.
 
     Args:
         misfits: of the recordings of the fit, and of held-out ones.
@@ -253,8 +252,10 @@ def _correlation_texts(recording: Recording, residual: Array) -> list[str]:
 
 
 def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
-    """Root mean square [m] of the part of the residuals of holds that follows commands and their
-    squares; 0 where that may be chance, or where holds are few."""
+    """Root mean square [m] of the part of residuals of holds that follows commands and squares.
+
+    It is 0 where that may be chance, or where holds are few.
+    """
     holds = [misfit for misfit in misfits if not misfit.recording.period]
     if len(holds) <= 2 * tendons + 2:
         return 0.0
@@ -277,8 +278,11 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
 
 
 def _is_beyond_chance(basis: Array, columns: Array) -> bool:
-    """Whether columns (holds, k) lie in the span of an orthonormal basis (holds, r) more than by
-    chance, by permutations of the holds (B. Phipson and G. K. Smyth 2010)."""
+    """Whether columns (holds, k) lie in the span of a basis (holds, r) more than by chance.
+
+    The basis is orthonormal. Chance is estimated by permutations of the holds (B. Phipson and
+    G. K. Smyth 2010).
+    """
     within = _squares_within(basis, columns)
     random = np.random.default_rng(0)
     as_large = 0
@@ -290,7 +294,6 @@ def _is_beyond_chance(basis: Array, columns: Array) -> bool:
 
 
 def _squares_within(basis: Array, columns: Array) -> float:
-    """Sum of squares of the part of columns (holds, k) in the span of an orthonormal basis (holds,
-    r)."""
+    """Sum of squares of the part of columns (holds, k) in an orthonormal basis (holds, r)."""
     part = basis.T @ columns
     return float((part**2).sum())

@@ -52,8 +52,10 @@ def fewer_parameters_text(estimate: Fit, fit_error: float, judge: Readings) -> s
 
 
 def _error_without(estimate: Fit, left_out: Array, judge: Readings) -> float:
-    """Mean error [m] of held-out readings where some parameters keep the scene's numbers; infinite
-    where that arm does not hold them."""
+    """Mean error [m] of held-out readings where some parameters keep the scene's numbers.
+
+    It is infinite where that arm does not hold them.
+    """
     x = _estimate_without(estimate, left_out)
     bounds = np.array([parameter.bounds for parameter in judge.plants.parameters])
     low, high = bounds.T

@@ -1,5 +1,7 @@
-"""Discretisation of the rod: where its intervals, quadrature points and nodes are, and the section
-and tendons of the stress-free arm there."""
+"""Discretisation of the rod: its intervals, quadrature points and nodes.
+
+There it has the section and tendons of the stress-free arm.
+"""
 
 import math
 from collections.abc import Callable
@@ -475,8 +477,10 @@ def _discretisation(
 
 
 def _node_inertia(scene: Scene, grid: Grid, rod: Discretisation) -> tuple[Array, Array]:
-    """Screw inertia (nodes, 6) [kg m^2, kg] with what effects add, and mass (nodes,) [kg] that
-    gravity pulls at."""
+    """Screw inertia (nodes, 6) [kg m^2, kg] with what effects add, and mass (nodes,) [kg].
+
+    Gravity pulls at the mass.
+    """
     effects = scene.effects
 
     def density(arc_length: Array) -> Array:
@@ -506,8 +510,7 @@ def _leading_strains(free: tuple[Strain, ...]) -> tuple[int, ...]:
 
 
 def _panel_weights(size: int) -> Array:
-    """Closed Newton-Cotes weights (size + 1,) on [-1, 1], which integrate all powers up to
-    `size`."""
+    """Closed Newton-Cotes weights (size + 1,) on [-1, 1]: exact for powers up to `size`."""
     nodes = np.linspace(-1.0, 1.0, size + 1)
     powers = np.arange(size + 1)
     of_nodes = nodes ** powers[:, None]

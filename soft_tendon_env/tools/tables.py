@@ -1,6 +1,6 @@
-"""Tables from CSV files in their dialects, and from arrays of MATLAB and NumPy: rows of text, each
-with where it stands.
+"""Tables from CSV files in their dialects, and from arrays of MATLAB and NumPy.
 
+A table has rows of text, each with where it stands.
 Trackers write a block of lines above the table: OptiTrack Motive and Vicon Nexus give names over
 three columns X, Y, Z, which become `NAME X`, and Nexus a line of units beneath the header.
 """
@@ -37,8 +37,11 @@ BLOCK = 6
 
 
 class Table(NamedTuple):
-    """Table of text. where: the header stands, with the separator that was recognised; rows: where
-    each stands, and its cells; units: that the file itself gives, by columns."""
+    """Table of text.
+
+    where: the header stands, with the separator that was recognised; rows: where each stands, and
+    its cells; units: that the file itself gives, by columns.
+    """
 
     where: str
     header: list[str]
@@ -46,8 +49,10 @@ class Table(NamedTuple):
     units: Mapping[str, str]
 
     def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
-        """Numbers (rows, columns) of columns by name, times their factors; NaN where there are
-        none. Raises ValueError for other text."""
+        """Numbers (rows, columns) of columns by name, times their factors.
+
+        They are NaN where there are none. Raises ValueError for other text.
+        """
         columns = list(columns)
         places = [self.header.index(name) for name, _ in columns]
         values = np.empty((len(self.rows), len(columns)))
@@ -59,8 +64,10 @@ class Table(NamedTuple):
 
 
 def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
-    """A cell as a number, NaN where there is none. Raises ValueError for other text and
-    infinity."""
+    """A cell as a number, NaN where there is none.
+
+    Raises ValueError for other text and infinity.
+    """
     if text.casefold() in ABSENT:
         return math.nan
     value = math.nan
@@ -134,8 +141,10 @@ def _is_line_of_units(cells: Sequence[str]) -> bool:
 
 
 def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
-    """Whether another table begins with line i: an empty line before it, and its sample rate alone
-    in the one after, as Nexus writes them."""
+    """Whether another table begins with line i, as Nexus writes it.
+
+    An empty line is before it, and its sample rate alone in the one after.
+    """
     if not 0 < i < len(lines) - 1 or any(_cells(lines[i - 1], separator)):
         return False
     title, rate = ([cell for cell in _cells(line, separator) if cell] for line in lines[i : i + 2])
@@ -151,8 +160,10 @@ def _is_number(text: str) -> bool:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises
-    csv.Error."""
+    """Cells of a line; where spaces separate, any number of them does, and tabs.
+
+    Raises csv.Error.
+    """
     if separator == " ":
         line = " ".join(line.split())
     reader = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
@@ -209,8 +220,10 @@ def _cells_of_block(above: Sequence[str], separator: str) -> list[list[str]]:
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:
-    """Lines of a table, without a last one that was cut off when the writer was killed, or power
-    was lost; a warning says so."""
+    """Lines of a table, without a last one that was cut off.
+
+    The writer was killed, or power was lost; a warning says so.
+    """
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
     if len(lines) < 2 or text.endswith("\n"):
@@ -232,8 +245,10 @@ def _separator_count(line: str) -> int:
 
 
 def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float]]:
-    """The rows of a CSV file of numbers; NaN for what is empty. `needed`: columns. Raises
-    ValueError, FileNotFoundError."""
+    """The rows of a CSV file of numbers; NaN for what is empty.
+
+    `needed`: columns. Raises ValueError, FileNotFoundError.
+    """
     if not read_text(path).endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
     table = read_table(path)

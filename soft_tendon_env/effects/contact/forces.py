@@ -1,5 +1,6 @@
-"""Contact of the arm with obstacles: its configuration, forces between samples of the arm and
-obstacles, and the collision check.
+"""Contact of the arm with obstacles: configuration, forces, and the collision check.
+
+Forces act between samples of the arm and obstacles.
 
 By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the
 node before it, and likewise on the one behind. With d = radius - signed distance of a sample's
@@ -21,7 +22,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Configured, Discretisation, Effect
 from soft_tendon_env.effects.contact.obstacles import (
     AMPLITUDE,
     OMEGA,
@@ -56,6 +57,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, index_of_node
 from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
@@ -80,10 +82,11 @@ MOST_HERMITE = 4.0 / 27.0  # the largest value of the Hermite polynomials of tan
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@register_effect("contact")
+@register("effect", "contact")
 class Contact(Effect):
-    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which
-    the whole arm cannot enter.
+    """`[effects.contact]`: contact of the whole arm with obstacles, fixed or moving.
+
+    They are the tables `[[effects.contact.obstacles]]`, and the arm cannot enter them.
 
     Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v
     returns it times about 1 - 2/3 c v where c v is small, with c the `dissipation`.
@@ -127,8 +130,10 @@ class Contact(Effect):
         return float(read_contacts(parameters, nodes, gap, position, force))
 
     def distances(self, positions: Array, time: float = 0.0) -> Array:
-        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m]
-        at a time [s], negative inside."""
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces, negative inside.
+
+        They are those of positions (m, 3) [m] at a time [s].
+        """
         out = np.empty((len(self.obstacles), len(positions)))
         nearest = np.empty((*out.shape, 3))
         read_distances(self.rows(), positions, time, out, nearest)
@@ -136,8 +141,10 @@ class Contact(Effect):
 
 
 class ContactParameters(Struct):
-    """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at
-    the end without samples."""
+    """Numbers of samples and obstacles, as kernels read them.
+
+    Intervals are in order from base to tip, the empty ones at the end without samples.
+    """
 
     # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
     intervals: Array
@@ -166,8 +173,10 @@ def size(x):
 
 @kernel(inline=True)
 def reach_of(intervals, ends):
-    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's
-    Bezier points holds it."""
+    """Distance [m] from its end that no point of an interval's samples exceeds.
+
+    The polygon of the curve's Bezier points holds it.
+    """
     chord = size(minus(ends.r_b, ends.r_a))
     length = intervals[ends.interval, 0]
     radius = intervals[ends.interval, 3]
@@ -176,9 +185,12 @@ def reach_of(intervals, ends):
 
 @kernel(inline=True)
 def normal_law(body, sample, depth, approach):
-    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy
-    [J] stored: the penalty, and a wall S x^3 / width that stops what would go through, each damped;
-    x is 0 at FREE and 1 at WALL, less deep in what is thin."""
+    """Force [N] of a sample along the normal, its derivatives, and the energy [J] stored.
+
+    The derivatives are by depth and approach. The force is the penalty, and a wall S x^3 / width
+    that stops what would go through, each damped; x is 0 at FREE and 1 at WALL, less deep in what
+    is thin.
+    """
     k = sample.stiffness
     e = sample.smoothing
     # penalty p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond, and its energy
@@ -208,8 +220,10 @@ def normal_law(body, sample, depth, approach):
 
 @kernel(inline=True)
 def touch_of(body, sample, ends, nodes):
-    """The contact of a sample between two nodes with an obstacle, without forces where they do not
-    touch."""
+    """Contact of a sample between two nodes with an obstacle.
+
+    It has no forces where they do not touch.
+    """
     position = position_of(sample, ends)
     _, away, out = place_in(body, position)
     gap = away - sample.radius
@@ -232,8 +246,10 @@ def touch_of(body, sample, ends, nodes):
 
 @kernel(inline=True)
 def add_along(field, node, lever, share, n, k):
-    """k w w^T, w = (lever x n, share n), added to the block of a node: of what resists motion along
-    n."""
+    """Adds k w w^T, w = (lever x n, share n), to the block of a node.
+
+    It is that of what resists motion along n.
+    """
     begin = (node // LANES) * 21 * LANES + node % LANES
     w = cross(lever, n) + times(share, n)
     for i in range(6):
@@ -244,8 +260,9 @@ def add_along(field, node, lever, share, n, k):
 
 @kernel(inline=True)
 def add_to_node(nodes, node, R, weights, radius, touch):
-    """The wrench of a sample's force on one node, with the derivatives as if the other node of the
-    interval stood still.
+    """Adds the wrench of a sample's force on one node, with its derivatives.
+
+    They are as if the other node of the interval stood still.
 
     weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x
     (reach e_x - turn radius n) in the node's frame. Each node gets 1 / part times its block, with
@@ -292,8 +309,10 @@ def samples_of(intervals, i):
 
 @kernel(inline=True)
 def add_to_nodes(nodes, sample, ends, touch):
-    """The wrenches of a sample's force on both nodes of its interval; the base takes what it
-    gets."""
+    """Adds the wrenches of a sample's force on both nodes of its interval.
+
+    The base takes what it gets.
+    """
     i = ends.interval
     t = sample.t
     radius = sample.radius
@@ -307,9 +326,11 @@ def add_to_nodes(nodes, sample, ends, touch):
 
 @kernel
 def read_contacts(contact, nodes, gap, position, force):
-    """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples)
-    [m] and its force (obstacles, samples, 3) [N] in the world frame. Returns the potential energy
-    [J] of the normal forces."""
+    """Writes the positions of samples, their gaps and their forces; returns an energy [J].
+
+    Positions are (samples, 3) [m], gaps (obstacles, samples) [m], and forces (obstacles, samples,
+    3) [N] in the world frame. The energy is the potential energy of the normal forces.
+    """
     energy = 0.0
     for j in range(gap.shape[0]):
         body = body_at(contact.obstacles, j, nodes.time)
@@ -328,9 +349,12 @@ def read_contacts(contact, nodes, gap, position, force):
 @limits_step(ContactParameters)
 @kernel
 def limit_contact(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing, and the next one ends where
-    something is met. The last one was too long if a sample went through something, or if all that
-    met something came to store more than a share of the arm's energy."""
+    """Limits steps so that they end where something is met.
+
+    They are short beside the periods of obstacles that swing. The last one was too long if a sample
+    went through something, or if all that met something came to store more than a share of the
+    arm's energy.
+    """
     intervals = contact.intervals
     obstacles = contact.obstacles
     fastest = 0.0
@@ -356,8 +380,10 @@ def limit_contact(contact, nodes, longest):
 
 @kernel
 def landing_energy(nodes, intervals, fastest):
-    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at
-    most at a speed [m/s]."""
+    """Energy [J] that a sample may store where a step ends in what it comes upon.
+
+    Obstacles move at most at a speed [m/s].
+    """
     kinetic = 0.0
     mass = 0.0
     length = 0.0
@@ -373,9 +399,11 @@ def landing_energy(nodes, intervals, fastest):
 
 @kernel(inline=True)
 def is_far(bodies, ends, intervals, nodes, longest):
-    """Whether no sample of an interval can have met an obstacle in the last step, nor does in the
-    next one: the Hermite polynomials of tangents stay below 4/27, and the signed distance changes
-    no faster than a point moves. Bodies and ends: before the step and now."""
+    """Tells whether no sample of an interval meets an obstacle, in the last step or the next.
+
+    The Hermite polynomials of tangents stay below 4/27, and the signed distance changes no faster
+    than a point moves. Bodies and ends: before the step and now.
+    """
     body_before, body = bodies
     before, now = ends
     # the most by which a sample moves in the next step, as seen by the obstacle
@@ -395,9 +423,11 @@ def is_far(bodies, ends, intervals, nodes, longest):
 
 @kernel(inline=True)
 def check_sample(sample, bodies, ends, nodes, energy, longest):
-    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies
-    and ends: before the step and now. The energy [J] that it has come to store in the step, if it
-    met the obstacle there."""
+    """Checks a sample and an obstacle for `limit_contact`; returns an energy [J].
+
+    The sample moves straight ahead as seen by the obstacle; bodies and ends: before the step and
+    now. The energy is what it has come to store in the step, if it met the obstacle there.
+    """
     body_before, body = bodies
     before, now = ends
     radius = sample.radius
@@ -430,8 +460,10 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
 
 @kernel
 def goes_through(body, start, end, allowed):
-    """Whether the distance from a body falls below `allowed` [m] on the straight way between two
-    points in its frame: it falls no faster than the way goes on."""
+    """Tells whether the distance from a body falls below `allowed` [m] on the straight way.
+
+    The way lies between two points in its frame; the distance falls no faster than the way goes on.
+    """
     way = minus(end, start)
     length = size(way)
     away_at_end, _ = distance(body, end)

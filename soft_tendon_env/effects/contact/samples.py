@@ -1,5 +1,6 @@
-"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the
-axis.
+"""Samples of the arm, at which contact is looked for.
+
+They are balls of its outer radius, evenly along the axis.
 
 The ball nearest to a spacer disc has the radius of the disc, and stands for its mass too.
 Each stands for its share of the length, that at the tip for the round cap too. They lie on the
@@ -36,8 +37,10 @@ def pose_of(nodes, node):
 
 @kernel(inline=True)
 def motion_of(nodes, node, R, r):
-    """Angular and linear velocity, in the world frame, of a node at a pose (R, r); node -1 is the
-    base."""
+    """Angular and linear velocity of a node at a pose (R, r), in the world frame.
+
+    Node -1 is the base.
+    """
     if node < 0:  # the velocity is that of the point of the base at the world's origin
         w, v = twist_of(nodes.base[12:18])
         return w, plus(v, cross(w, r))
@@ -119,8 +122,10 @@ def motion_at(sample, ends, nodes):
 
 
 def nodes_with(pose, twist, base, time):
-    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than
-    that, their base and time."""
+    """Nodes at poses and with twists in the kernels' layout.
+
+    They are for what reads no more of them than that, their base and time.
+    """
     none = np.zeros(0)
     return Nodes(
         packs=pose.size // (12 * LANES),
@@ -139,8 +144,10 @@ def nodes_with(pose, twist, base, time):
 
 
 def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
-    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,)
-    [m], a radius apart at most."""
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths.
+
+    These are (samples,) [m], a radius apart at most.
+    """
     start = np.concatenate([[0.0], rod.node[:-1]])
     h = rod.node - start
     # how many to an interval, and where in it
@@ -177,8 +184,10 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
 
 
 def sample_radius(rod: Discretisation, arc_length: Array) -> Array:
-    """Radius (m,) [m] of the balls at arc lengths (m,) [m]: the rod's, or at the ball nearest to a
-    spacer disc that of the disc."""
+    """Radius (m,) [m] of the balls at arc lengths (m,) [m].
+
+    It is the rod's, or at the ball nearest to a spacer disc that of the disc.
+    """
     radius = rod.radius(arc_length)
     np.maximum.at(radius, _nearest(rod, arc_length), rod.discs[:, 2])
     return radius
