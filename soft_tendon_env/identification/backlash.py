@@ -23,6 +23,7 @@ def after_play(command: Array, half_width: Array) -> Array:
     least = command - half_width
     greatest = command + half_width
     for row in range(1, len(command)):
-        held = np.maximum(arriving[row - 1], least[row])
-        arriving[row] = np.minimum(held, greatest[row])
+        before = arriving[row - 1]
+        pushed = np.maximum(before, least[row])
+        arriving[row] = np.minimum(pushed, greatest[row])
     return arriving

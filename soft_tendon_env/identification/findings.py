@@ -97,18 +97,16 @@ def findings(
 
 def _misfits(estimate: Fit, fitted: Readings, judge: Readings | None) -> list[Misfit]:
     """Residuals of the recordings of the fit, and of held-out ones."""
-    misfits = [
-        Misfit(recording, part, held_out=False)
-        for recording, part in zip(
-            fitted.recordings, fitted.by_recording(estimate.residual), strict=True
-        )
-    ]
-    if judge is not None and judge.recordings:
-        parts = judge.by_recording(judge.residual(estimate.x))
-        misfits += [
-            Misfit(recording, part, held_out=True)
-            for recording, part in zip(judge.recordings, parts, strict=True)
-        ]
+    misfits = list[Misfit]()
+    parts = fitted.by_recording(estimate.residual)
+    for recording, part in zip(fitted.recordings, parts, strict=True):
+        misfits.append(Misfit(recording, part, held_out=False))
+    if judge is None or not judge.recordings:
+        return misfits
+    residual = judge.residual(estimate.x)
+    parts = judge.by_recording(residual)
+    for recording, part in zip(judge.recordings, parts, strict=True):
+        misfits.append(Misfit(recording, part, held_out=True))
     return misfits
 
 
@@ -131,10 +129,11 @@ def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     size = np.abs(direction)
     largest_first = np.argsort(-size)
     names = [parameters[i].name for i in largest_first if size[i] >= UNSEEN]
+    experiment = _experiment(" ".join(names))
     what = ", ".join(names)
     if len(names) > 1:
         what = f"a combination of {what}"
-    return f"The data do not contain {what}: {_experiment(' '.join(names))}."
+    return f"The data do not contain {what}: {experiment}."
 
 
 def _parameter_texts(parameter: Parameter, x: float) -> list[str]:

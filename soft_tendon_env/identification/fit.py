@@ -203,14 +203,14 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
-    deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
-    bootstrap = stdtrit(cluster_freedom, tail) * deviations
+    draws = _bootstrap(estimate, readings.cluster)
+    bootstrap = stdtrit(cluster_freedom, tail) * draws.std(axis=0)
     wider = np.maximum(linear, bootstrap)
     between_bounds = np.ptp(bounds, axis=1)  # where the data say nothing
     reach = np.where(np.isfinite(linear), wider, between_bounds)
     least, greatest = bounds.T
-    lower = np.clip(estimate.x - reach, least, greatest)
-    upper = np.clip(estimate.x + reach, least, greatest)
+    lower = np.maximum(estimate.x - reach, least)
+    upper = np.minimum(estimate.x + reach, greatest)
     # the value of a factor of a negative number falls with its coordinate
     values = [
         sorted((parameter.at(x_low), parameter.at(x_high)))
@@ -278,8 +278,9 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
         is_drawn = cluster == i
         J = estimate.jacobian[is_drawn]
         r = estimate.residual[is_drawn]
-        curvature.append(weight * J.T @ J)
-        gradient.append(weight * J.T @ r)
+        weighted = weight * J.T
+        curvature.append(weighted @ J)
+        gradient.append(weighted @ r)
     # how often each cluster is drawn, with as many draws as there are clusters
     shares = np.full(clusters, 1.0 / clusters)
     draws = random.multinomial(clusters, shares, size=RESAMPLES)
@@ -287,7 +288,8 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     # b, of the priors' centres that are drawn too
     k = estimate.x.size
     normal = random.normal(size=(RESAMPLES, k))
-    prior_draw = normal * np.sqrt(estimate.prior)
+    prior_root = np.sqrt(estimate.prior)
+    prior_draw = normal * prior_root
     # (J^T J + P) step = J^T r + P x - b
     P = estimate.prior
     data_part = np.einsum("dr,rij->dij", times, np.array(curvature))

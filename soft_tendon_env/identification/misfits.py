@@ -131,7 +131,8 @@ def drift_text(misfits: Sequence[Misfit]) -> str | None:
     coefficients = basis.T @ shift
     drift = basis @ coefficients
     way = float(np.linalg.norm(drift[-1] - drift[0]))
-    first, last = (misfit.recording.name for misfit in (holds[0], holds[-1]))
+    first = holds[0].recording.name
+    last = holds[-1].recording.name
     return (
         f"Residuals of all markers drift together over the session, by {1e3 * way:.2g} mm from"
         f" {first!r} to {last!r}: the camera, its frame or the mount moved. The estimate is biased"
@@ -160,8 +161,10 @@ def _outlying(misfits: Sequence[Misfit], length: float) -> list[Array]:
             # from the mean of the sample before and the one after, which share an error of the
             # model; the first and the last have none
             inner = 0.5 * np.diff(misfit.residual, 2, axis=0)
-            deviation = np.pad(inner, ((1, 1), (0, 0), (0, 0)))
-            distances.append(np.linalg.norm(deviation, axis=-1))
+            deviation = np.zeros_like(misfit.residual)
+            deviation[1:-1] = inner
+            distance = np.linalg.norm(deviation, axis=-1)
+            distances.append(distance)
         else:
             distances.append(misfit.distance)
     every = np.concatenate(distances)
@@ -186,7 +189,8 @@ def _outlier_texts(misfits: Sequence[Misfit], outlying: Sequence[Array], arm: Ar
     worst = int(np.argmax(farthest))
     misfit = misfits[worst]
     distance = np.where(outlying[worst], misfit.distance, 0.0)
-    marker = arm.markers[int(distance.max(axis=0).argmax())]
+    by_marker = distance.max(axis=0)
+    marker = arm.markers[int(by_marker.argmax())]
     effect = "the held-out error means nothing" if misfit.held_out else "outliers bias the estimate"
     kind = ", which is held out" if misfit.held_out else ""
     return [
@@ -267,7 +271,8 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
     columns = every_column[:, is_whole]
     # an orthonormal basis of what a quadratic law of the commands could make
     constant = np.ones((len(holds), 1))
-    law = np.hstack([constant, commands, commands**2])
+    squares = commands**2
+    law = np.hstack([constant, commands, squares])
     U, values, _ = np.linalg.svd(law, full_matrices=False)
     is_independent = values > INDEPENDENT * values[0]
     basis = U[:, is_independent]

@@ -64,16 +64,17 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
     motions = [recording for recording in recordings if recording.period]
     stride = math.ceil(len(holds) / FEW) or 1
     chosen = holds[::stride] + motions[:1]
-    return [
-        replace(
+    beginnings = list[Recording]()
+    for recording in chosen:
+        beginning = replace(
             recording,
             command=recording.command[:SAMPLES],
             positions=recording.positions[:SAMPLES],
             session=None,
             row=0,
         )
-        for recording in chosen
-    ]
+        beginnings.append(beginning)
+    return beginnings
 
 
 def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str, list[Recording]]:
@@ -129,8 +130,9 @@ def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Arra
 
 def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
     """Mean distance [m] of simulated markers from those of recordings."""
-    measured = np.concatenate([recording.positions for recording in recordings])
-    distance = np.linalg.norm(simulated - measured, axis=-1)
+    positions = [recording.positions for recording in recordings]
+    error = simulated - np.concatenate(positions)
+    distance = np.linalg.norm(error, axis=-1)
     return float(np.nanmean(distance))
 
 

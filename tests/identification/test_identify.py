@@ -216,6 +216,19 @@ def test_outliers_are_named(arm, holds, placed, tmp_path):
     assert "leave their cells empty" in text
 
 
+def test_labels_exchanged_in_a_held_out_hold_are_named(arm, holds, placed, tmp_path):
+    rows = [row.split(",") for row in holds.read_text().splitlines()]
+    of_middle, of_tip = rows[7][7:10], rows[7][10:13]  # of holds6
+    rows[7][7:13] = of_tip + of_middle
+    path = tmp_path / "holds.csv"
+    path.write_text("\n".join(map(",".join, rows)))
+    estimate = identify(arm, path, placed, [E, RHO], fidelity="scene")
+    assert "holds6" in estimate.error_held_out
+    (text,) = estimate.findings
+    assert "2 of the markers' positions stand out" in text
+    assert "in 'holds6', which is held out" in text
+
+
 def test_fewer_data_than_parameters_are_told(arm, record, placed, truth):
     path = record("single", truth, [[1.0, 0.0, 0.0]])
     header, row = path.read_text().splitlines()
