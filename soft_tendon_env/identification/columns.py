@@ -181,7 +181,10 @@ def _columns_there(missing: str, table: Table) -> str:
     """End of an error about a missing column: those of the table, or that there is none."""
     # what is no table is not shown
     longest = max(map(len, table.header), default=0)
-    if len(table.header) > MOST_SHOWN or longest > LONGEST_NAME or not table.rows:
+    is_long = len(table.header) > MOST_SHOWN or longest > LONGEST_NAME
+    first_row = [cell for _, cells in table.rows[:1] for cell in cells]
+    has_numbers = any(character.isdigit() for cell in first_row for character in cell)
+    if is_long or not has_numbers:
         return (
             f"the line that seems to be the header has {len(table.header)} cells, the longest of"
             f" {longest} letters, and {len(table.rows)} rows beneath it: is the file a table?"

@@ -82,7 +82,14 @@ def _filled(line: Sequence[str], is_repeated: Sequence[bool]) -> list[str]:
 
 
 def unit_of(text: str) -> str:
-    """Unit that a file writes, as this package does; empty for another text."""
+    """Unit that a file writes, as this package does.
+
+    Args:
+        text: a cell, such as `Millimeters` or `[mm]`.
+
+    Returns:
+        A key of `UNIT_NAMES`; empty for another text.
+    """
     for unit, names in UNIT_NAMES.items():
         if text.strip("[]() ").casefold() in names:
             return unit
@@ -90,7 +97,14 @@ def unit_of(text: str) -> str:
 
 
 def length_unit(above: Sequence[Sequence[str]]) -> str:
-    """Unit of all lengths that a line above the header gives; empty without one."""
+    """Unit of all lengths that a line above the header gives.
+
+    Args:
+        above: cells of the lines over the header.
+
+    Returns:
+        A key of `UNIT_NAMES`; empty without one.
+    """
     for line in above:
         for key, text in zip(line, line[1:], strict=False):
             if key.casefold() == LENGTH_UNITS:

@@ -30,6 +30,8 @@ COMMENTS = ("#", "%")
 it."""
 ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 """Cells that hold no number."""
+SHOWN = 40
+"""Letters of a cell that an error shows."""
 PREAMBLE = 100
 """Lines among which the header is looked for."""
 BLOCK = 6
@@ -75,8 +77,9 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
         with contextlib.suppress(ValueError):  # it stays NaN, which is refused below
             value = float(text.replace(",", ".")) * factor
     if not math.isfinite(value):
+        shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
         raise ValueError(
-            f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is"
+            f"{where}: {name} is {shown!r}: it should be a finite number, or empty where there is"
             " none"
         )
     return value

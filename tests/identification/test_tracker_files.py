@@ -227,6 +227,7 @@ def test_arrays_and_structures_of_matlab_are_columns(tmp_path):
         ),
         ("log.csv", b"secret " * 400, "is the file a table?"),
         ("log.csv", b"my secret text\n", "is the file a table?"),
+        ("log.csv", b"my secret text\nin two lines\n", "is the file a table?"),
     ],
 )
 def test_a_file_that_is_no_table_is_told_by_its_kind_and_not_its_contents(
