@@ -13,13 +13,14 @@ from soft_tendon_env.identification.identify import FIDELITY, identify, save_est
 from soft_tendon_env.tools.types import GivenLength
 
 DATA = (
-    "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or,"
+    "CSV, .mat or .npz files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y,"
+    " MARKER_z) or,"
     " with time, a sample of a motion"
 )
 KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds"
 HELD_OUT = (
     "held-out recordings that judge the fit: a share, 0 for none, a column that marks them, or a"
-    " CSV file"
+    " file"
 )
 
 
