@@ -1,5 +1,5 @@
-"""Laws of contact against closed forms: distances, pressures, friction, virtual work, and steps that
-end where something is met."""
+"""Laws of contact against closed forms: distances, pressures, friction, virtual work, and where
+steps end."""
 
 import numpy as np
 import pytest
