@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.coordinates import make_strain, mode_fields
+from soft_tendon_env.model.coordinates import coordinate_count, make_strain, mode_fields
 from soft_tendon_env.model.grid import (
     at_points,
     make_grid,
@@ -149,3 +149,38 @@ def test_mode_fields_are_legendre_polynomials_on_their_span():
         by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15
     )
     np.testing.assert_array_equal(by_piece[4][..., 1], second_half)
+
+
+HELICES = {
+    f"tendons.{i}.routing": {
+        "type": "helix",
+        "radius": 0.008,
+        "angular_rate": 2.0 * np.pi * 12.0 / 0.3,
+        "phase": 120.0 * i,
+    }
+    for i in range(3)
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "count"),
+    [
+        ({}, 3),
+        # three tendons make two of the constant bending fields
+        ({"strain.passive": [{"strains": list(ANGULAR), "order": 12, "span": "rod"}]}, 40),
+        (
+            {
+                "strain": {
+                    "type": "explicit",
+                    "modes": [{"strains": list(ANGULAR), "order": 12, "span": "rod"}],
+                }
+            },
+            39,
+        ),
+        (HELICES, 3),
+    ],
+    ids=["tensions", "passive fields", "explicit", "helices"],
+)
+def test_every_coordinate_is_counted(changes, count):
+    """Fields of the highest order, and helices that a coarse quadrature sees as straight."""
+    assert coordinate_count(load_scene("three_tendon").replace(changes)) == count
