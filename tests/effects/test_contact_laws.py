@@ -12,6 +12,7 @@ from soft_tendon_env.effects.contact.forces import (
     IDLE,
     LANDED,
     MOST_LANDED,
+    OVERRUN,
     STICTION_SPEED,
     THROUGH,
     WALL,
@@ -510,6 +511,28 @@ def test_the_next_step_ends_where_the_arm_lands(rod, mass, speed, rising):
     assert longest_step(far, rod, nodes_at(straight(rod), twists))[0] == 1.0
 
 
+def test_a_step_in_contact_goes_deeper_by_a_share_of_the_radius_at_most(rod):
+    contact = Contact(obstacles=[floor(-0.99 * RADIUS)])
+    twists = np.zeros((rod.node.size, 6))
+    twists[:, 5] = -0.4
+    step, flags = longest_step(contact, rod, nodes_at(straight(rod), twists))
+    assert step == pytest.approx(OVERRUN * RADIUS / 0.4)
+    assert flags.active[0] == YES
+
+
+def test_what_nodes_that_turn_bring_along_is_met_too(rod):
+    """The middle between two nodes that stand still comes down by h / 8 of the sum of their
+    rates."""
+    height, rate = 0.3, 20.0
+    twists = np.zeros((rod.node.size, 6))
+    twists[0, 1], twists[1:, 1] = rate, -rate
+    contact = Contact(obstacles=[floor(-height)])
+    step, flags = longest_step(contact, rod, nodes_at(straight(rod), twists))
+    speed = 2.0 * rate * 0.15 / 8.0
+    assert step == pytest.approx((height - RADIUS) / speed, rel=0.02)
+    assert flags.active[0] == YES
+
+
 def test_steps_are_short_beside_the_swing_of_an_obstacle(rod):
     swinging = Contact(obstacles=[floor(-1.0, amplitude=[0.0, 0.1, 0.0], frequency=30.0)])
     step, _ = longest_step(swinging, rod, nodes_at(straight(rod)))
@@ -534,6 +557,7 @@ def lifted(rod, height):
         (0.9, 0.9 - 0.9 * THROUGH, False),
         (0.9, 0.9 - 1.1 * THROUGH, True),
         (1.5, -2.0, True),
+        (50.0, -50.0, True),
     ],
 )
 def test_a_step_that_leads_through_something_is_told(rod, before, now, is_too_deep):
