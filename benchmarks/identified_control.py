@@ -26,7 +26,8 @@ import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
 from tqdm import tqdm
 
-from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
+from soft_tendon_env import register
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.summaries import bootstrap_interval
@@ -84,7 +85,7 @@ class TipCourse(PoseCourse):
         return pose_samples(own.tip_pose, own.tip_twist)
 
 
-@register_target
+@register("target", "holdable")
 class Holdable(Target):
     """Random poses that a robot can hold. scene: its own; seed: of the motion."""
 

@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.recording import RerunFile, Rollout, collect
+from soft_tendon_env.recording import Rollout, collect
+from soft_tendon_env.recording.rerun_file import RerunFile
 
 # [N]; this circle needs tendons that push a little: pulling alone shortens the arm by some
 # millimetres

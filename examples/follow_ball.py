@@ -14,9 +14,9 @@ import numpy as np
 import torch
 
 import soft_tendon_env as ste
-from soft_tendon_env.envs import Task, register_reward_term, register_task
+from soft_tendon_env.envs import Task
 from soft_tendon_env.envs.observation import Group
-from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.envs.tracking import POSITION
 from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
@@ -65,7 +65,7 @@ SCENE = ste.Scene(
 )
 
 
-@register_target
+@ste.register("target", "ball")
 class Ball(Target):
     """`{"type": "ball"}`: a ball at `speed` [m/s] on a random path on the upper half of a sphere,
     to its end, back, and so on."""
@@ -128,7 +128,7 @@ def ball_error(seen):
     return seen.target.tip_pose[:, 0, :3, 3] - seen.tip_pose[:, :3, 3]
 
 
-@register_reward_term
+@ste.register("reward_term", "following")
 def following(tracking):
     """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm,
     from LEAST to MOST as 0 to 1."""
@@ -146,9 +146,29 @@ def their_return(episode_return, periods=PERIODS):
     return (MOST - LEAST) * episode_return + LEAST * periods
 
 
-register_task(
+def ball_position(seen):
+    """(rows, 3) [m] in the world."""
+    return seen.target.tip_pose[:, 0, :3, 3]
+
+
+def ball_velocity(seen):
+    """(rows, 3) [m/s] in the world."""
+    return seen.target.tip_twist[:, 0, 3:]
+
+
+for name, description, values, unit in (
+    ("tip_velocity", "the tip's velocity", tip_velocity, 1.0),
+    ("ball_position", "the ball's position", ball_position, 1.0),
+    ("ball_error", "from the tip to the ball", ball_error, 0.1),
+    ("ball_velocity", "the ball's velocity", ball_velocity, 0.1),
+):
+    unit_of = lambda units, unit=unit: unit * units.length  # noqa: E731
+    ste.register("observation_group", name, Group(description, values, unit_of))
+
+ste.register(
+    "task",
+    "FollowBall",
     Task(
-        name="FollowBall",
         description="Follow a ball on a sphere with the tip.",
         target="ball",
         observations={
@@ -169,18 +189,6 @@ register_task(
         },
         errors=(POSITION,),
         reward={"following": 1.0},
-        groups={
-            "tip_velocity": Group("the tip's velocity", tip_velocity, lambda u: u.length),
-            "ball_position": Group(
-                "the ball's position", lambda o: o.target.tip_pose[:, 0, :3, 3], lambda u: u.length
-            ),
-            "ball_error": Group("from the tip to the ball", ball_error, lambda u: 0.1 * u.length),
-            "ball_velocity": Group(
-                "the ball's velocity",
-                lambda o: o.target.tip_twist[:, 0, 3:],
-                lambda u: 0.1 * u.length,
-            ),
-        },
     ),
     max_episode_steps=PERIODS,
 )

@@ -6,13 +6,14 @@ from pathlib import Path
 import gymnasium as gym
 from stable_baselines3 import PPO
 
+from soft_tendon_env import register
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.train import train
-from soft_tendon_env.policies import load_policy, register_algorithm
+from soft_tendon_env.policies import load_policy
 
 
-@register_algorithm
+@register("algorithm", "FadingPPO")
 class FadingPPO(PPO):
     """The entropy bonus falls to zero in proportion to what remains of the training: explore first,
     refine later."""

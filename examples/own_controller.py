@@ -4,10 +4,17 @@
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, entry_of
+from soft_tendon_env import register
+from soft_tendon_env.control import ControllerInput, ControllerOutput
 from soft_tendon_env.policies import make_policy, observation_options
 
 
+@register(
+    "controller",
+    "resolved_rate",
+    task="Reach",
+    description="tensions along the pseudoinverse of the static tip Jacobian",
+)
 class ResolvedRate:
     """du = gain (J G^-1 B)^+ e: tensions change as they would to take the error e of an arm at rest
     away at this rate."""
@@ -29,11 +36,6 @@ class ResolvedRate:
         return ControllerOutput(
             tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0}
         )
-
-
-CONTROLLERS["Reach"]["resolved_rate"] = entry_of(
-    "tensions along the pseudoinverse of the static tip Jacobian", ResolvedRate
-)
 
 
 if __name__ == "__main__":

@@ -4,14 +4,14 @@
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.effects import Effect, Struct, adds_wrench, kernel, register_effect
+from soft_tendon_env.effects import Effect, Struct, adds_wrench, kernel
 
 
 class DragParameters(Struct):
     rate: float
 
 
-@register_effect("drag")
+@ste.register("effect", "drag")
 class Drag(Effect):
     """`[effects.drag]`: the wrench -rate M eta on every slice of the rod, rate [1/s], M its inertia
     and eta its twist."""

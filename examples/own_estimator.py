@@ -7,9 +7,10 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.control import Estimate
 from soft_tendon_env.evaluation import evaluate
-from soft_tendon_env.policies import ESTIMATORS, EstimatorEntry, load_policy, policy_options
+from soft_tendon_env.policies import load_policy, policy_options
 
 
+@ste.register("estimator", "lengths")
 class LengthObserver:
     """The model's own motion, which is moved by a share of K^-1 B (B^T K^-1 B)^-1 e: the least
     bending for an error e of tendon lengths."""
@@ -35,9 +36,6 @@ class LengthObserver:
             q, q_dot = self.simulation.state.q, self.simulation.state.q_dot
         missed = -self.bend @ (longer + self.pull @ q)
         return Estimate(q + self.share * missed, q_dot + self.share**2 / self.period * missed)
-
-
-ESTIMATORS["lengths"] = EstimatorEntry("lengths:", LengthObserver)
 
 
 if __name__ == "__main__":

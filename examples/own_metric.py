@@ -4,16 +4,16 @@
 `PYTHONPATH=examples soft-tendon --import own_metric COMMAND` has them for every command.
 """
 
-from soft_tendon_env import load_scene
-from soft_tendon_env.cli.main import main, register_command
-from soft_tendon_env.evaluation.conditions import MODEL_ERRORS, Condition
-from soft_tendon_env.evaluation.metrics import METRICS, Metric
+from soft_tendon_env import load_scene, register
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.evaluation.conditions import Condition
+from soft_tendon_env.evaluation.metrics import Metric
 
-METRICS["peak"] = Metric("peak [N]", lambda episode, first: float(episode.tension.max()))
-MODEL_ERRORS["stiffness-50%"] = Condition(randomize={"stiffness": 0.5})
+register("metric", "peak", Metric("peak [N]", lambda episode, first: float(episode.tension.max())))
+register("condition", "stiffness-50%", Condition(randomize={"stiffness": 0.5}))
 
 
-@register_command("length", "the length of a scene's rod")
+@register("command", "length", description="the length of a scene's rod")
 def length(arguments):
     print(f"{sum(segment.length for segment in load_scene(arguments[0]).segments):g} m")
 

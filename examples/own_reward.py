@@ -4,10 +4,10 @@
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.envs import register_reward_term
+from soft_tendon_env import register
 
 
-@register_reward_term
+@register("reward_term", "gentleness")
 def gentleness(tracking):
     """How slowly the tip moves: 1 at rest, 1/2 at 0.2 m/s."""
     speed = np.linalg.norm(tracking.reading.tip_twist[:, 3:], axis=1)

@@ -6,12 +6,13 @@ from typing import Literal
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
+from soft_tendon_env import register
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.evaluation import evaluate
 from soft_tendon_env.policies import make_policy, observation_options
 
 
-@register_target
+@register("target", "figure_eight")
 class FigureEight(Target):
     """`{"type": "figure_eight"}`: 0.1 m wide, 0.28 m in front of the base; `period` [s]."""
 

@@ -4,8 +4,9 @@
 import gymnasium as gym
 import numpy as np
 
+from soft_tendon_env import register
 from soft_tendon_env.envs.observation import Group
-from soft_tendon_env.envs.tasks import Task, TrackingError, register_task
+from soft_tendon_env.envs.tasks import Task, TrackingError
 
 
 def angle_between_axes(tracking):
@@ -21,11 +22,15 @@ POINTING = TrackingError(
     0.2,
     angle_between_axes,
 )
-AXIS = Group("the tip's x axis, world frame", lambda observed: observed.tip_pose[:, :3, 0])
-
-POINT = register_task(
+register(
+    "observation_group",
+    "tip_axis",
+    Group("the tip's x axis, world frame", lambda observed: observed.tip_pose[:, :3, 0]),
+)
+register(
+    "task",
+    "Point",
     Task(
-        name="Point",
         description="Point the tip along a moving direction.",
         target="random",
         observations={
@@ -33,8 +38,7 @@ POINT = register_task(
         },
         errors=(POINTING,),
         reward={"pointing": 1.0, "effort": 0.05},
-        groups={"tip_axis": AXIS},
-    )
+    ),
 )
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft
-arms.
+"""Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
+
+The models are of reduced order.
 
 The public names for scenes, models, statics and simulation stand in public.py, `identify` in
 identification/; importing the package registers the environments, and loads the modules that
@@ -19,12 +20,16 @@ register_environments()
 register_fork_handlers()
 
 if TYPE_CHECKING:
+    from soft_tendon_env.identification import identify as identify
     from soft_tendon_env.public import *  # noqa: F403
     from soft_tendon_env.public import __all__ as __all__
 
     __version__: str
 else:
+    # `identify` is above what public.py may import, and `register` waits for no compiler
+    APART = {"identify": "identification", "register": "tools.registry"}
     NOT_SHOWN = {
+        "APART",
         "TYPE_CHECKING",
         "NOT_SHOWN",
         "import_module",
@@ -34,8 +39,8 @@ else:
     }
 
     def __getattr__(name):
-        if name == "identify":  # above what public.py may import
-            return import_module(f"{__name__}.identification").identify
+        if name in APART:
+            return getattr(import_module(f"{__name__}.{APART[name]}"), name)
         if name == "__version__":
             return import_module("importlib.metadata").version(__name__)
         if name.startswith("_") and name != "__all__":

@@ -24,6 +24,7 @@ from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.parameters import Parameter, scene_parameters
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registry import register
 
 __all__ = [
     "ConfigurationError",
@@ -45,6 +46,7 @@ __all__ = [
     "build_model",
     "commanded_equilibrium",
     "load_scene",
+    "register",
     "save_scene",
     "scene_names",
     "scene_parameters",

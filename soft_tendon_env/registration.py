@@ -1,5 +1,7 @@
-"""Registration of the environments with Gymnasium: one id per task, whose classes are imported when
-an environment is made."""
+"""Registration of the environments with Gymnasium: one id per task.
+
+The classes of a task are imported when an environment is made.
+"""
 
 from gymnasium.envs.registration import register, registry
 

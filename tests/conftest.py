@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import Model, load_scene
-from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.envs import IDS, TARGETS, TASKS
-from soft_tendon_env.envs.tracking import OWN_TERMS
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.tools.registry import temporary_registrations
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -201,11 +199,11 @@ def live():
 
 @pytest.fixture
 def forgotten():
-    """Tasks, targets, reward terms, controllers and effects that a test registers are forgotten at
-    its end."""
-    tables = [TASKS, TARGETS, OWN_TERMS, IDS, EFFECTS, gym.registry, *CONTROLLERS.values()]
+    """What a test registers is forgotten at its end, Gymnasium's ids too."""
+    tables = [IDS, gym.registry]
     before = [dict(table) for table in tables]
-    yield
+    with temporary_registrations():
+        yield
     for table, content in zip(tables, before, strict=True):
         table.clear()
         table.update(content)

@@ -13,7 +13,7 @@ from soft_tendon_env import (
     static_equilibrium,
     tension_for_tip_pose,
 )
-from soft_tendon_env.control import CONTROLLERS, Reference
+from soft_tendon_env.control import Reference, controllers_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
 from soft_tendon_env.control.protocol import ControllerInput, Measurement
 from soft_tendon_env.model.model import model_on
@@ -155,7 +155,7 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
     for scene in twins(LOADS):
         model, last, memory = model_on(scene, 6), None, None
         goal = Reference(np.zeros(1), (scene.base.pose @ pose)[None])
-        controller = CONTROLLERS["TipPose"]["predictive"].make(
+        controller = controllers_of("TipPose")["predictive"].make(
             model, np.tile([0.0, 5.0], (3, 1)), 0.02
         )
         observer = ExtendedKalmanFilter(model, Setting(0.02, np.zeros(3), ("tendon_length",)))

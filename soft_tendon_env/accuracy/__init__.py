@@ -1,2 +1,4 @@
-"""Accuracy against computing time: test motions, converged references, passive fields from
-snapshots, trials of an arm."""
+"""Accuracy against computing time: test motions, references, passive fields, trials.
+
+References are converged, passive fields come from snapshots, trials are of an arm.
+"""

@@ -1,5 +1,7 @@
-"""Strain tables that a trial of an arm goes through: tensions alone, POD modes, Legendre moments
-and forces, explicit strain."""
+"""Strain tables that a trial of an arm goes through.
+
+They are tensions alone, POD modes, Legendre moments and forces, explicit strain.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,10 @@ def bare_rod(scene: Scene) -> dict[str, Any]:
 
 
 def known_fields(scene: Scene) -> PassiveFields | None:
-    """Passive fields of the arm: those of the file that its scene names, or those that ship or are
-    kept, the best for its loads first."""
+    """Passive fields of the arm, the best for its loads first.
+
+    They are those of the file that its scene names, or those that ship or are kept.
+    """
     named = scene.strain.passive if isinstance(scene.strain, StaticsBased) else None
     if isinstance(named, Snapshots):
         return fields_of(scene)

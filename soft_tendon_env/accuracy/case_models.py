@@ -1,5 +1,7 @@
-"""Models under the loads of a trial, and their motions, which end where they stray from full
-physics."""
+"""Models under the loads of a trial, and their motions.
+
+A motion ends where it strays from the reference.
+"""
 
 from __future__ import annotations
 
@@ -53,8 +55,10 @@ class CaseModels:
         return self._models[case]
 
     def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
-        """Positions of the tip in a test, see `tip_path`; None where it has none, or is farther
-        from the reference than `hopeless` [m] at a time."""
+        """Positions of the tip in a test, see `tip_path`.
+
+        None where it has none, or is farther from the reference than `hopeless` [m] at a time.
+        """
         model = self.model(test.case)
         if test.reference.is_equilibrium:
             return tip_path(model, test.tensions)

@@ -1,5 +1,7 @@
-"""Choice of a trial: coordinates, quadrature and time steps of an arm, and how near to full physics
-they were."""
+"""Choice of a trial: coordinates, quadrature and time steps of an arm.
+
+It says how near to the converged reference they were.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,10 @@ SPARE_INTERVALS = 2
 
 
 class Accuracy(NamedTuple):
-    """Accuracy that is asked of the tip and, to begin with, of the parts of a simulation, as shares
-    of the rod's length."""
+    """Accuracy that is asked of the tip, as shares of the rod's length.
+
+    To begin with it is asked of the parts of a simulation too.
+    """
 
     share: float  # largest distance of the tip from full physics
     fields: float  # as measured for passive fields that ship, or that `soft-tendon fields` made
@@ -58,8 +62,10 @@ class Choice(NamedTuple):
         return scene.replace(parts)
 
     def with_strain(self, scene: Scene, strain: dict[str, Any]) -> Choice:
-        """The choice with another strain table, and at least as many intervals along the rod as
-        that needs. Raises ConfigurationError."""
+        """Choice with another strain table, and at least as many intervals as that needs.
+
+        The intervals are along the rod. Raises ConfigurationError.
+        """
         changed = scene.replace({"strain": strain})
         has_fields = "fields" in strain.get("passive", ())
         order = SMOOTH_FIELDS if has_fields else changed.strain.highest_order
@@ -83,8 +89,10 @@ class Choice(NamedTuple):
         return self._replace(integrator={"tolerance": self.integrator["tolerance"] / times})
 
     def describe(self, scene: Scene) -> str:
-        """The choice in words: with the error that was measured, or why there is none and what to
-        do."""
+        """The choice in words.
+
+        It has the error that was measured, or why there is none and what to do.
+        """
         kind = f"{describe_strain(self.strain)}, {self.coordinates} coordinates,"
         if not math.isfinite(self.error):
             return f"{kind} are a guess, since {self.obstacle}"

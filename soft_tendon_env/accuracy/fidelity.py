@@ -1,5 +1,6 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see
-docs/appendix/speed.md.
+"""Fidelity: presets of accuracy against time, see docs/appendix/speed.md.
+
+They set strain field, quadrature and integrator together.
 
 A preset is an error: the largest distance of the tip from full physics, as a share of the rod's
 length, at rest under tensions within limits and in the usual motions, see input_motions.
@@ -61,17 +62,25 @@ PRESETS: Mapping[str, Accuracy] = {
 
 
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
-    """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its
-    kernels.
+    """Builds the model of a scene: chooses its coordinates and quadrature at a fidelity.
 
-    fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of
-    the length. A length such as "1mm" is this error. "scene" takes strain, quadrature and
-    integrator from the scene; a strain that it leaves open has one coordinate per tension and no
-    others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the
-    argument it is "scene", with a FidelityWarning if the scene leaves its strain open.
+    The presets "fast", "standard" and "fine" are errors of the tip of 1, 0.2 or 0.05 % of the
+    length. A length such as "1mm" is this error. "scene" takes strain, quadrature and integrator
+    from the scene; a strain that it leaves open has one coordinate per tension and no others. None
+    is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is
+    "scene", with a FidelityWarning if the scene leaves its strain open.
 
-    Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be
-    computed.
+    Args:
+        scene: the arm, its effects and its solver settings.
+        fidelity: a preset, a length, "scene" or None.
+
+    Returns:
+        The model of the scene, whose arrays the compiled kernels read.
+
+    Raises:
+        TypeError: for a scene or a fidelity of another type.
+        ValueError: for a fidelity that is neither a preset nor a length.
+        ConfigurationError: for an arm that cannot be computed.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:
@@ -118,8 +127,10 @@ def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
 
 
 def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
-    """Tables of strain, quadrature and integrator at a fidelity: of fields whose errors are known,
-    or of a trial."""
+    """Tables of strain, quadrature and integrator at a fidelity.
+
+    They are of fields whose errors are known, or of a trial.
+    """
     asked = accuracy_of(scene, fidelity)
     fields = known_fields(scene)
     if fields is not None and _are_measured(fields, scene) and not is_length(fidelity):
@@ -139,8 +150,11 @@ def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
 
 
 def _chosen(scene: Scene, asked: Accuracy, fidelity: str) -> Choice:
-    """Choice of a trial; where it left out inputs it has no fewer coordinates than the next coarser
-    preset, whose trial may have judged by them."""
+    """Choice of a trial.
+
+    Where it left out inputs it has no fewer coordinates than the next coarser preset, whose trial
+    may have judged by them.
+    """
     choice = choose(scene, asked)
     names = list(PRESETS)
     is_coarsest = fidelity == names[0]
@@ -163,8 +177,10 @@ def _parts_without_strain(scene: Scene, fidelity: str) -> dict[str, Any]:
 
 
 def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
-    """The accuracy that a preset or a length asks for: its parts are those of the coarsest preset
-    that is fine enough."""
+    """Accuracy that a preset or a length asks for.
+
+    Its parts are those of the coarsest preset that is fine enough.
+    """
     if not is_length(fidelity):
         return PRESETS[fidelity]
     share = read_length(fidelity) / rod_length(scene)
@@ -180,16 +196,20 @@ def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
 
 
 def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
-    """Whether the errors of passive fields hold for this arm: they were measured under its loads,
-    or it has none."""
+    """Whether the errors of passive fields hold for this arm.
+
+    They were measured under its loads, or it has none.
+    """
     loads = scene.effects.everywhere()
     is_under_loads = loads == fields.effects or not has_strengths(loads)
     return not fields.misfit(scene) and is_under_loads
 
 
 def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None:
-    """Raises ConfigurationError where a choice does not keep within a length, warns where it does
-    not reach a preset."""
+    """Raises ConfigurationError where a choice does not keep within a length.
+
+    Warns where it does not reach a preset.
+    """
     if choice.error <= asked.share:
         return
     if np.isfinite(choice.error):
@@ -206,7 +226,10 @@ def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None
 
 
 def checked_fidelity(fidelity: str) -> str:
-    """A fidelity that there is. Raises ValueError."""
+    """A fidelity that there is.
+
+    Raises ValueError.
+    """
     if is_length(fidelity):
         read_length(fidelity)
     elif fidelity not in (*PRESETS, AS_SCENE):

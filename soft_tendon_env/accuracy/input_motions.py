@@ -1,5 +1,6 @@
-"""Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn
-from a seed.
+"""Test inputs of a tendon-driven arm: tables of tensions, drawn from a seed.
+
+Agents and controllers make such tensions.
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they
 are tensions redrawn in 0 to 15 N every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20
@@ -104,8 +105,9 @@ def tension_limits(scene: Scene) -> tuple[Array, Array]:
 
 
 def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2.0) -> Array:
-    """Table of tensions (rows, n_a) [N] of a test input, each row held for `HOLD` [s]; the same
-    seed gives the same table.
+    """Table of tensions (rows, n_a) [N] of a test input, each row held for `HOLD` [s].
+
+    The same seed gives the same table.
 
     The band of a tendon reaches as far into its range on either side of the tension nearest to zero
     that it allows.

@@ -1,5 +1,7 @@
-"""Trials that are kept in the user's cache: each holds for one arm, one accuracy, and loads up to
-those that were tried."""
+"""Trials that are kept in the user's cache.
+
+Each holds for one arm, one accuracy, and loads up to those that were tried.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ DIGITS = 16
 
 
 def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
-    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError.
+    """Choice of a trial of the arm, from the cache or made now.
+
+    Raises ConfigurationError.
 
     least: number of coordinates that it has at least.
     """
@@ -62,8 +66,10 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
 
 
 def kept_choice(folder: Path, key: str, scene: Scene, least: int = 0) -> Choice | None:
-    """The choice with the fewest coordinates, `least` or more, of those that were tried under loads
-    as large as the scene's; None: there is none."""
+    """Kept choice with the fewest coordinates, `least` or more; None: there is none.
+
+    It is of those that were tried under loads as large as the scene's.
+    """
     fitting = []
     for choice in _kept(folder, key, scene):
         if choice.coordinates >= least and _reaches(choice, scene):
@@ -123,8 +129,10 @@ def code_digest() -> str:
 
 
 def trial_digest(scene: Scene, asked: Accuracy) -> str:
-    """16 hex digits of all that a trial depends on besides loads: arm, limits, fields, what is
-    asked for, and the code that simulates it."""
+    """16 hex digits of all that a trial depends on besides loads.
+
+    They are of arm, limits, fields, what is asked for, and the code that simulates it.
+    """
     apart = {"name", "description", "strain", "quadrature", "integrator", "effects"}
     fields = known_fields(scene)
     made_of: list[Any] = [

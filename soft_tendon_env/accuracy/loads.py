@@ -1,5 +1,7 @@
-"""Range of loads that a trial holds for: effects from none up to a multiple of those of a scene, in
-their directions."""
+"""Range of loads that a trial holds for.
+
+It is of effects from none up to a multiple of those of a scene, in their directions.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,10 @@ def has_strengths(effects: Effects) -> bool:
 
 
 def scaled_effects(effects: Effects, factor: float) -> Effects:
-    """Effects whose `strengths` are so many times as large. Raises ConfigurationError where one
-    cannot be that strong."""
+    """Effects whose `strengths` are so many times as large.
+
+    Raises ConfigurationError where one cannot be that strong.
+    """
     tables: dict[str, Any] = effects.model_dump()
     for name, effect in effects.chosen().items():
         table = tables[name]
@@ -53,8 +57,11 @@ def weaker_effects(effects: Effects, random: np.random.Generator) -> Effects:
 
 
 def load_cases(scene: Scene, reach: float, seed: int) -> list[Effects]:
-    """Effects that the inputs of a trial take turns with: those of the scene, `reach` times as
-    strong ones, and weaker ones. Raises ConfigurationError."""
+    """Effects that the inputs of a trial take turns with.
+
+    They are those of the scene, `reach` times as strong ones, and weaker ones. Raises
+    ConfigurationError.
+    """
     own = scene.effects.everywhere()
     if reach == 1.0:
         return [own]
@@ -64,8 +71,10 @@ def load_cases(scene: Scene, reach: float, seed: int) -> list[Effects]:
 
 
 def reaches(scene: Scene) -> tuple[float, ...]:
-    """Multiples of the scene's loads that a trial should hold for, the greatest first; 1: these
-    loads alone, where more have no unique reference."""
+    """Multiples of the scene's loads that a trial should hold for, the greatest first.
+
+    1: these loads alone, where more have no unique reference.
+    """
     own = scene.effects.everywhere()
     if not has_strengths(own):
         return (1.0,)

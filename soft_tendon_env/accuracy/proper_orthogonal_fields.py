@@ -1,5 +1,6 @@
-"""Passive strain fields of an arm's own by proper orthogonal decomposition (POD) of simulated
-motions, for any scene.
+"""Passive strain fields of an arm by proper orthogonal decomposition (POD), for any scene.
+
+The motions are simulated.
 
 Full physics moves under random tensions and loads; what its section wrenches have that the tendons
 cannot make, at every sample w = Sigma (xi - xi*) - Phi_a(xi) tau with the least-squares tensions
@@ -95,8 +96,10 @@ NOISE = 1e-9
 
 
 def make_passive_fields(scene: Scene) -> PassiveFields:
-    """Simulates full physics under the tensions and loads that the scene may meet, and decomposes
-    what its tendons cannot make.
+    """Simulates the reference under random inputs, and decomposes its residual wrenches.
+
+    The tensions and loads are those that the scene may meet; the residuals are what its tendons
+    cannot make.
 
     Loads are those of the scene in half of the motions, and in the other half of random direction
     and size up to theirs; obstacles are left out. Raises ConfigurationError where full physics has
@@ -125,7 +128,9 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
 
 def fields_path(scene: Scene) -> Path:
     """File of a scene's fields in the user's cache, named by its arm, tension limits and loads.
-    Raises OSError where it has no folder."""
+
+    Raises OSError where it has no folder.
+    """
     made_for = [
         arm_of(scene),
         [tendon.tension_limits for tendon in scene.tendons],
@@ -137,8 +142,10 @@ def fields_path(scene: Scene) -> Path:
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
-    """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and
-    the grid of their points."""
+    """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights.
+
+    They come with the grid of their points.
+    """
     level = snapshot_level(scene)
     steps = step_tolerance(scene, level, RESOLVED * rod_length(scene))
 
@@ -183,8 +190,10 @@ def snapshot_level(scene: Scene) -> Level:
 
 
 def residual_wrenches(model: Model, q: Array) -> Array:
-    """Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6), tau by least squares in
-    the norm of the compliance."""
+    """Residual wrenches Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6).
+
+    tau is by least squares in the norm of the compliance.
+    """
     scene = model.scene
     grid = model.grid
     samples = len(q)
@@ -223,8 +232,10 @@ def residual_wrenches(model: Model, q: Array) -> Array:
 
 
 def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
-    """Sigma and the root of compliance times weight at the points, (points, 6) each; the latter is
-    0 where the rod has no such strain."""
+    """Sigma and the root of compliance times weight at the points, (points, 6) each.
+
+    The latter is 0 where the rod has no such strain.
+    """
     places = grid.points[grid.real].ravel()
     elasticity = screw_matrices(scene, places)[0]
     free = [strain in scene.strain.free for strain in STRAINS]
@@ -235,8 +246,10 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
-    """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches (samples,
-    6 points), and singular values."""
+    """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches.
+
+    Wrenches are (samples, 6 points); their singular values come with them.
+    """
     measured = []
     for measure, share in make_measures(scene, grid):
         values = samples @ measure.T
@@ -263,8 +276,10 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
 
 
 def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
-    """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements and
-    rotations along the rod, and energy."""
+    """Measures (m, 6 points) of wrenches (points, 6), with their weights.
+
+    They are displacements and rotations along the rod, and energy.
+    """
     places = grid.points[grid.real].ravel()
     weight = grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
@@ -298,8 +313,10 @@ def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
 
 
 def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
-    """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points,
-    6); their largest one is positive."""
+    """Legendre coefficients (fields, pieces, 6, orders) of fields at the points.
+
+    Fields are (fields, points, 6); their largest one is positive.
+    """
     borders = breakpoints(scene)
     places = grid.points[grid.real].ravel()
     count = len(fields)
@@ -338,8 +355,10 @@ def rounded(values: Array, largest: Array) -> Array:
 
 
 def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
-    """Largest tip distance [m] from full physics on TESTS other motions of each usual kind, for
-    COUNTS of the fields, under the loads."""
+    """Largest tip distance [m] from the reference, for COUNTS of the fields.
+
+    It is on TESTS other motions of each usual kind, under the loads.
+    """
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
     exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips

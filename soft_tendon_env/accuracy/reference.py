@@ -1,5 +1,6 @@
-"""Converged reference motions: full Cosserat-rod physics, refined until the arm's tip no longer
-moves, with an error bar.
+"""Converged reference motions of a Cosserat rod, with an error bar.
+
+They are refined until the arm's tip no longer moves.
 
 Basis, quadrature and time steps are refined together: what a motion changes by from one level to
 the next, with the tolerance of its time steps, which may err alike at both, bounds the finer one's
@@ -56,8 +57,10 @@ class Reference(NamedTuple):
 
 
 def step_tolerance(scene: Scene, level: Level, tolerance: float) -> float:
-    """Tolerance [m] of the time steps at a level of full physics, for motions with this tolerance
-    [m]."""
+    """Tolerance [m] of the time steps at a level of the reference.
+
+    It is for motions with this tolerance [m].
+    """
     depth = min(LEVELS.index(level), len(STEPS) - 1)
     finest = FINEST_STEPS * LEAST_TOLERANCE * rod_length(scene)
     return max(STEPS[depth] * tolerance, finest)
@@ -72,8 +75,9 @@ def start_at_rest(model: Model) -> State | None:
 
 
 def trajectory(model: Model, tensions: Array, start: State | None = None) -> Trajectory | None:
-    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD; None where
-    there is no such motion or rest.
+    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD.
+
+    None where there is no such motion or rest.
 
     start: where it begins, if `start_at_rest` is known.
     """
@@ -87,8 +91,10 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
 
 
 def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
-    """Positions of the tip (rows + 1, 3) [m] in a `trajectory`, or (1, 3) at rest under tensions
-    (n_a,); None where there is none."""
+    """Positions of the tip (rows + 1, 3) [m] in a `trajectory`, or (1, 3) at rest.
+
+    At rest tensions are (n_a,); None where there is none.
+    """
     if tensions.ndim == 1:
         rest = static_equilibrium(model, tensions)
         return rest.tip_pose[None, :3, 3] if rest.converged else None
@@ -97,8 +103,10 @@ def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array
 
 
 def distance(path: Array | None, reference: Array | None) -> float:
-    """Largest distance [m] of the tip from a reference (samples, 3); inf where the model, nan where
-    full physics has no such motion."""
+    """Largest distance [m] of the tip from a reference (samples, 3).
+
+    It is inf where the model, nan where the reference has no such motion.
+    """
     if reference is None:
         return np.nan
     if path is None:
@@ -130,8 +138,10 @@ class Ladder:
 
     @cached_property
     def buckles(self) -> bool:
-        """Whether the slack arm falls over to one of several sides, at the first level: where its
-        motions begin is not unique."""
+        """Whether the slack arm falls over to one of several sides, at the first level.
+
+        Where its motions begin is then not unique.
+        """
         first = self.rung(0)
         if first.slack_rest is not None:
             return False
@@ -274,9 +284,12 @@ def refine_once(
 def reference_motions(
     scene: Scene, inputs: Sequence[Array], tolerance: float, most: int = len(LEVELS)
 ) -> Reference:
-    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, or equilibria
-    under (n_a,), each refined until its error is below `tolerance` [m], or to the finest of the
-    first `most` of LEVELS. The level is that of the last to be refined."""
+    """Converged reference motions or equilibria under inputs.
+
+    Inputs are (rows, n_a) [N], each row held for HOLD, of equilibria (n_a,). Each is refined until
+    its error is below `tolerance` [m], or to the finest of the first `most` of LEVELS. The level is
+    that of the last to be refined.
+    """
     ladder = Ladder(scene, tolerance)
     motions = [ReferenceMotion(ladder, tensions) for tensions in inputs]
     unsettled = list(motions)

@@ -1,5 +1,7 @@
-"""Quadrature and time steps of a trial: intervals and a tolerance so fine that finer ones hardly
-move the tip."""
+"""Quadrature and time steps of a trial, so fine that finer ones hardly move the tip.
+
+They are intervals and a tolerance.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,10 @@ MOST_TIGHTENED = 5
 
 
 def settle(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice with few moments whose intervals and time steps are so fine that finer ones hardly
-    move the tip."""
+    """Choice with few moments, with settled intervals and time steps.
+
+    They are so fine that finer ones hardly move the tip.
+    """
     scene = trial.scene
     free = list(scene.strain.free)
     choice = settled_quadrature(trial, asked)
@@ -58,8 +62,10 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
 
 
 def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
-    """A choice of explicit strain whose intervals, per piece of the bare rod, are so many that more
-    hardly move the tip."""
+    """Choice of explicit strain with settled intervals, per piece of the bare rod.
+
+    They are so many that more hardly move the tip.
+    """
     scene = trial.scene
     pieces = breakpoints(scene).size - 1
     order = max(1, RICH - 2 * int(math.log2(pieces)))  # less on many pieces

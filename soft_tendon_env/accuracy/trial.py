@@ -1,5 +1,6 @@
-"""Trial of an arm: the coordinates, quadrature and time steps that keep its tip within a share of
-its length of full physics.
+"""Trial of an arm: coordinates, quadrature and time steps that keep its tip accurate.
+
+The tip is within a share of its length of the converged reference.
 
 A trial is made once, in seconds, under loads up to a multiple of the scene's and within its tension
 limits. The arm is without obstacles, and without what lies between commands and tensions.
@@ -105,8 +106,10 @@ class Trial:
     def __init__(
         self, scene: Scene, share: float, reach: float = 1.0, progress: Progress | None = None
     ) -> None:
-        """share: of the rod's length, that models should be judged by. reach: multiple of the
-        scene's loads that inputs have. Raises ConfigurationError."""
+        """share: of the rod's length, that models should be judged by.
+
+        reach: multiple of the scene's loads that inputs have. Raises ConfigurationError.
+        """
         self.scene = scene.replace({"effects": scene.effects.everywhere()})
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
@@ -124,8 +127,10 @@ class Trial:
         return self.missing + self.not_unique
 
     def _inputs(self) -> list[TrialInput]:
-        """Tests before anything is computed: equilibria, then motions, each in turn with the cases
-        of loads."""
+        """Tests before anything is computed: equilibria, then motions.
+
+        Each takes turns with the cases of loads.
+        """
         low, high = tension_limits(self.scene)
         shares = np.random.default_rng(SEED).random((RESTS, low.size))
         drawn = low + shares * (high - low)
@@ -158,8 +163,10 @@ class Trial:
         return SECONDS / factor
 
     def _compute(self, everything: list[TrialInput]) -> None:
-        """Computes full physics to where it can judge, and keeps the tests that have a unique
-        motion."""
+        """Computes the reference to where it can judge.
+
+        It keeps the tests that have a unique motion.
+        """
         everything = self._with_unique_starts(everything)
         motions = [test.reference for test in everything]
         for motion in motions:
@@ -216,8 +223,10 @@ class Trial:
         return model_on(choice.applied_to(self.scene), choice.quadrature["least"])
 
     def distance(self, model: Model, is_bounded: bool = False) -> float:
-        """Bound of the tip's distance [m] from full physics, whose own uncertainty counts;
-        is_bounded: inf where it is more than that, and too much for what is asked for."""
+        """Bound of the tip's distance [m] from the reference, whose own uncertainty counts.
+
+        is_bounded: inf where it is more than that, and too much for what is asked for.
+        """
         models = CaseModels(self.cases, model)
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
@@ -257,8 +266,10 @@ class Trial:
             reference.refine()
 
     def agree_at_rest(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
-        """Whether the tips of two models with the same coordinates are apart by a part of what is
-        asked for at most, at some rests."""
+        """Whether the tips of two models with the same coordinates agree at some rests.
+
+        They are apart by a part of what is asked for at most.
+        """
         tests = [test for test in self.tests if test.reference.is_equilibrium]
         ours = CaseModels(self.cases, self.model(first))
         theirs = CaseModels(self.cases, self.model(second))
@@ -292,8 +303,9 @@ class Trial:
 
 
 def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
-    """The choice with the fewest coordinates whose error is below what is asked for, by MARGIN; or
-    the best there is.
+    """Choice with the fewest coordinates whose error is below what is asked for, or the best.
+
+    The error is below by MARGIN.
 
     It holds for loads up to a multiple of the scene's, or for these alone where larger ones have no
     unique motion, or where nothing is within what is asked for under them. least: number of
@@ -312,8 +324,10 @@ def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
 
 
 def best_choice(trial: Trial, asked: Accuracy, progress: Progress, least: int = 0) -> Choice:
-    """The choice with the fewest coordinates, `least` or more, that a trial finds near enough, or
-    the best there is."""
+    """Choice with the fewest coordinates that a trial finds near enough, or the best.
+
+    It has `least` coordinates or more.
+    """
     while True:
         inputs = len(trial.tests)
         choice = _first_near(trial, asked, progress, least)
@@ -346,8 +360,10 @@ def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -
 def judged(
     trial: Trial, settled: Choice, strain: dict[str, Any], is_bounded: bool
 ) -> Choice | None:
-    """The choice with a strain table and its error, see `Trial.distance`; None: there are no
-    independent coordinates."""
+    """Choice with a strain table and its error, see `Trial.distance`.
+
+    None: there are no independent coordinates.
+    """
     try:
         choice = settled.with_strain(trial.scene, strain)
         model = trial.model(choice)

@@ -6,12 +6,12 @@ The picture shows the recorded circle and the numbers of the tables.
 """
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control import controllers_of
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.comparison import (
     TIME,
@@ -31,8 +31,12 @@ from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.evaluation.tables import summary_cells, summary_table
 from soft_tendon_env.policies.agent import AGENT
 from soft_tendon_env.policies.names import Agent, PolicyName
+from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.parallel import check_cluster
 from soft_tendon_env.tools.types import Positive
+
+if TYPE_CHECKING:
+    from soft_tendon_env.recording.rerun_file import RerunFile
 
 TASK = "TipPose"
 ERROR = "position_error"  # that the picture shows over time
@@ -75,12 +79,14 @@ class Demo(Workers):
 
 def run(settings: Demo) -> None:
     """Run all policies, print and write."""
-    out, known = Path(settings.out), CONTROLLERS[TASK]
+    out, known = Path(settings.out), controllers_of(TASK)
     with mistakes():
         require("pictures", "recording")
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
-        file = recording.RerunFile(writable_folder(out) / "demo.rrd")
+        from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
+
+        file = RerunFile(writable_folder(out) / "demo.rrd")
         configs = {
             name: Agent(policy, TASK).config
             for policy, name in SHOWN.items()
@@ -101,7 +107,7 @@ def run(settings: Demo) -> None:
     print(opening_hint(out / "demo.rrd"))
 
 
-def play(settings: Demo, file: "recording.RerunFile", out: Path) -> str:
+def play(settings: Demo, file: "RerunFile", out: Path) -> str:
     """Tables of both targets; writes the recording into an open file, and demo.png and the episodes
     into a folder."""
     from soft_tendon_env.evaluation.overview import Overview, draw_overview
@@ -119,7 +125,7 @@ def play(settings: Demo, file: "recording.RerunFile", out: Path) -> str:
         random: make_experiment(settings, files, "random", settings.episodes, out),
     }
     tables = list[str]()
-    rollouts = dict[str, dict[str, recording.Rollout]]()
+    rollouts = dict[str, dict[str, Rollout]]()
     summaries = dict[str, dict[str, Summary]]()
     with file:
         for label, experiment in experiments.items():

@@ -1,20 +1,51 @@
 """The command line: `soft-tendon COMMAND`.
 
 A command is a module with a function `run(settings)`, whose annotation is the class of its options;
-it is imported when it is called. Where that class has a method `read_file(given)`, it reads values
-of a file, which options override.
+it is imported when it is called. One of a user's own is a function of its arguments under
+`@register("command", "name", description="what it does")`. Where that class has a method
+`read_file(given)`, it reads values of a file, which options override.
 """
 
 import importlib
 import importlib.metadata
+import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.extensions import import_modules
+from soft_tendon_env.tools.registry import Registry, register
 
-COMMANDS: dict[str, str] = {
+PROGRAM = "soft-tendon"
+IMPORT = "--import"
+STOPPED = "stopped: the same command goes on from what is kept"
+"""Message after Ctrl-C."""
+
+
+class Command(NamedTuple):
+    """Command of the command line."""
+
+    description: str
+    # function of the arguments behind its name; of those that ship the module that has it
+    run: Callable[[Sequence[str]], None] | str
+
+
+def _checked_command(name: str, run: Any, *, description: str) -> Command:
+    """Command of a function of the arguments behind its name. Raises TypeError, ValueError."""
+    if not re.fullmatch("[a-z][a-z0-9-]*", name):
+        raise ValueError(
+            f"the command's name {name!r} should be of small letters, digits and dashes"
+        )
+    if not callable(run) and not isinstance(run, str):
+        raise TypeError(f"the command {name!r} should be a function of its arguments, not {run!r}")
+    return Command(description, run)
+
+
+COMMANDS: Registry[Command] = Registry("command", _checked_command)
+"""Commands by their names."""
+
+_SHIPPED: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
     "train": "train an agent with Stable-Baselines3, or with RLlib in several processes",
     "sweep": "train configurations with several seeds, and draw their learning curves",
@@ -50,28 +81,10 @@ COMMANDS: dict[str, str] = {
         " whose kernels it compiles"
     ),
 }
-"""Descriptions of the commands, by their names."""
-PROGRAM = "soft-tendon"
-IMPORT = "--import"
-STOPPED = "stopped: the same command goes on from what is kept"
-"""Message after Ctrl-C."""
-Run = TypeVar("Run", bound=Callable[[Sequence[str]], None])
-_own: dict[str, Callable[[Sequence[str]], None]] = {}
-"""Functions of the commands that users register, by name."""
 
-
-def register_command(name: str, description: str) -> Callable[[Run], Run]:
-    """Decorator of a function of the arguments behind its name: a command of your own. Raises
-    ValueError for a name that is taken."""
-    if name in COMMANDS and name not in _own:
-        raise ValueError(f"there is a command {name!r} already: choose another name")
-
-    def add(run: Run) -> Run:
-        COMMANDS[name] = description
-        _own[name] = run
-        return run
-
-    return add
+for _name, _description in _SHIPPED.items():
+    _module = f"soft_tendon_env.cli.{_name.replace('-', '_')}"
+    register("command", _name, _module, description=_description)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -99,9 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Not above: they take longer to import than to print the usage.
     from soft_tendon_env.cli.errors import exit_in_one_line
 
-    if name in _own:
+    own = COMMANDS[name].run
+    if callable(own):
         with exit_in_one_line(f"{PROGRAM} {name}", STOPPED):
-            _own[name](rest)
+            own(rest)
         return
     from soft_tendon_env.cli.options import read
 
@@ -112,7 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def shipped_command(name: str) -> tuple[Callable[[Any], None], Any]:
     """The function of a command that ships, and the class of its options."""
-    run = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run
+    module = f"{COMMANDS[name].run}"
+    run = importlib.import_module(module).run
     return run, get_type_hints(run)["settings"]
 
 
@@ -129,4 +144,6 @@ def usage() -> str:
         ),
         "",
     ]
-    return "\n".join([*lines, *(f"  {name:<16} {text}" for name, text in COMMANDS.items())])
+    for name, command in COMMANDS.items():
+        lines.append(f"  {name:<16} {command.description}")
+    return "\n".join(lines)

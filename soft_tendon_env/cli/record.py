@@ -4,7 +4,6 @@ from pathlib import Path
 
 from pydantic import Field
 
-from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require
 from soft_tendon_env.cli.options import POLICY, TASK
 from soft_tendon_env.evaluation import comparison, provenance, tables
@@ -40,7 +39,9 @@ def run(settings: Record) -> None:
         for name, arm in comparison.shared_arms(settings, task, policies).items():
             cell = comparison.make_cell(settings, settings.seeds, task, name, arm)
             players[name] = cell.open()
-        file = recording.RerunFile(out)
+        from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
+
+        file = RerunFile(out)
     seeds = ", ".join(map(str, settings.seeds))
     print(
         f"{task}, episodes of {settings.seconds:g} s from seeds {seeds}; {provenance.machine()}\n"

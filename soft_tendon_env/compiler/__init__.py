@@ -1,2 +1,4 @@
-"""Compiler of the kernels: the decorators, how kernels call one another, and the folder in which
-numba keeps the machine code."""
+"""Compiler of the kernels: decorators, calls between kernels, and the folder of machine code.
+
+numba keeps the machine code in the folder.
+"""

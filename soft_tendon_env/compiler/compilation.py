@@ -1,5 +1,7 @@
-"""How the package compiles its kernels: two decorators over `numba.njit`, calls from kernel to
-kernel by address, and numba's own cache, whose files are compared with their digests.
+"""Compilation of the package's kernels: two decorators over `numba.njit`.
+
+Kernels call each other by address. The cache is numba's own, whose files are compared with their
+digests.
 
 numba links a copy of a callee into its caller and optimises the two together, so that what stands
 at the end of a chain of calls is compiled once per link of the chain: two thirds of the time that
@@ -54,15 +56,22 @@ raise."""
 
 
 def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None = None) -> Any:
-    """Compile a function of arrays and scalars on its first call: `@kernel`, or
-    `@kernel(inline=True)`.
+    """Compiles a function of arrays and scalars on its first call.
 
-    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep.
-    Other kernels are called. refcount: count references to arrays, without which numba refuses what
-    makes arrays or returns parts of them, and with which there is a third more to compile; by
-    default not in this package. Machine code of the package is kept. Kernels of other files are
-    compiled by every process: numba would not notice that something they use from a third file has
-    changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+    It is a decorator: `@kernel`, or `@kernel(inline=True)`. Machine code of the package is kept.
+    Kernels of other files are compiled by every process: numba would not notice that something they
+    use from a third file has changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+
+    Args:
+        function: to compile; None returns the decorator.
+        inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a
+            sweep. Other kernels are called.
+        refcount: count references to arrays, without which numba refuses what makes arrays or
+            returns parts of them, and with which there is a third more to compile; by default not
+            in this package.
+
+    Returns:
+        The compiled function.
     """
     if function is None:
         return functools.partial(kernel, inline=inline, refcount=refcount)
@@ -78,8 +87,10 @@ def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None 
 
 
 def phase(function: Any) -> Any:
-    """A kernel that returns nothing and that not every arm needs: compiled when it is first called,
-    not with its callers."""
+    """Makes a kernel that returns nothing and that not every arm needs: a decorator.
+
+    It is compiled when it is first called, not with its callers.
+    """
     return (
         function
         if config.DISABLE_JIT
@@ -92,8 +103,10 @@ class NotCompiledError(RuntimeError):
 
 
 class Kernel:
-    """A kernel of the package, `call`: as Python calls it, and as kernels do. keep: its machine
-    code, for later processes."""
+    """A kernel of the package, `call`: as Python calls it, and as kernels do.
+
+    keep: its machine code, for later processes.
+    """
 
     def __init__(
         self,
@@ -124,8 +137,10 @@ class Kernel:
         lower_builtin(call, types.VarArg(types.Any))(self._emit)
 
     def _jitted(self, way: str, **options: bool) -> Any:
-        """numba's function for this way in, whose machine code is kept if there is a cache
-        folder."""
+        """Function of numba for this way in.
+
+        Its machine code is kept if there is a cache folder.
+        """
         options = {**self._options, **options}
         cache = cache_folder() if self._keep else None
         if cache is None:
@@ -156,8 +171,10 @@ class Kernel:
         return returned
 
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
-        """Code of a call from a kernel: of a copy that is inlined, or at the address, which is
-        found at the first call."""
+        """Emits a call from a kernel: of a copy that is inlined, or at the address.
+
+        The address is found at the first call.
+        """
         kinds = signature.args
         if self._options.get("forceinline"):
             compiled = self.compiled(kinds)
@@ -186,8 +203,10 @@ class Kernel:
 
 @ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
 def _find(word: int, callee: int, size: int) -> None:
-    """Write the address of a kernel into a caller's word, or keep the error: the caller finds the
-    word empty."""
+    """Writes the address of a kernel into a caller's word, or keeps the error.
+
+    The caller then finds the word empty.
+    """
     try:
         called, kinds = pickle.loads(ctypes.string_at(callee, size))
         ctypes.c_int64.from_address(word).value = address_of(called.kernel.compiled(kinds))
@@ -203,8 +222,10 @@ def emit_call_at(
     kinds: Any,
     given: Any,
 ) -> Any:
-    """Call the compiled function at an address, with arguments of these types; its errors are the
-    caller's."""
+    """Emits a call of the compiled function at an address.
+
+    It has arguments of these types; its errors are the caller's.
+    """
     pointer = builder.inttoptr(
         address, context.call_conv.get_function_type(returned, kinds).as_pointer()
     )

@@ -1,5 +1,6 @@
-"""First use of a kernel in a process: its machine code is loaded, or compiled and kept, by one
-thread of one process at a time.
+"""First use of a kernel in a process: its machine code is loaded, or compiled and kept.
+
+One thread of one process does so at a time.
 
 Machine code that is damaged, or that numba cannot read, is removed and compiled anew; where none
 can be kept, every process compiles.
@@ -52,8 +53,10 @@ class KeptKernel:
         self.dispatcher.compile = self._compile
 
     def _cached_by_numba(self) -> Any:
-        """numba's function with the kept files as its cache. Raises OSError where it can have
-        none."""
+        """Dispatcher of numba with the kept files as its cache.
+
+        Raises OSError where it can have none.
+        """
         with global_compiler_lock, contextlib.ExitStack() as after:
             for name in ("CACHE_DIR", "CACHE_LOCATOR_CLASSES"):
                 after.callback(setattr, config, name, getattr(config, name))
@@ -66,8 +69,10 @@ class KeptKernel:
                 raise OSError(f"{self._kept.folder} cannot be written") from error
 
     def _compile(self, kinds: tuple[types.Type, ...]) -> Any:
-        """Load or compile the function for arguments of these types, in place of numba's `compile`;
-        the address for calls from Python."""
+        """Loads or compiles the function for arguments of these types, in place of numba's.
+
+        It is the address for calls from Python.
+        """
         overloads = self.dispatcher.overloads
         if kinds not in overloads:
             # Every thread takes the compiler's lock first, then that of the folder.
@@ -177,8 +182,10 @@ def wait_for_other_processes() -> None:
 
 
 class FirstUse(event.Listener):
-    """Told by numba where its cache does not have a function: says so on stderr, and has other
-    processes wait."""
+    """First use of functions that numba's cache does not have.
+
+    numba tells it of them: it says so on stderr, and has other processes wait.
+    """
 
     def on_start(self, event: Any) -> None:
         """Say once, and wait once, in each first use."""

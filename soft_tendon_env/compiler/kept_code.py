@@ -1,5 +1,6 @@
-"""Machine code on disk: the cache folder of this version, and in it a folder for every kernel. Its
-files are read only if they are those that were written.
+"""Machine code on disk: the cache folder of this version, and in it a folder for every kernel.
+
+Its files are read only if they are those that were written.
 
 numba writes these files and reads them without a check. One that was cut (a full disk, a power
 failure) ends in a traceback at every start; of one with other bytes LLVM ends the process, or runs
@@ -39,16 +40,20 @@ FOLDERS_KEPT = 3
 
 
 def is_of_package(named: Any) -> bool:
-    """Whether a function or class is the package's own and no local one, so that every process
-    finds it by its name."""
+    """Tells whether a function or class is the package's own and no local one.
+
+    Every process then finds it by its name.
+    """
     package = (named.__module__ or "").partition(".")[0]
     return package == PACKAGE.name and "<locals>" not in named.__qualname__
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created
-    when missing; None: there is none."""
+    """Folder of this version's machine code, created when missing; None: there is none.
+
+    It is `<user's cache>/soft_tendon_env/<digest>`.
+    """
     made_from = sources_digest(*KERNEL_SOURCES), numba.__version__, config.OPT, config.BOUNDSCHECK
     name = hashlib.sha256(repr(made_from).encode()).hexdigest()[:16]
     known = data_folders(name)
@@ -98,12 +103,18 @@ class KeptCode:
         return True
 
     def seal(self) -> None:
-        """Writes the digests of the files. Raises OSError."""
+        """Writes the digests of the files.
+
+        Raises OSError.
+        """
         with replacing(self._digests) as path:
             path.write_text(json.dumps(digests(self.folder)), encoding="utf-8")
 
     def remove(self) -> None:
-        """Removes the files, and what stands where the folder should be. Raises OSError."""
+        """Removes the files, and what stands where the folder should be.
+
+        Raises OSError.
+        """
         self._digests.unlink(missing_ok=True)
         if self.folder.is_dir():
             shutil.rmtree(self.folder)

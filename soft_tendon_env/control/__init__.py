@@ -1,7 +1,9 @@
-"""Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all
-of them by name."""
+"""Model-based controllers and state estimators.
 
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, entry_of
+protocol.py has their interfaces, catalogue.py all of them by name.
+"""
+
+from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, controllers_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty
 from soft_tendon_env.control.protocol import (
     Controller,
@@ -23,4 +25,4 @@ __all__ = [
     "ExtendedKalmanFilter",
     "InputError",
 ]
-__all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "entry_of"]
+__all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "controllers_of"]

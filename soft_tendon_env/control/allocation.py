@@ -15,8 +15,10 @@ OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened const
 
 
 class Allocation(NamedTuple):
-    """x (m,), the multipliers (m,) to start the next one from, and whether the program was
-    solved."""
+    """Solution of a bounded program: x (m,), multipliers (m,), and whether it was solved.
+
+    The multipliers are there to start the next one from.
+    """
 
     x: Array
     multipliers: Array

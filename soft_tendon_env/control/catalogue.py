@@ -1,5 +1,7 @@
-"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does",
-Mine).
+"""Controllers by task and name.
+
+One is a class or function under `@register("controller", "name", task="Reach",
+description="what it does")`, here or in a user's own file as `examples/own_controller.py`.
 
 A controller is made from a model, which is what it believes of the arm, and from what the actuators
 can do.
@@ -19,6 +21,9 @@ from soft_tendon_env.control.protocol import Controller
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.registration import IDS
+from soft_tendon_env.tools.configuration import not_registered, shown
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 # control periods ahead for which laws of feedback need the reference: the velocity at the end of
@@ -28,7 +33,7 @@ LOOKS_AHEAD = 2
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller of the catalogue.
+    """Entry of the catalogue: a controller with its parameters.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
     ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
@@ -41,7 +46,14 @@ class Entry:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
-        """The controller with some of its `parameters` changed."""
+        """Returns the controller with some of its parameters changed.
+
+        Args:
+            parameters: numbers by name, some of the entry's.
+
+        Returns:
+            The new entry.
+        """
         numbers: dict[str, Any] = {**self.parameters, **parameters}
         looks_ahead = self.looks_ahead
         # predictive control looks as far ahead as its horizon
@@ -56,25 +68,120 @@ class Entry:
         )
 
 
-def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
-    """Entry of the catalogue for a controller.
+class ControllerRegistry(Registry[Entry]):
+    """Registry of controllers: the entry "Reach/tracking" is `tracking` of the task Reach."""
+
+    def add(self, name: str, thing: Any, module: str, **details: Any) -> Entry:
+        """Add a controller of the task that the details name, see Registry."""
+        if not name:
+            raise TypeError("the name of a controller should be a text, not ''")
+        return super().add(f"{details.get('task', '')}/{name}", thing, module, **details)
+
+
+def _checked_controller(
+    name: str,
+    make: Any,
+    *,
+    task: str,
+    description: str,
+    looks_ahead: int = LOOKS_AHEAD,
+    parameters: Mapping[str, float] | None = None,
+) -> Entry:
+    """Makes an entry of the catalogue for a controller.
 
     Args:
+        name: of the entry, TASK/NAME.
+        make: a class or function (model, limits (n_a, 2) [N], control period [s]) that makes it.
+        task: a registered one, which it is for.
         description: what it does.
-        make: a class or function (model, limits (n_a, 2) [N], control period [s]) that makes it;
-            its keyword arguments that are numbers by default are parameters.
+        looks_ahead: control periods ahead for which it needs the reference.
+        parameters: numbers that can be tuned, by name; None: those of the keyword arguments of
+            `make` that are numbers by default.
 
     Returns:
         The entry.
+
+    Raises:
+        TypeError: `make` is no function of these three, or makes what has no method `act`.
+        ValueError: there is no such task.
     """
+    if task not in IDS:
+        raise ValueError(
+            f"the controller {name!r} has task = {shown(task)}: {not_registered(task, IDS)}"
+        )
+    if not callable(make):
+        raise TypeError(f"the controller {name!r} should be a class or function, not {shown(make)}")
+    if isinstance(make, type) and not hasattr(make, "act"):
+        raise TypeError(
+            f"the controller {name!r}, {make.__qualname__}, lacks a method act(now, memory)"
+        )
     signature = inspect.signature(make)
-    arguments = [*signature.parameters.values()][3:]  # after model, limits and period
-    parameters = {
+    try:
+        signature.bind(None, None, None)
+    except TypeError as error:
+        raise TypeError(
+            f"the controller {name!r} should be made from a model, limits and the control period"
+            f" alone: {error}"
+        ) from error
+    if parameters is None:
+        parameters = _number_arguments(make)
+    return Entry(description, make, looks_ahead, parameters)
+
+
+CONTROLLERS: Registry[Entry] = ControllerRegistry("controller", _checked_controller)
+"""Controllers by task and name, as "Reach/tracking"."""
+
+
+def controllers_of(task: str) -> dict[str, Entry]:
+    """Returns the controllers of a task by their names.
+
+    Args:
+        task: its name.
+
+    Returns:
+        The entries; none of a task that has none.
+    """
+    entries = {}
+    for key, entry in CONTROLLERS.items():
+        owner, _, name = key.partition("/")
+        if owner == task:
+            entries[name] = entry
+    return entries
+
+
+def valid_controllers(name: str, task: str) -> str:
+    """Describes the valid controllers of a task, or that it has none: the end of a message.
+
+    Args:
+        name: of an unknown controller.
+        task: that should have it.
+
+    Returns:
+        The end of the sentence.
+    """
+    entries = controllers_of(task)
+    if entries:
+        return not_registered(name, entries)
+    return (
+        f"the task {task} has none; register one by @register('controller', NAME, task={task!r},"
+        " description=...)"
+    )
+
+
+def _number_arguments(make: Callable[..., Controller]) -> dict[str, float]:
+    """Keyword arguments of a controller that are numbers, after model, limits and period."""
+    signature = inspect.signature(make)
+    arguments = [*signature.parameters.values()][3:]
+    return {
         argument.name: argument.default
         for argument in arguments
         if type(argument.default) in (int, float)
     }
-    return Entry(description, make, parameters=parameters)
+
+
+def _entry_of(description: str, make: Callable[..., Controller]) -> Entry:
+    """Entry of a controller whose numbers by default are its parameters."""
+    return Entry(description, make, parameters=_number_arguments(make))
 
 
 # what descriptions of presets add
@@ -128,8 +235,8 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
         return ReferenceGovernor(statics(model, limits, period), controller)
 
     entries = {
-        "feedforward": entry_of("inverse statics along the target, nothing measured", statics),
-        "tracking": entry_of("(39) at the control period, within limits, with integral", tracking),
+        "feedforward": _entry_of("inverse statics along the target, nothing measured", statics),
+        "tracking": _entry_of("(39) at the control period, within limits, with integral", tracking),
         "predictive": Entry(
             "model-predictive control", predictive, DEFAULT.looks_ahead, DEFAULT._asdict()
         ),
@@ -148,7 +255,7 @@ def _shape_predictive(model: Model, limits: Array, period: float, **tuning: Any)
 
 
 OF_POSITION = _tip_controllers(lambda model: TipPosition())
-CONTROLLERS: dict[str, dict[str, Entry]] = {
+_SHIPPED: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         **_tip_controllers(tip_pose_objective),
@@ -159,9 +266,20 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
-        "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
+        "tracking": _entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
         "predictive": replace(OF_POSITION["predictive"], make=_shape_predictive),
     },
     "Reach": OF_POSITION,
 }
-"""Controllers by the name of their task, then by their own."""
+
+for _task, _entries in _SHIPPED.items():
+    for _name, _entry in _entries.items():
+        register(
+            "controller",
+            _name,
+            _entry.make,
+            task=_task,
+            description=_entry.description,
+            looks_ahead=_entry.looks_ahead,
+            parameters=_entry.parameters,
+        )

@@ -1,5 +1,7 @@
-"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), and
-feedback gains."""
+"""Linearised dynamics that controllers predict with, and feedback gains.
+
+The dynamics are one linearly implicit Euler step of (23).
+"""
 
 from typing import NamedTuple
 
@@ -16,8 +18,9 @@ LEAST_DAMPING = 1e-9  # ratio that does
 
 
 class ImplicitStep(NamedTuple):
-    """One linearly implicit Euler step of (23) over a period h, that of the integrator: v+ = free +
-    response u, q+ = q + h v+.
+    """One linearly implicit Euler step of (23) over a period h, that of the integrator.
+
+    It is v+ = free + response u, q+ = q + h v+.
 
     A = M + h D + h^2 G with stiffness and damping of the effects, free = v + A^-1 h (F - K - C v -
     D v - h G v), response = A^-1 h B.
@@ -76,8 +79,9 @@ class Gains(NamedTuple):
 def discrete_gains(
     settling_time: float, damping: float, period: float, integral_time: float | None = None
 ) -> Gains:
-    """Gains by pole placement: they give a double integrator, held over each period, the poles
-    exp(s period) of the continuous loop with poles s.
+    """Computes gains by pole placement for a double integrator held over each period.
+
+    They give it the poles exp(s period) of the continuous loop with poles s.
 
     The slowest s has the real part -4 / settling_time: e settles to 2 % in that time. The loop is
     e_dot+ = e_dot - period (kp e + kd e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+.
@@ -115,8 +119,10 @@ def discrete_gains(
 
 
 def natural_frequency(settling_time: float, damping: float) -> float:
-    """Natural frequency [rad/s] of a second-order system whose slowest pole has the real part -4 /
-    settling_time [s]. Raises as above."""
+    """Natural frequency [rad/s] of a second-order system with a settling time [s].
+
+    Its slowest pole has the real part -4 / settling_time. Raises as above.
+    """
     checked_number("settling_time", settling_time, LEAST_TIME, "a positive number")
     checked_number("damping", damping, LEAST_DAMPING, "a positive number")
     # real part of the slowest pole, in natural frequencies: above 1 there are two real poles

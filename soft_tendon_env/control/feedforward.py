@@ -1,5 +1,6 @@
-"""Feedforward from inverse statics, followed along the reference, and a reference governor of what
-an arm can hold.
+"""Feedforward from inverse statics, and a reference governor of what an arm can hold.
+
+The feedforward is followed along the reference.
 
 Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton
 step towards the target: nothing that is measured enters.
@@ -45,8 +46,10 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward(ModelController):
-    """Feedforward by inverse statics, of least effort, for the reference one period ahead, when
-    tensions have acted."""
+    """Feedforward by inverse statics, of least effort.
+
+    It is for the reference one period ahead, when tensions have acted.
+    """
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
         super().__init__(model, limits, period)
@@ -54,8 +57,10 @@ class StaticFeedforward(ModelController):
         self.preferred = np.clip(0.0, self.least, self.greatest)
 
     def act(self, now: ControllerInput, memory: StaticMemory | None = None) -> ControllerOutput:
-        """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed
-        as near as the statics come."""
+        """Computes the tensions of the equilibrium nearest to the target.
+
+        A target that cannot be reached is followed as near as the statics come.
+        """
         equilibrium = memory
         steps = STEPS
         if equilibrium is None:
@@ -122,8 +127,9 @@ class StaticFeedforward(ModelController):
 
 @dataclass(frozen=True)
 class ReferenceGovernor:
-    """Reference governor: `statics` before a `controller` with the same objective replace what an
-    arm at rest cannot hold by the nearest.
+    """Reference governor: replaces what an arm at rest cannot hold by the nearest.
+
+    `statics` act before a `controller` with the same objective.
 
     Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from
     limit to limit. How far the nearest pose is from the target moves the target by as much, less a
@@ -137,7 +143,9 @@ class ReferenceGovernor:
         self, now: ControllerInput, memory: tuple[StaticMemory, Any] | None = None
     ) -> ControllerOutput:
         """Tensions of the controller for a target within reach; memory: of statics and controller.
-        `report` also has "out_of_reach" [m]."""
+
+        `report` also has "out_of_reach" [m].
+        """
         static_memory, controller_memory = memory or (None, None)
         nearest: StaticMemory = self.statics.act(now, static_memory).memory
         reference = now.reference

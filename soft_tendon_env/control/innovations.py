@@ -1,5 +1,7 @@
-"""Innovations of the Kalman filter: what is measured less what the model expects of a state, with
-Jacobians and variances."""
+"""Innovations of the Kalman filter, with Jacobians and variances.
+
+They are what is measured less what the model expects of a state.
+"""
 
 from typing import Any, NamedTuple
 
@@ -37,8 +39,9 @@ def layout_of(model: Model) -> Layout:
 
 
 def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
-    """Variances of measurements by their fields in Measurement: those of the sensors, and of what a
-    reduced model does not know.
+    """Returns the variances of measurements by their fields in Measurement.
+
+    They are those of the sensors, and of what a reduced model does not know.
 
     At a point its strains are far less exact than poses and lengths, their integrals: in bending
     the paper's arm at "fast" is off by 0.11 over its length, and its tip by 0.0002 of it. Unknown
@@ -137,8 +140,10 @@ class SensorModel:
         return np.concatenate(innovations), np.vstack(rows), np.concatenate(variances)
 
     def _expected(self, q: Array, q_dot: Array, terms: Terms) -> dict[str, tuple[Array, Array]]:
-        """Expected measurements besides the tip's pose, with Jacobians (k, n) by coordinates, of
-        VELOCITIES by their rates."""
+        """Expected measurements besides the tip's pose, with Jacobians (k, n).
+
+        These are by coordinates, of VELOCITIES by their rates.
+        """
         if self.sensors.size:
             strain, slopes = self.model.strain_at(q, self.sensors)
             slope = slopes.reshape(-1, q.size)

@@ -1,5 +1,6 @@
-"""Extended Kalman filter on the reduced model: the state of an arm from whatever is measured of it,
-with offsets and gains of its inputs.
+"""Extended Kalman filter on the reduced model, for the state of an arm.
+
+It takes whatever is measured of the arm, and estimates offsets and gains of its inputs too.
 
 The motion is predicted by the model's own simulation, its covariance by the Jacobians that come
 with it. The filter also estimates what the model has wrong, as slow random walks: a tension that is
@@ -39,8 +40,9 @@ GREATEST_GAIN = 2.0
 
 
 class Uncertainty(NamedTuple):
-    """Standard deviations of the model's errors: at the beginning, and of their change in 1 s,
-    unless said otherwise.
+    """Standard deviations of the model's errors.
+
+    They are those at the beginning, and of their change in 1 s, unless said otherwise.
 
     Tensions are in units of those of a single tendon that bend the arm by 1 rad.
     """
@@ -97,12 +99,13 @@ class ExtendedKalmanFilter:
     """Extended Kalman filter of an arm.
 
     Args:
-        model: what the filter believes of the arm.
-        setting: its sensors and actuators.
+        model: of the arm, as the filter assumes it.
+        setting: sensors and actuators.
         greatest_latency: [s] of one that is estimated, None: the setting's is known.
 
     Raises:
-        TypeError, ValueError: for arrays of another shape, and numbers below 0.
+        TypeError: for arrays that are not of numbers.
+        ValueError: for arrays of another shape, and numbers below 0.
     """
 
     def __init__(
@@ -149,8 +152,9 @@ class ExtendedKalmanFilter:
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """Estimates the state after a period: prediction and update. Begins anew where the model
-        has no motion like that.
+        """Estimates the state after a period: prediction and update.
+
+        The filter begins anew where the model has no motion like that.
 
         Args:
             measured: at the end of the period.
@@ -201,8 +205,10 @@ class ExtendedKalmanFilter:
         )
 
     def _variances(self, **deviations: float | Array) -> Array:
-        """Variances (m,) of the state from standard deviations of the parts of Layout; a latency
-        that is known has none."""
+        """Variances (m,) of the state from standard deviations of the parts of Layout.
+
+        A latency that is known has none.
+        """
         variance = np.zeros(self._layout.latency.stop)
         for name, part in self._layout._asdict().items():
             variance[part] = np.asarray(deviations[name]) ** 2
@@ -247,16 +253,21 @@ class ExtendedKalmanFilter:
         )
 
     def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
-        """Commands that acted over the last period, where they arrive late by `latency` [s]: two
-        tensions (2, n_a) [N], one after the other, and for how long each acted (2,) [s]."""
+        """Commands that acted over the last period, where they arrive late by `latency` [s].
+
+        They are two tensions (2, n_a) [N], one after the other, and for how long each acted (2,)
+        [s].
+        """
         whole, rest = whole_periods(latency, self.period)
         newest = len(measured.sent) - 1 - whole
         tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]
         return tension, np.array([rest, self.period - rest])
 
     def _white_tension(self, last: Belief, measured: Measurement) -> Array:
-        """Standard deviations (n_a,) [N] of white tensions, more where commands change while their
-        latency is uncertain."""
+        """Standard deviations (n_a,) [N] of white tensions.
+
+        They are more where commands change while their latency is uncertain.
+        """
         latency = self._layout.latency
         latency_deviation = np.sqrt(last.covariance[latency, latency][0, 0])
         periods = latency_deviation / self.period

@@ -1,5 +1,7 @@
-"""Control objectives: errors of tip pose, tip position or shape from a reference, in metres, with
-their Jacobians."""
+"""Control objectives: errors of tip pose, tip position or shape from a reference.
+
+Errors are in metres, with their Jacobians.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -23,8 +25,9 @@ from soft_tendon_env.tools.types import Array
 
 
 class Aim(NamedTuple):
-    """Task-space error, reference velocity, Jacobian and bias of an objective, k components, each
-    weighted to metres.
+    """Task-space error, reference velocity, Jacobian and bias of an objective.
+
+    They have k components, each weighted to metres.
 
     error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over
     the period that begins. jacobian (k, n) of the arm's velocity, and the bias (k,): the part of
@@ -40,38 +43,52 @@ class Aim(NamedTuple):
 
 
 class Objective(Protocol):
-    """A task-space error that a controller drives to zero, of an arm at coordinates q (n,) with its
-    tip at `tip_pose` (4, 4)."""
+    """Task-space error that a controller drives to zero.
+
+    The arm is at coordinates q (n,), with its tip at `tip_pose` (4, 4).
+    """
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error (k,) from the reference at a time ahead [s], in metres: what would bring the arm
-        there in unit time."""
+        """Error (k,) from the reference at a time ahead [s], in metres.
+
+        It is what would bring the arm there in unit time.
+        """
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian (k, n) of the arm's velocity, in metres, from that of the tip's body twist (6,
-        n)."""
+        """Jacobian (k, n) of the arm's velocity, in metres.
+
+        It is made of that of the tip's body twist (6, n).
+        """
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        """Error and Jacobian at a time ahead [s], from the terms at now.q; `period` [s] to measure
-        the target's velocity over."""
+        """Error and Jacobian at a time ahead [s], from the terms at now.q.
+
+        The target's velocity is measured over `period` [s].
+        """
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at
-        `measured_pose` (4, 4)."""
+        """The target for a model whose tip is elsewhere than the measured one.
+
+        Its tip is at `model_pose` (4, 4), where the arm's is measured at `measured_pose` (4, 4).
+        """
         return reference
 
     def moved_back(
         self, reference: Reference, nearest: Array, time: float, share: float
     ) -> Reference:
-        """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4,
-        4) from where it is at `time` [s]."""
+        """The target, moved everywhere by a share of the way to a nearest pose.
+
+        The way leads to the pose `nearest` (4, 4) from where the target is at `time` [s].
+        """
         return reference
 
 
 @dataclass(frozen=True)
 class TipPose(Objective):
-    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres. Targets are
-    moved by body displacements."""
+    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres.
+
+    Targets are moved by body displacements.
+    """
 
     angle_weight: float = 0.1
 
@@ -112,8 +129,10 @@ class TipPose(Objective):
 
 @dataclass(frozen=True)
 class TipPosition(Objective):
-    """The way from tip to target in the tip frame; the tip may point anywhere. Targets are moved in
-    the world frame."""
+    """The way from tip to target in the tip frame; the tip may point anywhere.
+
+    Targets are moved in the world frame.
+    """
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         way = _position(reference, time) - tip_pose[:3, 3]
@@ -149,8 +168,9 @@ class TipPosition(Objective):
 
 
 class Shape(Objective):
-    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of
-    1 counts as half its length.
+    """Shape error in coordinates, in the norm of the energy that holds them apart.
+
+    Bending the rod by an angle of 1 counts as half its length.
 
     Targets stay where they are: shapes are made of tensions, and within reach.
     """

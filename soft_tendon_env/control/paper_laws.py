@@ -1,5 +1,6 @@
-"""The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at
-a control period.
+"""The control laws (37) to (39) of the paper's Section IV.
+
+They are pure functions, and controllers at a control period.
 
 The functions are continuous in time, without limits of the tensions. The controllers hold them over
 a control period within the limits: at the 20 ms of the environments they are unstable, unlike their
@@ -89,8 +90,9 @@ LeftInverse = Callable[[Terms], Array]
 
 
 def energy_left_inverse(terms: Terms) -> Array:
-    """B^+ = (B^T G^-1 B)^-1 B^T G^-1 (n_a, n): B B^+ f is the force of tensions next to f in the
-    elastic energy that it stores.
+    """Left inverse B^+ = (B^T G^-1 B)^-1 B^T G^-1 (n_a, n) in the elastic energy.
+
+    B B^+ f is the force of tensions next to f in the elastic energy that it stores.
 
     So it does not depend on the choice of coordinates. Of redundant tendons the least tensions.
     """
@@ -102,8 +104,10 @@ def energy_left_inverse(terms: Terms) -> Array:
 
 
 def euclidean_left_inverse(terms: Terms) -> Array:
-    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed. Without full actuation it depends on the
-    units of the coordinates."""
+    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed.
+
+    Without full actuation it depends on the units of the coordinates.
+    """
     return np.asarray(np.linalg.pinv(terms.actuation, rtol=DEPENDENT))
 
 
@@ -114,8 +118,9 @@ def tip_pose_tension(
     gains: Gains,
     left_inverse: LeftInverse = energy_left_inverse,
 ) -> Array:
-    """Tip pose control law (39), feedback linearisation: with full actuation the twist's
-    derivative is then what (39) has in its brackets before J M^-1.
+    """Computes the tensions of the tip pose control law (39), feedback linearisation.
+
+    With full actuation the twist's derivative is then what (39) has in its brackets before J M^-1.
 
     Args:
         terms: at q and q_dot, of any strain parametrisation.
@@ -139,8 +144,9 @@ def tip_pose_tension(
 
 
 def seen_from(pose: Array, twist: Array, target: TipPoseTarget) -> tuple[Array, Array]:
-    """The target's twist Ad eta_bar and its derivative, (6,) each, in the frame of pose g (4, 4),
-    which moves with twist eta (6,).
+    """The target's twist Ad eta_bar and its derivative in another frame, (6,) each.
+
+    The frame is that of pose g (4, 4), which moves with twist eta (6,).
 
     The two lines below (39), Ad of g^-1 g_bar.
     """
@@ -186,8 +192,10 @@ def accelerating_tension(
 
 
 class PaperTipPose(ModelController):
-    """Tip pose controller by (39); the target's twist and its derivative from its poses within two
-    periods."""
+    """Tip pose controller by (39).
+
+    The target's twist and its derivative come from its poses within two periods.
+    """
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         h = self.period

@@ -1,5 +1,6 @@
-"""Model-predictive control on the reduced model: the tensions of the next periods that bring the
-arm nearest to the target.
+"""Model-predictive control on the reduced model.
+
+It finds the tensions of the next periods that bring the arm nearest to the target.
 
 Every period the last plan is played through the model (exactly: with the simulation's own steps),
 the motion linearised about that (`Simulation.rollout`), and the plan improved by one quadratic
@@ -42,8 +43,10 @@ class Plan(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """Weights and horizon of a model-predictive controller; efforts and errors are measured by what
-    they do to the task."""
+    """Weights and horizon of a model-predictive controller.
+
+    Efforts and errors are measured by what they do to the task.
+    """
 
     # [s] within which errors that are there now are planned to fall to 2 %
     settling_time: float = 0.3
@@ -106,8 +109,10 @@ class Predictive(ModelController):
         self._simulation = Simulation(model)
 
     def act(self, now: ControllerInput, memory: Plan | None = None) -> ControllerOutput:
-        """First tensions of the improved plan. Where the model cannot follow its plan, the last
-        ones are held and the plan begins anew."""
+        """First tensions of the improved plan.
+
+        Where the model cannot follow its plan, the last ones are held and the plan begins anew.
+        """
         last = np.clip(now.tension, self.least, self.greatest)
         plan = self._continued(last, memory)
         error = self._input_error(memory, now)
@@ -166,8 +171,10 @@ class Predictive(ModelController):
         now: ControllerInput,
         multipliers: Array | None,
     ) -> Allocation:
-        """Change (N n_a,) of a plan by the quadratic program about its rollout, of errors, tensions
-        and changes from the last tensions (n_a,) on."""
+        """Change (N n_a,) of a plan by the quadratic program about its rollout.
+
+        The program has errors, tensions and changes from the last tensions (n_a,) on.
+        """
         hessian, gradient = self._program(rollout, gain, now)
         tension = plan.ravel()
         change = self._change @ tension
@@ -181,8 +188,10 @@ class Predictive(ModelController):
         return allocate(hessian, gradient, least, greatest, multipliers)
 
     def _predicted(self, tension: Array) -> tuple[Array | None, Array | None]:
-        """Rates (n,) and internal states of effects (m,) after a period under tensions (n_a,); None
-        where the model has no such motion."""
+        """Rates (n,) and internal states of effects (m,) after a period under tensions (n_a,).
+
+        None where the model has no such motion.
+        """
         try:
             with erring_actuators():
                 self._simulation.step(tension, self.period)
@@ -192,8 +201,10 @@ class Predictive(ModelController):
         return state.q_dot, state.effects
 
     def _observe(self, memory: Plan, now: ControllerInput) -> Array:
-        """The disturbance, moved by the share of the last period's unexplained change of momentum
-        that tensions explain."""
+        """The disturbance, moved by a share of the last period's unexplained change of momentum.
+
+        The change is that which tensions explain.
+        """
         if memory.rates is None:
             return memory.disturbance
         unexplained = now.q_dot - memory.rates

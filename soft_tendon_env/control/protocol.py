@@ -1,5 +1,6 @@
-"""Interfaces of controllers and state estimators: what a controller measures, the reference it
-follows, the tensions it decides on.
+"""Interfaces of controllers and state estimators.
+
+They say what a controller measures, the reference it follows, the tensions it decides on.
 
 A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment.
 Its memory goes in and comes out of `act`, so that one controller serves any number of arms. SI
@@ -27,8 +28,10 @@ AT_LIMIT = 1e-9  # share of the range of tensions within which a tendon counts a
 
 
 class Reference(NamedTuple):
-    """Reference trajectory at m instants, the first of them now; None where the task does not give
-    it."""
+    """Reference trajectory at m instants, the first of them now.
+
+    None stands where the task does not give it.
+    """
 
     # (m,) [s] from now, increasing from 0, or from before now where the situation is one that is
     # predicted
@@ -43,16 +46,20 @@ class Reference(NamedTuple):
 
 
 class InputError(NamedTuple):
-    """Estimated error of the inputs: the arm moves as the model would under tensions gain * (those
-    asked for) + offset."""
+    """Estimated error of the inputs, by tendon.
+
+    The arm moves as the model would under tensions gain * (those asked for) + offset.
+    """
 
     gain: Array  # (n_a,)
     offset: Array  # (n_a,) [N]
 
 
 class ControllerInput(NamedTuple):
-    """Measured or estimated state of one arm and its reference at the beginning of a control
-    period, n coordinates, n_a tendons."""
+    """State of one arm and its reference at the beginning of a control period.
+
+    The state is measured or estimated, of n coordinates and n_a tendons.
+    """
 
     q: Array  # (n,)
     q_dot: Array  # (n,)
@@ -66,9 +73,12 @@ class ControllerInput(NamedTuple):
 
 @dataclass(frozen=True)
 class ControllerOutput:
-    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and
-    numbers to look at: at least "limited", the share of tendons at their limits, and "singular",
-    1.0 where the task could not be resolved and 0.0 otherwise."""
+    """Tensions (n_a,) [N] to hold over the control period, with a memory and a report.
+
+    The memory is given back next time. The report has numbers to look at: at least "limited", the
+    share of tendons at their limits, and "singular", 1.0 where the task could not be resolved and
+    0.0 otherwise.
+    """
 
     tension: Array
     memory: Any = None
@@ -76,16 +86,27 @@ class ControllerOutput:
 
 
 class Controller(Protocol):
-    """A feedback or feedforward law: tensions from the measured state and the reference."""
+    """Feedback or feedforward law: tensions from the measured state and the reference."""
 
     def act(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
-        """The tensions of this period. `memory` is the last output's, None when an episode begins.
-        Raises nothing for finite arrays."""
+        """Computes the tensions of a control period.
+
+        Raises nothing for finite arrays.
+
+        Args:
+            now: state and reference at the beginning of the period.
+            memory: that of the last output, None when an episode begins.
+
+        Returns:
+            The tensions, the memory for the next period, and numbers to look at.
+        """
 
 
 class ModelController:
-    """Base of the controllers of this package: a model, limits (n_a, 2) [N] of tensions, and the
-    control period [s]."""
+    """Base of the controllers of this package.
+
+    It has a model, limits (n_a, 2) [N] of tensions, and the control period [s].
+    """
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         self.model = model
@@ -113,8 +134,10 @@ class ModelController:
 
 
 class Measurement(NamedTuple):
-    """Measurements of one arm at the beginning of a control period, s strain sensors; None: not
-    measured."""
+    """Measurements of one arm at the beginning of a control period; None: not measured.
+
+    There are s strain sensors.
+    """
 
     tip_pose: Array  # (4, 4)
     sent: Array  # (k, n_a) [N] tensions asked for in the last k periods, the newest last
@@ -129,8 +152,10 @@ Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SensorNoise(Configuration):
-    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true
-    ones."""
+    """Standard deviations of Gaussian noise on what is observed.
+
+    Rewards and errors are the true ones.
+    """
 
     position: Deviation = 0.0  # [m] of the tip
     rotation: Deviation = 0.0  # [rad] of the tip
@@ -169,5 +194,7 @@ class Estimator(Protocol):
     history: int  # how many of the tensions asked for last
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """The state now; `last` is the estimate of the period before, None when an episode
-        begins."""
+        """Estimates the state now.
+
+        `last` is the estimate of the period before, None when an episode begins.
+        """

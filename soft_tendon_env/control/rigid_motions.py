@@ -1,5 +1,7 @@
-"""SE(3) for controllers: logarithms, exponentials and adjoints of poses (4, 4) and twists (6,),
-angular before linear; interpolation."""
+"""SE(3) for controllers: logarithms, exponentials, adjoints and interpolation.
+
+Poses are (4, 4) and twists (6,), angular before linear.
+"""
 
 import numpy as np
 
@@ -11,8 +13,10 @@ SAME_SHARE = 1e-9  # of the way between two poses
 
 
 def pose_error(pose: Array, target: Array) -> Array:
-    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the target pose g_bar (4, 4) in
-    unit time."""
+    """Pose error log(g^-1 g_bar) (6,).
+
+    It is the twist that carries pose g (4, 4) to the target pose g_bar (4, 4) in unit time.
+    """
     poses = np.ascontiguousarray(pose)[None]
     targets = np.ascontiguousarray(target)[None, None]
     out = np.empty((1, 1, 6))
@@ -21,7 +25,7 @@ def pose_error(pose: Array, target: Array) -> Array:
 
 
 def moved_pose(pose: Array, twist: Array) -> Array:
-    """g exp(x) (4, 4) of a pose g (4, 4) and a twist x (6,)."""
+    """Pose g exp(x) (4, 4) of a pose g (4, 4) and a twist x (6,)."""
     poses = np.ascontiguousarray(pose)[None]
     twists = np.ascontiguousarray(twist)[None, None]
     out = np.empty((1, 1, 4, 4))

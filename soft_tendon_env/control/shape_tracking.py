@@ -1,5 +1,6 @@
-"""Shape control by the laws (37), (38) in implicit form: at the control period that there is, and
-within tension limits.
+"""Shape control by the laws (37), (38) in implicit form.
+
+It works at the control period that there is, and within tension limits.
 
 u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)) is (37) where every coordinate
 is actuated, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period,
@@ -29,8 +30,10 @@ LOOSE = 1e-6
 
 
 class ShapeController(ModelController):
-    """Base of the controllers of shapes. Raises ValueError for an explicit basis, whose coordinates
-    are no tensions."""
+    """Base of the controllers of shapes.
+
+    Raises ValueError for an explicit basis, whose coordinates are no tensions.
+    """
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         super().__init__(model, limits, period)
@@ -51,16 +54,19 @@ class ShapeController(ModelController):
 
 
 class ShapeFeedforward(ShapeController):
-    """Shape control by u = q_a_bar, the tensions that hold the shape wanted at the end of the
-    period, within limits."""
+    """Shape control by feedforward u = q_a_bar, within limits.
+
+    These tensions hold the shape that is desired at the end of the period.
+    """
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         return self.output(self._tensions @ self.shape_at(now.reference, self.period))
 
 
 class ShapeTracking(ShapeController):
-    """Shape tracking by implicit feedback and tension allocation. Raises ValueError as
-    ShapeController and `natural_frequency`.
+    """Shape tracking by implicit feedback and tension allocation.
+
+    Raises ValueError as ShapeController and `natural_frequency`.
 
     settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes
     settle at the rate (1 + kp) / kd at least. With 0.4 and 10 the gains are about the paper's, kp =

@@ -1,5 +1,7 @@
-"""Smith predictor: control of an arm whose commands arrive late by a time that is known, or
-estimated; delays in control periods."""
+"""Smith predictor: control of an arm whose commands arrive late.
+
+The delay is known, or estimated; it is counted in control periods.
+"""
 
 import numpy as np
 
@@ -23,8 +25,9 @@ def whole_periods(delay: float, period: float) -> tuple[int, float]:
 
 
 class SmithPredictor:
-    """Smith predictor: simulates the commands in transit to predict the state at which the present
-    command will act.
+    """Smith predictor: predicts the state at which the present command will act.
+
+    It simulates the commands in transit.
 
     O. J. M. Smith, Closer control of loops with dead time, Chem. Eng. Progress 53, 1957.
 

@@ -1,5 +1,6 @@
-"""Task-space feedback linearisation (39) in implicit form: at the control period that there is,
-within tension limits, against model error.
+"""Task-space feedback linearisation (39) in implicit form.
+
+It works at the control period that there is, within tension limits, against model error.
 
 The acceleration of the tip is asked for as in (39). Which tensions give it is asked of the implicit
 step of the motion; of all that do, those are taken that disturb least the arm's motion under the
@@ -40,8 +41,10 @@ class TipMemory(NamedTuple):
 
 
 class TipTracking(ModelController):
-    """Tip tracking by implicit feedback linearisation and tension allocation; for the gains, and
-    what is raised, see `discrete_gains`."""
+    """Tip tracking by implicit feedback linearisation and tension allocation.
+
+    For the gains, and what is raised, see `discrete_gains`.
+    """
 
     def __init__(
         self,
@@ -98,8 +101,7 @@ class TipTracking(ModelController):
         )
 
     def _next_velocity(self, aim: Aim, next_aim: Aim, integral: Array, q_dot: Array) -> Array:
-        """Velocity (k,) that the law asks for at the end of the period: the target's, and
-        feedback."""
+        """Velocity (k,) that the law asks for at the end of the period: target and feedback."""
         gains = self.gains
         velocity = aim.jacobian @ q_dot
         # of the target over the period that has passed, of which `velocity` is the end
@@ -115,8 +117,10 @@ class TipTracking(ModelController):
 def _allowing_for(
     error: InputError | None, step: ImplicitStep, static: Array | None
 ) -> tuple[ImplicitStep, Array | None]:
-    """Step and static tensions in terms of the tensions that are asked for, where an estimator has
-    found an error of the inputs."""
+    """Step and static tensions in terms of the tensions that are asked for.
+
+    An estimator has found an error of the inputs.
+    """
     if error is None:
         return step, static
     gain, offset = error

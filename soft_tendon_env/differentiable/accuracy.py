@@ -105,16 +105,17 @@ def gradient_accuracy(
     change: Array,
     seed: int = 0,
 ) -> GradientAccuracy:
-    """Accuracy of the gradient of a tracking error by all commands, from rest; seconds at most.
+    """Measures the accuracy of a tracking error's gradient by all commands, from rest.
 
-    The commands are random walks of PERIODS control periods. The arm tracks where another walk
-    leads it. Rows side by side have commands that are moved to either side along DIRECTIONS.
+    It takes seconds at most. The commands are random walks of PERIODS control periods. The arm
+    tracks where another walk leads it. Rows side by side have commands that are moved to either
+    side along DIRECTIONS.
 
     Args:
         model: of the arm.
         period: of control [s].
         least: limits (n_a,) of the commands.
-        greatest: likewise.
+        greatest: limits (n_a,) of the commands.
         change: (n_a,) by which commands change in a period at most.
         seed: of the walks and directions.
 
@@ -123,7 +124,7 @@ def gradient_accuracy(
 
     Raises:
         ValueError: as `Arms.adjoint`, where it has none.
-        LinAlgError: likewise.
+        LinAlgError: as `Arms.adjoint`, where it has none.
     """
     random = np.random.default_rng(seed)
     reach = greatest - least

@@ -34,7 +34,7 @@ class _InwardClip(torch.autograd.Function):
 def inward_clip(
     values: torch.Tensor, least: torch.Tensor | float, greatest: torch.Tensor | float
 ) -> torch.Tensor:
-    """Clipped values, with a gradient beyond a limit unless descent would lead further out.
+    """Clips values, with a gradient beyond a limit unless descent would lead further out.
 
     The exact derivative is zero there: a tendon that an action had let go slack would stay so for
     ever.
@@ -42,7 +42,7 @@ def inward_clip(
     Args:
         values: (...).
         least: limit, which broadcasts with the values.
-        greatest: limit, likewise.
+        greatest: limit, which broadcasts with the values.
 
     Returns:
         Values (...) in [least, greatest].

@@ -8,9 +8,10 @@ import torch
 from soft_tendon_env.differentiable.period import ArmTensors, as_tensors
 from soft_tendon_env.differentiable.poses import pose_logarithm
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.observation import CHANGE, Observed, RestValues
+from soft_tendon_env.envs.observation import CHANGE, Group, Observed, RestValues
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.tools.messages import first_line
 
 
 class _Arms(NamedTuple):
@@ -67,9 +68,12 @@ class TensorObservation:
 
         Returns:
             The entries side by side.
+
+        Raises:
+            ValueError: a group reads what tensors do not have, or makes no tensor; it is named.
         """
-        groups = self._episodes.layout.groups.values()
-        parts: list[Any] = [group.values(observed) for group in groups]
+        groups = self._episodes.layout.groups
+        parts = [_tensor_values(name, group, observed) for name, group in groups.items()]
         scaled = torch.cat(parts, dim=1) * self._scale
         return torch.clamp(scaled, -self._bound, self._bound)
 
@@ -109,6 +113,25 @@ class TensorObservation:
         """Positions (rows, 3) of poses (rows, 4, 4) as goals, within their space."""
         bound = self._episodes.goal_bound
         return torch.clamp(pose[:, :3, 3], -bound, bound).to(self._dtype)
+
+
+def _tensor_values(name: str, group: Group, observed: Any) -> torch.Tensor:
+    """Values (rows, size) of a group as a tensor. Raises ValueError that names the group."""
+    remedy = (
+        "gradients and ONNX files need what PyTorch's tensors have too, as every other use does not"
+    )
+    try:
+        values: Any = group.values(observed)
+    except (AttributeError, TypeError, RuntimeError) as error:
+        raise ValueError(
+            f"the observation group {name!r} reads what tensors lack, {first_line(error)}: {remedy}"
+        ) from error
+    if not isinstance(values, torch.Tensor):
+        raise ValueError(
+            f"the observation group {name!r} uses NumPy, and gives {type(values).__name__}:"
+            f" {remedy}"
+        )
+    return values
 
 
 def observed_tensors(

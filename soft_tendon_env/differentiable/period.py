@@ -38,7 +38,14 @@ def as_tensors(*values: NDArray[Any]) -> list[Any]:
 
 
 def arm_tensors(arms: Arms) -> ArmTensors:
-    """State and readings of the rows as they are now, copied."""
+    """Copies state and readings of the rows as they are now to tensors.
+
+    Args:
+        arms: whose rows are read.
+
+    Returns:
+        The tensors.
+    """
     rows = arms.rows
     reading = arms.reading
     return ArmTensors(
@@ -123,7 +130,7 @@ def control_period(
     commands: torch.Tensor,
     advance: Callable[..., None] | None = None,
 ) -> ArmTensors:
-    """State and readings of all rows after a period, differentiable in commands and state before.
+    """Steps all rows by a period, differentiable in commands and state before.
 
     The arms themselves take the step, from the state of `before`. Gradients are those of their
     adjoint, once, see Arms.adjoint; a row whose step fails has none. Poses are 4x4 matrices, whose
@@ -162,5 +169,8 @@ def control_period(
 
 
 def _check(name: str, values: torch.Tensor, shape: tuple[int | None, ...]) -> Array:
-    """Values of a tensor as an array of that shape. Raises TypeError, ValueError."""
+    """Values of a tensor as an array of that shape.
+
+    Raises TypeError, ValueError.
+    """
     return checked_array(name, values.detach().numpy(), shape)

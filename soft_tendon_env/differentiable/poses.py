@@ -78,17 +78,17 @@ class _PoseErrors(torch.autograd.Function):
 
 
 def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """SE(3) logarithms log(g^-1 g_bar) from poses g to desired g_bar, float64.
+    """Computes the SE(3) logarithms log(g^-1 g_bar) from poses g to desired g_bar.
 
-    They are differentiable in both along rigid motions, once, exact near no rotation and finite at
-    a half turn, where the logarithm jumps.
+    They are float64, differentiable in both along rigid motions, once, exact near no rotation and
+    finite at a half turn, where the logarithm jumps.
 
     Args:
         pose: g (rows, 4, 4).
         wanted: g_bar (rows, m, 4, 4).
 
     Returns:
-        Logarithms (rows, m, 6), angular before linear.
+        Logarithms (rows, m, 6), angular [rad] before linear [m].
 
     Raises:
         ValueError: for other shapes.

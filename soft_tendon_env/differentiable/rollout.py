@@ -46,7 +46,7 @@ def rollout(
     periods: int,
     dtype: torch.dtype = torch.float32,
 ) -> Trajectories:
-    """Trajectories of a policy from where an environment's rows are, with gradients.
+    """Runs a policy from where an environment's rows are, with gradients.
 
     The environment itself takes the steps, and stays where they lead: randomisation, latency, noise
     and targets are its own, and another rollout goes on from there, without gradients into this
@@ -108,7 +108,10 @@ def rollout(
 
 
 def _action(action: torch.Tensor, episodes: Episodes) -> torch.Tensor:
-    """Actions (rows, n_a) within their limits. Raises TypeError or ValueError."""
+    """Actions (rows, n_a) within their limits.
+
+    Raises TypeError or ValueError.
+    """
     if not isinstance(action, torch.Tensor):
         raise TypeError(f"policy should return a tensor of actions, not {type(action).__name__}")
     shape = (episodes.size, episodes.model.tendon_count)

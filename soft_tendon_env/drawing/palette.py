@@ -66,8 +66,11 @@ class Style(NamedTuple):
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
-    """The style of a policy, by any of its names. Where others have `taken` its colour, another
-    lightness of it; where its name says nothing, or no lightness is left, the next free colour."""
+    """The style of a policy, by any of its names.
+
+    Where others have `taken` its colour, another lightness of it; where its name says nothing, or
+    no lightness is left, the next free colour.
+    """
     words = re.split(r"[^a-z0-9]+", policy.lower())
     colours = [other.colour for other in taken]
     kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
@@ -107,8 +110,10 @@ def _marker(kind: str | None, share: float) -> str:
 
 
 def _shades(kind: str, share: float) -> Iterator[RGB]:
-    """Colours of a kind of policy, in the order in which they are taken, at a share of its
-    lightness."""
+    """Colours of a kind of policy at a share of its lightness.
+
+    They are in the order in which they are taken.
+    """
     colour = LEARNED[kind] if kind in LEARNED else MODEL_BASED[kind]
     for sibling in SIBLINGS:
         lightness = share * sibling

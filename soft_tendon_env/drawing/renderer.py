@@ -1,5 +1,6 @@
-"""Rendered frames of an arm without a display: a shaded tube with its tendons and mount, the trail
-of its tip, its target.
+"""Rendered frames of an arm without a display.
+
+They show a shaded tube with its tendons and mount, the trail of its tip, its target.
 
 The floor is painted once; a frame restores it and paints over it what moves. Everything solid is
 cut into small pieces and painted as one flat collection from far to near.
@@ -78,8 +79,10 @@ class Picture(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Quadrilaterals to be painted from far to near; a line is one without area, visible by its
-    edge."""
+    """Quadrilaterals to be painted from far to near.
+
+    A line is one without area, visible by its edge.
+    """
 
     corners: Array  # (n, 4, 3) [m]
     colour: Array  # (n, 3) of area and edge
@@ -88,8 +91,10 @@ class Pieces(NamedTuple):
 
 
 class ArmRenderer:
-    """Draws frames of one arm in parallel projection. It has a figure of its own, so that every
-    thread or process can have a renderer."""
+    """Draws frames of one arm in parallel projection.
+
+    It has a figure of its own, so that every thread or process can have a renderer.
+    """
 
     def __init__(
         self,
@@ -97,8 +102,10 @@ class ArmRenderer:
         width: int = 640,
         height: int = 480,
     ) -> None:
-        """Frames of width x height pixels. Raises gymnasium's DependencyNotInstalled if matplotlib
-        is missing."""
+        """Frames of width x height pixels.
+
+        Raises gymnasium's DependencyNotInstalled if matplotlib is missing.
+        """
         try:
             from matplotlib.backends.backend_agg import FigureCanvasAgg
             from matplotlib.figure import Figure
@@ -202,8 +209,10 @@ class ArmRenderer:
         base: Array,
         discs: Array,
     ) -> list[Pieces]:
-        """Mount, rod and spacer discs, closed by rings without radius; backbone (m, 4, 4), base (4,
-        4), poses of discs (d, 4, 4)."""
+        """Mount, rod and spacer discs, closed by rings without radius.
+
+        backbone (m, 4, 4), base (4, 4), poses of discs (d, 4, 4).
+        """
         # a ring without radius closes the tip
         tip = backbone[-1:]
         sections = np.concatenate([backbone, tip])
@@ -223,8 +232,10 @@ class ArmRenderer:
         return pieces
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
-        """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far
-        side are faded."""
+        """Lines coloured by tension (n_a,), all on the near surface of the tube.
+
+        Those of the far side are faded.
+        """
         towards = self.turn[2]
         colours = shapes.tension_colors(self._model, tension) / 255.0
         tube_depth = -shapes.positions(backbone[0]) @ towards
@@ -249,8 +260,10 @@ class ArmRenderer:
 
 
 def moving_artists(figure: Any, axes: Any) -> list[Any]:
-    """The artists that change from frame to frame: areas, the target's backbone, its axes, its
-    place, the title."""
+    """Artists that change from frame to frame.
+
+    They are areas, the target's backbone, its axes, its place, the title.
+    """
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.lines import Line2D
 
@@ -294,8 +307,10 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
 
 
 def outline(segment: Segment, places: Array) -> Array:
-    """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND,
-    m)."""
+    """Corners y, z [m] around the sections of a segment: (2 * AROUND, m).
+
+    They are at arc lengths (m,) [m].
+    """
     half = 0.5 * segment.shape.hull(places, segment.length)[:2]
     corners = segment.shape.outline(CIRCLE)
     return (half[:, None] * corners[..., None]).reshape(CIRCLE.size, -1)
@@ -307,8 +322,10 @@ def cylinder(
     end: float,
     radius: float,
 ) -> Array:
-    """Quadrilaterals (3 * AROUND, 4, 3) of a cylinder with its ends, about the x axis of a pose (4,
-    4) from start to end [m]."""
+    """Quadrilaterals (3 * AROUND, 4, 3) of a cylinder with its ends.
+
+    It lies about the x axis of a pose (4, 4) from start to end [m].
+    """
     rings = np.tile(np.eye(4), (4, 1, 1))
     rings[:, 0, 3] = (start, start, end, end)
     radii = radius * np.array([0.0, 1.0, 1.0, 0.0])  # the outer rings close its ends
@@ -316,8 +333,10 @@ def cylinder(
 
 
 def tube(poses: Array, outline: Array) -> Array:
-    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, on outlines (m,
-    2, AROUND) [m] at poses (m, 4, 4)."""
+    """Quadrilaterals ((m - 1) * AROUND, 4, 3) of a tube, counterclockwise from outside.
+
+    They lie on outlines (m, 2, AROUND) [m] at poses (m, 4, 4).
+    """
     across = poses[:, :3, 1:3] @ outline
     rings = poses[:, None, :3, 3] + across.swapaxes(1, 2)
     turned = np.roll(rings, -1, axis=1)
@@ -339,8 +358,10 @@ def solid(
     colour: Array,
     turn: Array,
 ) -> Pieces:
-    """The visible quadrilaterals of a closed surface, lit from above left; turn: see
-    `viewpoint`."""
+    """Visible quadrilaterals of a closed surface, lit from above left.
+
+    turn: see `viewpoint`.
+    """
     towards = turn[2]
     normal = normals(corners)
     is_visible = normal @ towards > 0.0
@@ -402,8 +423,10 @@ def paint_floor(
     scene: Scene,
     turn: Array,
 ) -> Any:
-    """Flat axes in which the box around the arm fills the figure, with lines on its floor;
-    coordinates are those of the camera [m]."""
+    """Flat axes in which the box around the arm fills the figure, with lines on its floor.
+
+    Coordinates are those of the camera [m].
+    """
     from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = shapes.view_box(scene)

@@ -1,5 +1,7 @@
-"""Curves, bodies and obstacles of arms in space, where several arms stand, and the cameras that see
-them, for pictures and recordings."""
+"""Curves, bodies and obstacles of arms in space, for pictures and recordings.
+
+It says where several arms stand, and has the cameras that see them.
+"""
 
 import functools
 import itertools
@@ -50,8 +52,10 @@ def positions(pose: Array) -> Array:
 
 
 def drawing_stations(model: Model, count: int) -> Array:
-    """About `count` arc lengths (m,) [m] from base to tip, the tendons' ends and the borders of
-    segments among them."""
+    """About `count` arc lengths (m,) [m] from base to tip.
+
+    The tendons' ends and the borders of segments are among them.
+    """
     borders = model.grid.breakpoints
     length = borders[-1]
     shares = np.diff(borders) / length
@@ -69,8 +73,10 @@ def base_poses(
     times: Array,
     scene: Scene | None = None,
 ) -> Array:
-    """Poses (m, 4, 4) of the arm's base in the world at times (m,) [s], as its scene's effects move
-    it; scene: with other numbers."""
+    """Poses (m, 4, 4) of the arm's base in the world at times (m,) [s].
+
+    The scene's effects move it; scene: with other numbers.
+    """
     scene = scene or model.scene
     poses = np.tile(scene.base.pose, (times.size, 1, 1))
     if not model.arm.effects.base.any():
@@ -90,8 +96,9 @@ def backbones(
     arc_length: Array,
     base: Array | None = None,
 ) -> Array:
-    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strains (samples,
-    points, 6) as of Model.strain.
+    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m].
+
+    Strains are (samples, points, 6) as of Model.strain.
 
     base (samples, 4, 4): poses of the base, see `base_poses`; by default sections are seen from the
     base.
@@ -108,8 +115,10 @@ def tendon_curves(
     backbone: Array,
     arc_length: Array,
 ) -> list[Array]:
-    """For each tendon its points (samples, m_i, 3) [m] at those of the arc lengths (m,) between its
-    ends; backbone (samples, m, 4, 4)."""
+    """Curves of the tendons: for each its points (samples, m_i, 3) [m].
+
+    They are at those of the arc lengths (m,) between its ends; backbone (samples, m, 4, 4).
+    """
     curves = []
     for tendon in model.scene.tendons:
         start, end = tendon_ends(model.scene, tendon)
@@ -129,8 +138,11 @@ def surface(
     time: float,
     box: tuple[Array, Array],
 ) -> Array:
-    """Quadrilaterals (n, 4, 3) [m] of an obstacle's surface at a time [s], seen counterclockwise
-    from outside; of an endless one the part in a view's box."""
+    """Quadrilaterals (n, 4, 3) [m] of an obstacle's surface at a time [s].
+
+    They are seen counterclockwise from outside; of an endless one they are the part in a view's
+    box.
+    """
     pose = obstacle.pose(time)
     rotation = pose[:3, :3]
     position = pose[:3, 3]
@@ -152,8 +164,7 @@ def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
 
 
 def _square() -> Array:
-    """The square from (-1, -1, 0) to (1, 1, 0) in small pieces, seen counterclockwise from
-    above."""
+    """Square from (-1, -1, 0) to (1, 1, 0) in small pieces, counterclockwise from above."""
     side = np.linspace(-1.0, 1.0, FINENESS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
     z = np.zeros_like(x)
@@ -173,8 +184,10 @@ def _square() -> Array:
 
 @functools.cache
 def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
-    """The surface in the obstacle's frame: that of the box around it, every corner moved to the
-    nearest point of the obstacle."""
+    """Surface in the obstacle's frame.
+
+    It is that of the box around it, every corner moved to the nearest point of the obstacle.
+    """
     above = _square() + [0.0, 0.0, 1.0]
     below = _square() - [0.0, 0.0, 1.0]
     seen_from_below = below[:, ::-1]
@@ -244,8 +257,9 @@ def viewpoint(
     upright: bool,
     elevation: float = FROM,
 ) -> Array:
-    """Rotation (3, 3) of the camera of frames and recordings in the world frame: rows to the right,
-    up and towards the viewer as seen.
+    """Rotation (3, 3) of the camera of frames and recordings in the world frame.
+
+    Its rows are to the right, up and towards the viewer as seen.
 
     `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
     """
@@ -274,8 +288,10 @@ def mount_size(scene: Scene) -> tuple[float, float]:
 
 
 def cylinders(position: Array) -> tuple[Array, Array]:
-    """Centres (samples, m - 1, 3) [m] and quaternions, x y z w, of cylinders along z that go from
-    station to station (samples, m, 3)."""
+    """Centres (samples, m - 1, 3) [m] and quaternions, x y z w, of cylinders along z.
+
+    They go from station to station (samples, m, 3).
+    """
     start = position[:, :-1]
     end = position[:, 1:]
     centre = 0.5 * (end + start)
@@ -283,8 +299,10 @@ def cylinders(position: Array) -> tuple[Array, Array]:
 
 
 def rotation_from_z(direction: Array) -> Array:
-    """Quaternions (..., 4), x y z w, of the shortest rotations that take z to these directions
-    (..., 3) of any length."""
+    """Quaternions (..., 4), x y z w, of the shortest rotations that take z to directions.
+
+    The directions (..., 3) are of any length.
+    """
     # the cross product of z and the direction, then its length and their inner product: a
     # quaternion of half the angle between them
     x, y, z = np.moveaxis(direction, -1, 0)
@@ -301,8 +319,17 @@ def rotation_from_z(direction: Array) -> Array:
 
 
 def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
-    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind: in a row from
-    left to right, as the viewer opens."""
+    """Returns the place of an arm among several of a kind in the viewer.
+
+    They stand in a row from left to right, as the viewer opens.
+
+    Args:
+        model: of one of the arms.
+        number: of the arm, 0, 1, ...
+
+    Returns:
+        Place (x, y, z) [m].
+    """
     lower, upper, vertical, upright = view_box(model.scene)
     right = viewpoint(vertical, upright)[0]
     width = float(np.abs(right) @ (upper - lower))
@@ -322,8 +349,9 @@ def camera(
     places: Array,
     aspect: float,
 ) -> tuple[Array, Array, Array]:
-    """Position, target [m] and upward direction of the camera that sees arms at places (arms, 3)
-    [m] and their names whole.
+    """Position, target [m] and upward direction of the camera that sees arms whole.
+
+    It sees arms at places (arms, 3) [m], and their names.
 
     aspect: width of the view over its height.
     """
@@ -354,8 +382,10 @@ def camera(
 
 
 def tension_colors(model: Model, tension: Array) -> Array:
-    """Red, green and blue, 0 to 255, (.., n_a, 3) for tensions (.., n_a) [N], by their share of the
-    largest that each actuator gives."""
+    """Red, green and blue, 0 to 255, (.., n_a, 3) for tensions (.., n_a) [N].
+
+    They go by their share of the largest that each actuator gives.
+    """
     limits = np.abs([tendon.tension_limits for tendon in model.scene.tendons])
     share = tension / limits.max(axis=1)
     red, green, blue = PULL_COLORS.T

@@ -1,5 +1,7 @@
-"""Effects: what acts on the arm besides its tendons. A scene names those it wants, the others do
-not exist; see base.py."""
+"""Effects: what acts on the arm besides its tendons.
+
+A scene names those that it needs, the others do not exist; see base.py.
+"""
 
 import importlib
 import pkgutil
@@ -11,7 +13,6 @@ from soft_tendon_env.effects.base import (
     Discretisation,
     Effect,
     Effects,
-    register_effect,
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -40,5 +41,4 @@ __all__ = [
     "limits_step",
     "kernel",
     "moves_base",
-    "register_effect",
 ]

@@ -1,5 +1,6 @@
-"""Actuation: what lies between a command and the tension along a tendon: actuators with lag and
-delay, elastic tendons, friction.
+"""Actuation: what lies between a command and the tension along a tendon.
+
+Effects are actuators with lag and delay, elastic tendons, and friction.
 
 Kernels read the numbers as `mechanics.effects.Transmission`.
 """
@@ -10,9 +11,10 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Discretisation, Effect
 from soft_tendon_env.mechanics.terms.command_filter import NEVER
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import NotNegative, Number, Positive
 
 FINEST = 1.0 / 8.0  # of the longest step
@@ -21,10 +23,11 @@ STEEPEST = 100.0  # mu phi along the stress-free arm
 SAME = 1e-9  # of a number of steps, by which another one may differ and be the same
 
 
-@register_effect("actuators")
+@register("effect", "actuators")
 class Actuators(Effect):
-    """`[effects.actuators]`: first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r,
-    r), after a dead time.
+    """`[effects.actuators]`: first-order lag with a limited rate, after a dead time.
+
+    The lag is u_dot = clip((c - u) / tau, -r, r).
 
     u(t) follows the command c(t - delay), exactly for commands that are held: integrator steps end
     where one arrives (K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 1997, chapter
@@ -68,10 +71,11 @@ class Actuators(Effect):
         return np.concatenate([np.zeros(tendons), table.ravel()])
 
 
-@register_effect("tendon_elasticity")
+@register("effect", "tendon_elasticity")
 class TendonElasticity(Effect):
-    """`[effects.tendon_elasticity]`: tendons as springs with slack, between the arm and actuators
-    with displacements as commands.
+    """`[effects.tendon_elasticity]`: tendons as springs with slack.
+
+    They lie between the arm and actuators with displacements as commands.
 
     The command of a tendon is the displacement delta [m] by which its actuator has pulled it in,
     and its tension
@@ -128,10 +132,11 @@ class TendonElasticity(Effect):
         }
 
 
-@register_effect("tendon_friction")
+@register("effect", "tendon_friction")
 class TendonFriction(Effect):
-    """`[effects.tendon_friction]`: regularised Coulomb friction of tendons in their channels by the
-    capstan equation.
+    """`[effects.tendon_friction]`: Coulomb friction of tendons in their channels, regularised.
+
+    It follows the capstan equation.
 
     With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon
     is pulled in,

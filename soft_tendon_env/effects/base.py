@@ -1,15 +1,15 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
-An effect is a configuration class under `@register_effect("name")`, its parameters, a `Struct` of
-numbers and arrays, and the kernels that it needs, see mechanics/effects.py; here or in a user's own
-file as `examples/own_effect.py`. It is then the optional table `[effects.name]` of every scene. A
-scene without that table neither compiles nor calls it.
+An effect is a configuration class under `@register("effect", "name")`, its parameters, a `Struct`
+of numbers and arrays, and the kernels that it needs, see mechanics/effects.py; here or in a user's
+own file as `examples/own_effect.py`. It is then the optional table `[effects.name]` of every scene.
+A scene without that table neither compiles nor calls it.
 """
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict
@@ -23,13 +23,15 @@ from soft_tendon_env.tools.configuration import (
     not_registered,
     shown,
 )
+from soft_tendon_env.tools.registry import Registry, check_class
 from soft_tendon_env.tools.types import Array as Array
 
 
 @dataclass(frozen=True)
 class Discretisation:
-    """The discretised rod as effects see it when their parameters are made: slices around nodes,
-    and quadrature points.
+    """Discretised rod as effects see it when their parameters are made.
+
+    It has slices around nodes, and quadrature points.
 
     Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and
     `point_field` lay them out for kernels. `over_nodes` leaves out the share of the base, which
@@ -46,6 +48,7 @@ class Discretisation:
     radius: Callable[[Array], Array]
     # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
     hull: Callable[[Array], Array]
+    has_corners: Callable[[Array], Array]  # whether that outline is a rectangle, else an ellipse
     discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
     # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
     elasticity: Callable[[Array], Array]
@@ -58,6 +61,17 @@ class Discretisation:
     # all of the scene, for those that depend on another one, as buoyancy on gravity
     effects: "Effects"
     step: float  # [s], the longest time step of the scene's integrator
+
+    def half_widths(self, arc_length: Array) -> Array:
+        """Returns half widths of the rod's outline along y and z.
+
+        Args:
+            arc_length: Arc lengths (m,) [m].
+
+        Returns:
+            Half widths (2, m) [m].
+        """
+        return 0.5 * self.hull(arc_length)[:2]
 
 
 class Configured(NamedTuple):
@@ -74,8 +88,10 @@ class Configured(NamedTuple):
 
 
 class DeadLoads(NamedTuple):
-    """Loads whose size and direction in the world frame never change: what a strain can have
-    inside, see paper III-B."""
+    """Loads whose size and direction in the world frame never change.
+
+    A strain can have them inside, see paper III-B.
+    """
 
     acceleration: tuple[float, ...] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
     force: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N] at the tip
@@ -106,52 +122,104 @@ class Effect(Configuration):
 
     @property
     def acts(self) -> bool:
-        """Whether its kernels do anything with these numbers: one that does not costs nothing, as a
-        payload without a force."""
+        """Tells whether its kernels do anything with these numbers.
+
+        One that does not costs nothing, as a payload without a force.
+        """
         return True
 
     def parameters(self, rod: Discretisation) -> Any:
-        """The parameters that the kernels read: an instance of the effect's own `Struct` class, see
-        mechanics/effects.py."""
+        """Returns the parameters that the kernels read.
+
+        Args:
+            rod: the discretised rod.
+
+        Returns:
+            An instance of the effect's own `Struct` class, see mechanics/effects.py.
+
+        Raises:
+            NotImplementedError: unless a class has the method.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
-        """Numbers of `mechanics.effects.Transmission` by name, of an effect between commands and
-        tensions."""
+        """Returns the numbers of an effect between commands and tensions.
+
+        Args:
+            rod: the discretised rod.
+
+        Returns:
+            Numbers of `mechanics.effects.Transmission` by name.
+        """
         return {}
 
     def added_inertia(self, rod: Discretisation) -> Array:
-        """Screw inertia (nodes, 6) [kg m^2, kg] that moves with the slices of the rod, about their
-        axes: none unless a class says so."""
+        """Returns the screw inertia that moves with the slices of the rod, about their axes.
+
+        It is zero unless a class says otherwise.
+
+        Args:
+            rod: the discretised rod.
+
+        Returns:
+            Inertia (nodes, 6) [kg m^2, kg].
+        """
         return np.zeros((rod.node.size, 6))
 
     @property
     def payload(self) -> Array:
-        """Screw inertia (6,) [kg m^2, kg] of a body fixed to the tip, at which gravity pulls: none
-        unless a class says so."""
+        """Screw inertia (6,) [kg m^2, kg] of a body fixed to the tip, at which gravity pulls.
+
+        It is zero unless a class says otherwise.
+        """
         return np.zeros(6)
 
     def state(self, rod: Discretisation) -> Array:
-        """The internal state (m,) of the effect in the stress-free arm that has always been at
-        rest: none unless a class says so."""
+        """Returns the internal state of the effect in the stress-free arm that is at rest.
+
+        The arm has always been at rest. There is no state unless a class says so.
+
+        Args:
+            rod: the discretised rod.
+
+        Returns:
+            The state (m,).
+        """
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError
-        where it has none, as by default."""
+        """Computes the potential energy of the effect.
+
+        It is 0 of an effect between commands and tensions.
+
+        Args:
+            arm: configuration of the arm.
+
+        Returns:
+            Energy [J].
+
+        Raises:
+            ValueError: where the effect has no potential, as by default.
+        """
         if self.is_actuation and self.command_unit == "N":
             return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
 
     def dead_loads(self) -> DeadLoads | None:
-        """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would
-        add, or None."""
+        """Returns dead loads in place of the kernel, for a strain with `include_loads`.
+
+        Returns:
+            All that the kernel would add, or None.
+        """
         return None
 
 
 def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
-    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for
-    them; warns of one that reads the time, but limits no step."""
+    """The parameters of an effect that acts by kernels.
+
+    Raises TypeError where no kernel is for them; warns of one that reads the time, but limits no
+    step.
+    """
     parameters = effect.parameters(rod)
     kind = type(parameters).__name__
     kernels = kernels_of(type(parameters))
@@ -174,8 +242,10 @@ def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
 
 
 def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
-    """Numbers of the transmission that an effect gives. Raises TypeError for other names or types
-    than kernels read."""
+    """Numbers of the transmission that an effect gives.
+
+    Raises TypeError for other names or types than kernels read.
+    """
     known = {key: type(value) for key, value in DIRECT.fields().items() if key != "filter"}
     numbers = effect.transmission(rod)
     for key, value in numbers.items():
@@ -188,37 +258,28 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
     return numbers
 
 
-Class = TypeVar("Class", bound=type[Effect])
+def _checked_effect(name: str, effect: Any) -> type[Effect]:
+    """The class of an effect. Raises TypeError, ValueError where it lacks something."""
+    check_class("effect", name, effect, Effect)
+    if hasattr(Effects, name):
+        raise ValueError(f"the name of the effect {name!r} is taken, by a method of Effects")
+    if effect.parameters is Effect.parameters and not effect.is_actuation:
+        raise TypeError(
+            f"the effect {name!r}, {effect.__qualname__}, lacks a method parameters(rod), whose"
+            " Struct its kernels read"
+        )
+    return effect
 
-EFFECTS: dict[str, type[Effect]] = {}
+
+EFFECTS: Registry[type[Effect]] = Registry("effect", _checked_effect)
 """Every registered effect's configuration class, by the name that scenes use."""
 
 
-def register_effect(name: str) -> Callable[[Class], Class]:
-    """Class decorator: make an `Effect` available to scenes as `[effects.name]`.
-
-    Registering a class of the same module and name again replaces it, as in a notebook. Raises
-    ValueError for a name that is taken.
-    """
-
-    def add(effect: Class) -> Class:
-        present = EFFECTS.get(name, effect)
-        is_same_module = present.__module__ == effect.__module__
-        is_same_class = is_same_module and present.__qualname__ == effect.__qualname__
-        if hasattr(Effects, name) or not is_same_class:
-            raise ValueError(
-                f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or"
-                " a method of Effects"
-            )
-        EFFECTS[name] = effect
-        return effect
-
-    return add
-
-
 class Effects(Configuration):
-    """The effects of a scene: a table each, by the names of EFFECTS; None where the scene has none
-    of that name."""
+    """Effects of a scene, a table each, by the names of EFFECTS.
+
+    None where the scene has none of that name.
+    """
 
     model_config = ConfigDict(extra="allow")
 
@@ -245,8 +306,10 @@ class Effects(Configuration):
         super().__init__(**chosen)
 
     def chosen(self) -> dict[str, Effect]:
-        """Effects that the scene has, by name, in the order of their names: that in which they
-        act."""
+        """Effects that the scene has, by name, in the order of their names.
+
+        In that order they act.
+        """
         return dict(self.__pydantic_extra__ or {})
 
     def acting(self) -> dict[str, Effect]:
@@ -254,8 +317,10 @@ class Effects(Configuration):
         return {name: effect for name, effect in self.chosen().items() if effect.acts}
 
     def table(self, rod: Discretisation) -> EffectTable:
-        """Table of the acting effects for the kernels, in the order of their names. Raises
-        TypeError where one has no kernel."""
+        """Table of the acting effects for the kernels, in the order of their names.
+
+        Raises TypeError where one has no kernel.
+        """
         parameters = list[Struct]()
         states = list[Array]()
         numbers = dict[str, Any]()
@@ -284,8 +349,10 @@ class Effects(Configuration):
         return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises
-        ValueError where one has none."""
+        """Potential energy [J] of all effects, `arm.state` being those of all in turn.
+
+        Raises ValueError where one has none.
+        """
         energy = 0.0
         first = 0
         for effect in self.chosen().values():
@@ -334,8 +401,10 @@ class Effects(Configuration):
         return DeadLoads(*(tuple(vector) for vector in total.tolist()))
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
-        """These effects with their `strengths` at a random size up to their own, and vectors in
-        random directions."""
+        """These effects with their `strengths` at a random size up to their own.
+
+        Vectors have random directions.
+        """
         tables = self.model_dump()
         for name, effect in self.chosen().items():
             table = tables[name]
@@ -352,8 +421,10 @@ class Effects(Configuration):
         return Effects(**tables)
 
     def includes(self, other: "Effects") -> bool:
-        """Whether `sample_smaller` reaches all of the other effects: what was made under these
-        holds under those."""
+        """Tells whether `sample_smaller` reaches all of the other effects.
+
+        What was made under these then holds under those.
+        """
         most = self.model_dump()
         for name, effect in other.everywhere().chosen().items():
             if name not in most:

@@ -1,5 +1,6 @@
-"""Immersion in a still or uniformly streaming fluid: drag, added mass and buoyancy of every slice
-of the rod.
+"""Immersion in a still or uniformly streaming fluid: drag, added mass and buoyancy.
+
+They act on every slice of the rod.
 
 Per length, with the slice's velocity v = (v_x, v_y, v_z) relative to the fluid in its own frame (x
 along the rod), the widths b, h of its outline along y and z, its perimeter p and area A (of a
@@ -28,7 +29,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect
 from soft_tendon_env.effects.loads import weights
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
@@ -38,15 +39,19 @@ from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_to_block
 from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import NotNegative, Positive, Triple
 
 STILL = 1e-60  # added to the square of what is divided by
 
 
-@register_effect("fluid")
+@register("effect", "fluid")
 class Fluid(Effect):
-    """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds
-    numbers of 1e3 to 1e5, and of friction."""
+    """`[effects.fluid]`: drag, added mass and buoyancy of the whole arm in a fluid.
+
+    Drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and
+    of friction.
+    """
 
     strengths: ClassVar[tuple[str, ...]] = ("density", "current")
     is_uniform: ClassVar[bool] = True
@@ -108,9 +113,11 @@ class Fluid(Effect):
 
 
 def _outside(rod: Discretisation) -> Array:
-    """Outside of the slices and their discs, (7, nodes): areas [m^2] that motions along y and z
-    meet, of the surface and of the discs' faces, the volume [m^3], and the volumes [m^3] of the
-    added mass along y and z where C_a is 1."""
+    """Outside of the slices and their discs, (7, nodes): areas and volumes.
+
+    They are areas [m^2] that motions along y and z meet, of the surface and of the discs' faces,
+    the volume [m^3], and the volumes [m^3] of the added mass along y and z where C_a is 1.
+    """
 
     def per_length(arc_length: Array) -> Array:
         width, height, perimeter, area = rod.hull(arc_length)
@@ -151,8 +158,10 @@ class FluidParameters(Struct):
 @adds_wrench(FluidParameters)
 @kernel
 def fluid_wrench(fluid, nodes):
-    """Drag, buoyancy and what the current changes of the inertia on every node, with the drag's
-    derivative -df/dv in the damping."""
+    """Adds drag, buoyancy and the current's share of the inertia to every node.
+
+    The drag's derivative -df/dv goes into the damping.
+    """
     for pack in range(nodes.packs):
         at = pack * LANES
         R, _ = load_pose(nodes.pose, pack)
@@ -185,9 +194,11 @@ def fluid_wrench(fluid, nodes):
 
 @kernel(inline=True)
 def stream_wrench(added, w, v, stream):
-    """Wrench of the added mass on a slice that moves with (w, v), less that in fluid at rest: with
-    A = diag(0, *added) and s = v - stream, from the kinetic energies 1/2 s A s and 1/2 v A v, (v x
-    A v - s x A s, w x A stream - A (w x stream))."""
+    """Wrench of the added mass on a slice that moves with (w, v), less that in fluid at rest.
+
+    With A = diag(0, *added) and s = v - stream it is, from the kinetic energies 1/2 s A s and 1/2 v
+    A v, (v x A v - s x A s, w x A stream - A (w x stream)).
+    """
     a, b = added
     more = b - a
     v_x, v_y, v_z = v

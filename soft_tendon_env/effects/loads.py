@@ -1,5 +1,6 @@
-"""Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod
-that change in time), and a moving base.
+"""Loads: gravity, a wrench and a payload at the tip, disturbances, and a moving base.
+
+Disturbances are wrenches at points of the rod that change in time.
 
 A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon. By
 virtual work and the weights of a cubic, force and moment are exact, and the error is of fourth
@@ -20,7 +21,6 @@ from soft_tendon_env.effects.base import (
     DeadLoads,
     Discretisation,
     Effect,
-    register_effect,
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import (
@@ -52,6 +52,7 @@ from soft_tendon_env.mechanics.terms.transposed_kinematics import (
 )
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import (
     Direction,
     Frequency,
@@ -71,7 +72,7 @@ ALWAYS = (0.0, 0.0, 0.0)
 """Numbers of a load without a signal."""
 
 
-@register_effect("gravity")
+@register("effect", "gravity")
 class Gravity(Effect):
     """`[effects.gravity]`: weight of the rod and its payload, in the world frame."""
 
@@ -108,7 +109,7 @@ def gravity_wrench(gravity, nodes):
         store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
 
 
-@register_effect("tip_load")
+@register("effect", "tip_load")
 class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
@@ -172,7 +173,10 @@ def tip_load_wrench(tip_load, nodes):
 
 
 class Pulse(Configuration):
-    """1 for a time, before and after it 0. Integrator steps end where it begins and ends."""
+    """Factor 1 for a time, before and after it 0.
+
+    Integrator steps end where it begins and ends.
+    """
 
     type: Literal["pulse"] = "pulse"
     start: Positive = Field(description="begin [s], after 0")
@@ -184,7 +188,10 @@ class Pulse(Configuration):
 
 
 class Sine(Configuration):
-    """sin(2 pi frequency t + phase). The arm rests under its value at time 0."""
+    """Factor sin(2 pi frequency t + phase).
+
+    The arm rests under its value at time 0.
+    """
 
     type: Literal["sine"] = "sine"
     frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
@@ -206,10 +213,12 @@ class Load(Configuration):
     )
 
 
-@register_effect("disturbance")
+@register("effect", "disturbance")
 class Disturbance(Effect):
-    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those
-    under the loads at time 0."""
+    """`[effects.disturbance]`: loads at points of the rod, in `[[effects.disturbance.loads]]`.
+
+    Equilibria and resets are those under the loads at time 0.
+    """
 
     is_uniform: ClassVar[bool] = True
 
@@ -230,9 +239,11 @@ class Disturbance(Effect):
 
 
 def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:
-    """Weights (m, nodes) with which values at the nodes, 0 at the base, add up to those at arc
-    lengths (m,) [m], of the `most` nodes that are nearest: exact for functions that are cubic
-    between the borders, or linear with 2."""
+    """Weights (m, nodes) with which values at the nodes add up to those at arc lengths.
+
+    Values are 0 at the base, arc lengths (m,) [m]. The weights are of the `most` nodes that are
+    nearest: exact for functions that are cubic between the borders, or linear with 2.
+    """
     places = np.append(0.0, rod.node)
     same = SAME * rod.length
     result = np.zeros((np.size(arc_length), places.size))
@@ -298,8 +309,10 @@ def disturbance_wrench(disturbance, nodes):
 @limits_step(DisturbanceParameters)
 @kernel
 def limit_disturbance_step(disturbance, nodes, longest):
-    """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a
-    pulse."""
+    """Limits steps so that they follow the signals.
+
+    They last up to a fraction of the period of a sine, and to the next end of a pulse.
+    """
     for i in range(disturbance.loads.shape[0]):
         row = disturbance.loads[i]
         if row[0] == SINE:
@@ -310,10 +323,11 @@ def limit_disturbance_step(disturbance, nodes, longest):
                     longest[0] = min(longest[0], edge - nodes.time)
 
 
-@register_effect("moving_base")
+@register("effect", "moving_base")
 class MovingBase(Effect):
-    """`[effects.moving_base]`: motion of the base from its pose in the scene, along the world's
-    axes and about a fixed axis.
+    """`[effects.moving_base]`: motion of the base from its pose in the scene.
+
+    It moves along the world's axes and about a fixed axis.
 
     r(t) = r(0) + `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t) and R(t) =
     exp(theta `axis`) R(0), theta(t) = `angular_velocity` t + `angular_amplitude` sin(2 pi f t),
@@ -371,8 +385,10 @@ class MovingBaseParameters(Struct):
 @moves_base(MovingBaseParameters)
 @kernel
 def move(motion, base: Base):
-    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x
-    r_dot)."""
+    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate.
+
+    The rate is (w_dot, r_ddot - w_dot x r - w x r_dot).
+    """
     t = base.time
     omega = motion.omega
     sine = math.sin(omega * t)

@@ -1,5 +1,7 @@
-"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic
-memory."""
+"""Materials: stresses of the strains besides the linear law, stiffening and memory.
+
+The memory is viscoelastic.
+"""
 
 import math
 from typing import ClassVar
@@ -8,12 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Positive
 
 # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a
@@ -22,10 +25,11 @@ SHORT = 0.25
 SMALL_TIME = 1e-3  # relaxation times, below which a mean is its series
 
 
-@register_effect("nonlinear_elasticity")
+@register("effect", "nonlinear_elasticity")
 class NonlinearElasticity(Effect):
-    """`[effects.nonlinear_elasticity]`: stress sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every
-    strain e = xi - xi*.
+    """`[effects.nonlinear_elasticity]`: stress that stiffens with the strain e = xi - xi*.
+
+    It is sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every strain.
 
     The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic
     Deformations, 1984, chapter 4), as silicone and rubber stiffen. Its energy per length is 1/2
@@ -90,10 +94,11 @@ class Branch(Configuration):
     relaxation_time: Positive = Field(description="relaxation time [s]")
 
 
-@register_effect("viscoelastic_memory")
+@register("effect", "viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`: Maxwell
-    branches, the standard linear solid.
+    """`[effects.viscoelastic_memory]`: Maxwell branches, the standard linear solid.
+
+    They are the tables `[[effects.viscoelastic_memory.branches]]`.
 
     A branch k, a spring of modulus ratio m_k in series with a damper of relaxation time tau_k, adds
     the stress m_k Sigma (e - s_k) with e = xi - xi* and the strain s_k of its damper, s_k_dot = (e
@@ -143,8 +148,11 @@ class MemoryParameters(Struct):
 
 @kernel
 def lag_weights(x):
-    """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the
-    change of strain, and of the product of that time and the rate."""
+    """Weights of the lag e - s_k after a time of x relaxation times.
+
+    They are of the lag before, of the change of strain, and of the product of that time and the
+    rate.
+    """
     if x == 0.0:
         return 1.0, 1.0, 0.0
     if x == math.inf:

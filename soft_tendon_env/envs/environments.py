@@ -1,12 +1,13 @@
 """Gymnasium environments of tasks, with one arm and with many that compiled code steps together.
 
-There are two classes per task, whose description is their documentation.
+There are two classes per task, whose description is their documentation. Those of registered tasks
+are made when the tasks are registered, as Gymnasium's entry points and pickles find them by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -24,14 +25,13 @@ from soft_tendon_env.envs.observation import of_row
 from soft_tendon_env.envs.options import MASK, Options, reset_options, row_seeds
 from soft_tendon_env.envs.randomization import drawn_in_rows
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.envs.tasks import Task, task_of_class
+from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-Class = TypeVar("Class", bound="EpisodesEnv")
 ONE = np.zeros(1, dtype=np.int64)
 """The only row of an environment with one arm."""
 
@@ -59,7 +59,10 @@ class EpisodesEnv:
         threads: int | None,
         render_mode: str | None,
     ) -> None:
-        """Make the rows and their renderer. Raises ConfigurationError, and as make_renderer."""
+        """Make the rows and their renderer.
+
+        Raises ConfigurationError, and as make_renderer.
+        """
         self.render_mode = render_mode
         parsed = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, parsed, rows, threads)
@@ -125,23 +128,22 @@ class EpisodesEnv:
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
+    """Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`.
 
     Copies and pickles go on from where it is.
+
+    Args:
+        render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
+        options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        ValueError: for other modes.
+        gymnasium.error.Error: where what a mode needs is not there.
     """
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Make an environment.
-
-        Args:
-            render_mode: None, "rgb_array", or "human", which opens the Rerun viewer.
-            options: see `Options`.
-
-        Raises:
-            ConfigurationError: of all invalid options.
-            ValueError: for other modes.
-            gymnasium.error.Error: where what a mode needs is not there.
-        """
+        """Makes an environment."""
         self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
         self._most_steps = np.inf
@@ -149,7 +151,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin a new episode.
+        """Begins a new episode.
 
         Args:
             seed: of the episodes from this one on; None to go on with the generator.
@@ -182,7 +184,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return observation, self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one control period.
+        """Takes one control period.
 
         Args:
             action: (n_a,) in [-1, 1]; larger ones are clipped.
@@ -214,7 +216,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it.
+        """State of the arm as `Simulation` has it, a copy.
 
         Setting it puts the arm there, in mid-episode too: the target, commands on their way, noise
         and past observations of the episode stay.
@@ -231,7 +233,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self.episodes.set_state(0, state)
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
-        """Target of the episode.
+        """Samples the target of the episode.
 
         Args:
             times: (m,) [s] from its beginning, past or future.
@@ -240,6 +242,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             Samples of the target.
 
         Raises:
+            TypeError: for what are no numbers.
             ValueError: for other shapes and times that are not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
@@ -252,11 +255,11 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return {name: value.item(0) for name, value in info.items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Frame (height, width, 3) of the arm, its tendons, the target and the tip's trail.
+        """Draws the arm, its tendons, the target and the tip's trail.
 
         Returns:
-            The frame; None without a render mode, and with "human": there every reset and step
-            shows itself in the viewer, no faster than in real time.
+            Frame (height, width, 3); None without a render mode, and with "human": there every
+            reset and step shows itself in the viewer, no faster than in real time.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
@@ -268,7 +271,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return frames[0]
 
     def close(self) -> None:
-        """Close the environment, after which other calls raise ClosedEnvironmentError.
+        """Closes the environment, after which other calls raise ClosedEnvironmentError.
 
         The viewer gets the rest, and stays open.
         """
@@ -293,6 +296,11 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun
             viewer, in real time.
         options: see `Options`.
+
+    Raises:
+        ConfigurationError: of all invalid options.
+        TypeError: for numbers of wrong types.
+        ValueError: for numbers that are not allowed, and other modes.
     """
 
     def __init__(
@@ -304,7 +312,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        """Make an environment. Raises ConfigurationError, ValueError or TypeError."""
+        """Makes the rows."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if max_episode_steps is not None:
             max_episode_steps = checked_count("max_episode_steps", max_episode_steps, 1)
@@ -325,7 +333,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin new episodes, of all rows or of those that `options["reset_mask"]` names.
+        """Begins new episodes, of all rows or of those that `options["reset_mask"]` names.
 
         Args:
             seed: an int s seeds row i with s + i; a list names one for each, None to go on with its
@@ -354,6 +362,9 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         for row in members.tolist():
             if seeds[row] is not None or row not in generators:
                 generators[row], _ = seeding.np_random(seeds[row])
+        if isinstance(seed, int | np.integer):
+            # as every vector environment of Gymnasium has it; rows draw from their own
+            self._np_random, self._np_random_seed = seeding.np_random(seeds[0])
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True
@@ -391,7 +402,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one control period of every row.
+        """Takes one control period of every row.
 
         Args:
             actions: (rows, n_a) in [-1, 1]; larger ones are clipped.
@@ -486,7 +497,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return np.asarray(self.episodes.step_count >= self._most_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Frames (height, width, 3) of the rows; None without a render mode and with "human".
+        """Draws the rows.
+
+        Returns:
+            Frames (height, width, 3) of the rows; None without a render mode and with "human".
 
         Raises:
             gymnasium.error.ClosedEnvironmentError: after close.
@@ -495,14 +509,21 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stop the threads; the viewer stays open."""
+        """Stops the threads; the viewer stays open.
+
+        Args:
+            kwargs: of `close`, which changes nothing.
+        """
         self.episodes.arms.close()
         if self._renderer is not None:
             self._renderer.close()
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode by its name or itself. Raises ConfigurationError."""
+    """An autoreset mode by its name or itself.
+
+    Raises ConfigurationError.
+    """
     if isinstance(mode, AutoresetMode):
         return mode
     if mode not in MODES:
@@ -511,80 +532,85 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     return MODES[mode]
 
 
-def compute_reward(
-    self: EpisodesEnv,
-    achieved_goal: NDArray[Any],
-    desired_goal: NDArray[Any],
-    info: Any,
-) -> Any:
-    """Rewards of goals, as hindsight experience replay asks for.
+class GoalRewards(EpisodesEnv):
+    """Rewards of goals, which environments of goal-conditioned tasks have besides."""
 
-    Args:
-        self: the environment, of which this is a method.
-        achieved_goal: positions (..., 3) [m].
-        desired_goal: likewise, of the same shape.
-        info: of steps, which rewards do not depend on.
+    def compute_reward(
+        self,
+        achieved_goal: NDArray[Any],
+        desired_goal: NDArray[Any],
+        info: Any,
+    ) -> Any:
+        """Computes rewards of goals, as hindsight experience replay asks for.
 
-    Returns:
-        Rewards (...); a float for one goal.
+        Args:
+            achieved_goal: positions (..., 3) [m].
+            desired_goal: positions of the same shape [m].
+            info: of steps, which rewards do not depend on.
 
-    Raises:
-        ValueError: for other shapes.
-    """
-    reward = self.episodes.goal_reward(achieved_goal, desired_goal)
-    return float(reward) if reward.ndim == 0 else reward
+        Returns:
+            Rewards (...); a float for one goal.
 
-
-_CLASSES: dict[str, Any] = {}
-"""Classes that were made, by their names."""
+        Raises:
+            ValueError: for other shapes.
+        """
+        reward = self.episodes.goal_reward(achieved_goal, desired_goal)
+        return float(reward) if reward.ndim == 0 else reward
 
 
-def class_of(
-    task: Task,
-    suffix: str,
-    base: type[Class],
-    doc: str,
-) -> type[Class]:
-    """Class `<task><suffix>` of environments, the same at every call.
+class TipPoseEnv(TendonRodEnv):
+    """Environment of the task TipPose with one arm; its description takes this place."""
 
-    Args:
-        task: that the class is of; with a goal it has `compute_reward`.
-        suffix: of its name.
-        base: of the class.
-        doc: its docstring.
-
-    Returns:
-        The class.
-    """
-    name = f"{task.name}{suffix}"
-    is_known = name in _CLASSES and _CLASSES[name].task is task
-    if not is_known:
-        attributes: dict[str, Any] = {
-            "task": task,
-            "__doc__": doc,
-            "__module__": base.__module__,
-        }
-        if task.goal:
-            attributes["compute_reward"] = compute_reward
-        _CLASSES[name] = type(name, (base,), attributes)
-    return _CLASSES[name]
+    __doc__ = TIP_POSE.description
+    task = TIP_POSE
 
 
-def environment_class(task: Task) -> type[TendonRodEnv]:
-    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
-    return class_of(task, "Env", TendonRodEnv, task.description)
+class TipPoseVectorEnv(TendonRodVectorEnv):
+    """Rows of `TipPoseEnv`."""
+
+    task = TIP_POSE
 
 
-def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
-    """The class of a task's environments with many arms, `<name>VectorEnv`; the same every time."""
-    return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
+class ShapeEnv(TendonRodEnv):
+    """Environment of the task Shape with one arm; its description takes this place."""
+
+    __doc__ = SHAPE.description
+    task = SHAPE
 
 
-def __getattr__(name: str) -> type[TendonRodEnv] | type[TendonRodVectorEnv]:
-    """`<name>Env` and `<name>VectorEnv` of every registered task.
+class ShapeVectorEnv(TendonRodVectorEnv):
+    """Rows of `ShapeEnv`."""
 
-    Gymnasium's entry points and pickles ask for them.
-    """
-    if name.endswith("VectorEnv"):
-        return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
-    return environment_class(task_of_class(name, "Env", __name__))
+    task = SHAPE
+
+
+class ReachEnv(GoalRewards, TendonRodEnv):
+    """Environment of the task Reach with one arm; its description takes this place."""
+
+    __doc__ = REACH.description
+    task = REACH
+
+
+class ReachVectorEnv(GoalRewards, TendonRodVectorEnv):
+    """Rows of `ReachEnv`."""
+
+    task = REACH
+
+
+def _make_classes(name: str, task: Task) -> None:
+    """Make the classes of a task in this module, where they are not written already."""
+    classes = globals()
+    rows_doc = f"Rows of `{name}Env`."
+    for base, suffix, doc in (
+        (TendonRodEnv, "Env", task.description),
+        (TendonRodVectorEnv, "VectorEnv", rows_doc),
+    ):
+        present = classes.get(name + suffix)
+        if present is not None and present.task is task:
+            continue
+        bases = (GoalRewards, base) if task.goal else (base,)
+        attributes = {"task": task, "__doc__": doc, "__module__": __name__}
+        classes[name + suffix] = type(name + suffix, bases, attributes)
+
+
+TASKS.follow(_make_classes)

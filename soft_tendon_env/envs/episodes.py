@@ -23,6 +23,7 @@ from soft_tendon_env.envs.observation import (
     Units,
     stress_free_strain,
 )
+from soft_tendon_env.envs.option_units import warn_of_memory, warn_of_options
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
     Options,
@@ -44,7 +45,7 @@ from soft_tendon_env.envs.tracking import (
     norm,
     weights_of,
 )
-from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
+from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories, least_bytes
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion, Tape
@@ -264,6 +265,8 @@ class Episodes:
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
+        warn_of_options(options, scene)
+        warn_of_memory(rows, least_bytes(options.preview, options.control_period))
         model = build_model(scene)
         self.task = task
         self.options = options
@@ -332,7 +335,10 @@ class Episodes:
             self.history = History(rows, options.history, self.layout.kept)
 
     def _make_actuation(self, limits: Array) -> Actuation:
-        """Actuators whose commands are within limits (n_a, 2). Raises ConfigurationError."""
+        """Actuators whose commands are within limits (n_a, 2).
+
+        Raises ConfigurationError.
+        """
         command_range = np.diff(limits)[:, 0]
         tension_range = np.diff(self.limits)[:, 0]
         return Actuation(
@@ -386,7 +392,10 @@ class Episodes:
         return Layout(groups, units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what is found again, whose functions have no names. Raises TypeError."""
+        """All but what is found again, whose functions have no names.
+
+        Raises TypeError.
+        """
         if not self._simulated:
             raise TypeError(
                 "an environment whose arm is a robot cannot be copied: there is one robot"
@@ -415,7 +424,10 @@ class Episodes:
         return {row: self._beginning(row, options_of_rows[row]) for row in members.tolist()}
 
     def _beginning(self, row: int, options: ResetOptions) -> Beginning:
-        """How a row begins by its options. Raises ConfigurationError, TypeError, ValueError."""
+        """How a row begins by its options.
+
+        Raises ConfigurationError, TypeError, ValueError.
+        """
         if options.state is not None:
             self._refuse_states_of_robots()
             if not self.options.randomize.numbers:

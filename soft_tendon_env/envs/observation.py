@@ -1,7 +1,7 @@
 """Observations: one flat float32 vector of groups, scaled to about one, clipped, with history.
 
-`docs/reference/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a
-task brings others in `Task.groups`.
+`docs/reference/environments.md` has this table with sizes. Every task has the groups of GROUPS, and
+`register("observation_group", name, Group(...))` adds one of a user's own.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,6 +18,8 @@ from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.scene.scene import Scene, segment_index
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 CLIP = 10.0
@@ -147,7 +149,61 @@ def _strain_unit(units: Units) -> Array:
     return np.repeat([1.0 / units.length, 0.1], 3)
 
 
-GROUPS: dict[str, Group] = {
+def _checked_group(name: str, group: Any) -> Group:
+    """The group itself. Raises TypeError, ValueError where it lacks something."""
+    if not isinstance(group, Group):
+        raise TypeError(f"the observation group {name!r} should be a Group, not {shown(group)}")
+    for key in ("values", "unit"):
+        if not callable(getattr(group, key)):
+            raise TypeError(
+                f"the observation group {name!r} has {key} = {shown(getattr(group, key))}: it"
+                " should be a function"
+            )
+    if not group.bound > 0.0:
+        raise ValueError(f"the observation group {name!r} has bound = {group.bound}, not above 0")
+    if name == HISTORY:
+        raise ValueError(
+            f"the observation group {name!r} has the name of an option: choose another"
+        )
+    return group
+
+
+POSITION_AND_COLUMNS = [3, 0, 1]
+"""Columns of a pose [R, r]: its position, and the first two of its rotation."""
+
+
+def _target_from_tip(observed: Observed) -> Array:
+    """Targets as the tip sees them, now and at each preview time, (rows, 1 + previews, 9).
+
+    They are position and first two columns of the rotation, in the tip's frame, by operations that
+    tensors of PyTorch and ONNX have too.
+    """
+    R = observed.tip_pose[:, None, :3, :3]
+    r = observed.tip_pose[:, None, :3, 3:]
+    target = observed.target.tip_pose
+    # g^-1 g_bar = R^T [R_bar, r_bar] - R^T r [0, 0, 0, 1]; products as sums over rows of R
+    turned = (R[..., None] * target[:, :, :3, None, :]).sum(2)
+    place_of_tip = (R * r).sum(2)
+    seen = turned - place_of_tip[..., None] * target[:, :, 3:, :]
+    columns = seen[..., POSITION_AND_COLUMNS].swapaxes(2, 3)
+    return columns.reshape(*columns.shape[:2], 9)
+
+
+def _pose_unit(units: Units) -> Array:
+    """Units of positions, in lengths of the rod, and columns of rotations."""
+    return np.repeat([0.1 * units.length, 1.0, 1.0], 3)
+
+
+HISTORY = "history"
+"""Name of the slice of an observation after all groups, if it has a history."""
+
+CHANGE = 0.1
+"""Unit of a group's changes in a history, as a share of the group's own."""
+
+GROUPS: Registry[Group] = Registry("observation_group", _checked_group)
+"""The groups that every task has, by the name that options use."""
+
+_SHIPPED: dict[str, Group] = {
     "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
     "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
     "tip_position": Group(
@@ -184,7 +240,7 @@ GROUPS: dict[str, Group] = {
         of_arm=True,
     ),
     "target_error": Group(
-        "SE(3) logarithm from tip to target",
+        "SE(3) logarithm from tip to target, which jumps where they are half a turn apart",
         lambda o: o.error[:, 0],
         _error_unit,
         FAR,
@@ -200,6 +256,20 @@ GROUPS: dict[str, Group] = {
         "target_error at each preview time",
         lambda o: _flat(o.error[:, 1:]),
         _error_unit,
+        FAR,
+        of_target=True,
+    ),
+    "target_pose": Group(  # continuous, unlike the logarithm, which jumps at half a turn
+        "position of the target and first two columns of its rotation, tip frame",
+        lambda o: _target_from_tip(o)[:, 0],
+        _pose_unit,
+        FAR,
+        of_target=True,
+    ),
+    "pose_preview": Group(
+        "target_pose at each preview time",
+        lambda o: _flat(_target_from_tip(o)[:, 1:]),
+        _pose_unit,
         FAR,
         of_target=True,
     ),
@@ -236,14 +306,9 @@ GROUPS: dict[str, Group] = {
         of_arm=True,
     ),
 }
-"""The groups that every task has, by the name that options use; one of your own can be added before
-environments are made."""
 
-HISTORY = "history"
-"""Name of the slice of an observation after all groups, if it has a history."""
-
-CHANGE = 0.1
-"""Unit of a group's changes in a history, as a share of the group's own."""
+for _name, _group in _SHIPPED.items():
+    register("observation_group", _name, _group)
 
 
 class Layout:
@@ -329,7 +394,10 @@ class Layout:
 
 
 def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
-    """Entries of each group. Raises ValueError where its values are not (rows, size)."""
+    """Entries of each group.
+
+    Raises ValueError where its values are not (rows, size).
+    """
     rows = len(observed.q)
     sizes: dict[str, int] = {}
     for name, group in groups.items():

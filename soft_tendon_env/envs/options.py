@@ -105,7 +105,7 @@ def _usual_preview(values: dict[str, Any]) -> tuple[float, ...]:
 
 
 class Options(Configuration):
-    """The keyword arguments of every environment.
+    """Keyword arguments of every environment.
 
     Attributes:
         scene: name of a shipped scene, path of a TOML file, a `Scene`, or a table. A table is a
@@ -169,7 +169,7 @@ class Options(Configuration):
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """Options of keyword arguments, as of every configuration.
+        """Parses the options of keyword arguments, as of every configuration.
 
         Args:
             values: the arguments by name.
@@ -196,13 +196,27 @@ class Options(Configuration):
             )
         return scene_to_dict(scene) if isinstance(scene, Scene) else scene
 
+    @field_validator("preview", mode="before")
+    @classmethod
+    def _times(cls, preview: Any) -> Any:
+        if isinstance(preview, int | float) and not isinstance(preview, bool):
+            raise ValueError(f"should be a list of times ahead [s]: [{preview}]")
+        return preview
+
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
         return weights_of(reward) if isinstance(reward, dict) else reward
 
     def sensor_places(self, scene: Scene) -> Array:
-        """Arc lengths (s,) [m] of the strain sensors."""
+        """Returns the arc lengths of the strain sensors.
+
+        Args:
+            scene: of the environment.
+
+        Returns:
+            Arc lengths (s,) [m] from the base.
+        """
         if not isinstance(self.sensors, int):
             return np.array(self.sensors, dtype=np.float64)
         count = self.sensors
@@ -210,13 +224,29 @@ class Options(Configuration):
         return rod_length(scene) * middles / count
 
     def threshold_of(self, length: float) -> float:
-        """Distance [m] within which goals are reached, of a rod's length [m]."""
+        """Returns the distance within which goals are reached.
+
+        Args:
+            length: of the rod [m].
+
+        Returns:
+            Distance [m].
+        """
         if self.threshold is None:
             return THRESHOLD * length
         return self.threshold
 
     def farthest_base(self, scene: Scene) -> float:
-        """Largest coordinate [m] of the base in the world, also where its position is drawn."""
+        """Returns the largest coordinate of the base in the world.
+
+        It holds also where the base's position is drawn.
+
+        Args:
+            scene: of the environment.
+
+        Returns:
+            Size of the coordinate [m].
+        """
         coordinates = [*scene.base.position]
         for drawn in self.randomize.ranges(scene):
             if drawn.name.startswith("base.position"):
@@ -457,7 +487,12 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     if task.goal is not None and has_weights:
         _fail("reward", "should be 'sparse' or 'dense'")
     if task.goal is None and not has_weights:
-        _fail("reward", "should be a table of weights by term")
+        usual = dict(task.reward)
+        _fail(
+            "reward",
+            f"is {options.reward!r}, which tasks with a goal have, such as Reach: {task.name} takes"
+            f" a table of weights by term, such as {usual}",
+        )
 
 
 def _check_preview(options: Options) -> None:

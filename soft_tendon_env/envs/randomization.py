@@ -52,7 +52,10 @@ OF_STIFFNESS = {
 
 
 def _as_range(value: Any) -> Any:
-    """The ends of a range, twice the number where there is one alone. Raises ValueError."""
+    """The ends of a range, twice the number where there is one alone.
+
+    Raises ValueError.
+    """
     ends = value if isinstance(value, tuple) else (value, value)
     are_numbers = len(ends) == 2 and all(type(end) in (int, float) for end in ends)
     if not are_numbers or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
@@ -96,7 +99,10 @@ class Randomization(Configuration):
     omit: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     def __init__(self, /, **values: Any):
-        """Take numbers of the scene beside the other attributes. Raises ConfigurationError."""
+        """Take numbers of the scene beside the other attributes.
+
+        Raises ConfigurationError.
+        """
         names = type(self).model_fields
         fields: dict[str, Any] = {}
         numbers: dict[str, Any] = {}

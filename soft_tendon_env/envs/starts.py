@@ -178,7 +178,10 @@ class Starts:
         return np.array(shares_of_rows)
 
     def _arm(self, number: int) -> Drawn:
-        """The arm of that number. Raises ConfigurationError."""
+        """The arm of that number.
+
+        Raises ConfigurationError.
+        """
         if not self._ranges:
             return self._usual
         if number not in self._bank:

@@ -2,13 +2,14 @@
 
 An environment is an arm and a task.
 
-A task is one object, here or in a file of a user: `register_task(Task(...))`;
+A task is one object, here or in a file of a user: `register("task", "Name", Task(...))`;
 `examples/own_task.py` is one from outside.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from soft_tendon_env.envs.observation import GROUPS, Group
 from soft_tendon_env.envs.targets import TARGETS
@@ -16,7 +17,6 @@ from soft_tendon_env.envs.tracking import (
     ANGLE,
     BACKBONE,
     COORDINATES,
-    OWN_TERMS,
     POSITION,
     TERMS,
     Term,
@@ -24,10 +24,14 @@ from soft_tendon_env.envs.tracking import (
     TrackingError,
 )
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, id_of, register_environment
-from soft_tendon_env.tools.configuration import not_among, not_registered
+from soft_tendon_env.tools.configuration import not_among, not_registered, shown
+from soft_tendon_env.tools.registry import Registry, register
 
 STATIONS = 20
 """Places along the backbone at which shapes are compared, the tip the last."""
+
+OF_BASES = ("Episodes", "TendonRod")
+"""Names that no task may have: <name>Env is a base of all environments."""
 
 TIP = ("tip_position", "tip_rotation")
 """Observation groups that every task of the package has."""
@@ -35,44 +39,43 @@ TIP = ("tip_position", "tip_rotation")
 
 @dataclass(frozen=True)
 class Task:
-    """A task: one object from which its environments are made.
+    """Task: one object from which its environments are made.
 
     Attributes:
-        name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
         description: the environments' docstring.
         target: name of the target unless options say otherwise, see targets/.
         observations: names of the groups of each named choice of the option `observation`, "full"
             the default.
         errors: what is measured at every step, the first of them what is to settle.
         reward: default weights by term: those of `errors`, "effort", "smoothness", and those of
-            `register_reward_term`. Not for goals.
-        groups: observation groups of the task's own, besides those of observation.py.
+            registered terms. Not for goals.
         reference: groups that give a controller its reference, where it observes the coordinates.
         measured_reference: groups that give a controller its reference, where a state estimator
             finds the coordinates.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
         goal: for goal-conditioned tasks, what their goals (3,) [m] are.
+        name: under which it is registered, as in the id `TendonRod-<name>-v0` and the classes
+            `<name>Env`, `<name>VectorEnv`.
     """
 
-    name: str
     description: str
     target: str
     observations: Mapping[str, tuple[str, ...]]
     errors: tuple[TrackingError, ...]
     reward: Mapping[str, float] = field(default_factory=dict)
-    groups: Mapping[str, Group] = field(default_factory=dict)
     reference: tuple[str, ...] = ()
     measured_reference: tuple[str, ...] = ()
     shapes: bool = False
     goal: str | None = None
+    name: str = ""
 
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        terms = dict(OWN_TERMS)
+        terms = dict(TERMS)
         for error in self.errors:
             terms |= error.terms
-        return {**terms, **TERMS}
+        return terms
 
     @property
     def observable(self) -> dict[str, Group]:
@@ -83,10 +86,11 @@ class Task:
             lacks_target = group.of_target and self.goal is not None
             if not lacks_shape and not lacks_target:
                 groups[name] = group
-        return {**groups, **self.groups}
+        return groups
 
-    def __reduce__(self) -> str:
-        return self.name  # pickled by name, since its functions have none; copies share it
+    def __reduce__(self) -> tuple[Any, ...]:
+        # pickled by name, since its functions have none; copies share it
+        return task_named, (self.name,)
 
     @property
     def id(self) -> str:
@@ -94,16 +98,18 @@ class Task:
         return id_of(self.name)
 
 
-TASKS: dict[str, Task] = {}
-"""Every registered task, by its name."""
+def task_named(name: str) -> Task:
+    """Registered task of a name. Raises ValueError that says what names there are."""
+    if name not in TASKS:
+        raise ValueError(f"task is {name!r}: {not_registered(name, TASKS)}")
+    return TASKS[name]
 
 
-def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
-    """Register a task: its id with Gymnasium, its classes and its name for `make_policy`.
-
-    A second task of the same name replaces the first.
+def _checked_task(name: str, task: Any, *, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
+    """The task with its name, whose id Gymnasium knows then.
 
     Args:
+        name: of the task.
         task: to be registered.
         max_episode_steps: after which Gymnasium truncates its episodes.
 
@@ -111,60 +117,54 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
         The task.
 
     Raises:
-        ValueError: for another name than one word in capitals, and for a target or a group that
-            does not exist.
+        TypeError: for what is no task.
+        ValueError: for another name than one word in capitals, and for what the task lacks, or
+            names and does not exist.
     """
-    if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
+    if not isinstance(task, Task):
+        raise TypeError(f"the task {name!r} should be a Task, not {shown(task)}")
+    if not re.fullmatch("[A-Z][A-Za-z0-9]*", name):
         raise ValueError(
-            f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}"
+            f"a task's name should be one word in capitals such as 'TipPose', not {name!r}"
         )
+    if name in OF_BASES:
+        raise ValueError(
+            f"the task's name {name!r} is taken, by the class {name}Env: choose another"
+        )
+    if not task.errors:
+        raise ValueError(f"the task {name} lacks errors: at least one TrackingError is needed")
+    if "full" not in task.observations:
+        raise ValueError(f"the task {name} lacks the choice 'full' among its observations")
     groups = [*task.reference, *task.measured_reference]
     for names in task.observations.values():
         groups += names
-    _check_names(task, [task.target], [*TARGETS])
-    _check_names(task, groups, [*task.observable])
-    TASKS[task.name] = task
-    register_environment(task.name, max_episode_steps)
-    return task
+    _check_names(name, [task.target], [*TARGETS])
+    _check_names(name, groups, [*task.observable])
+    _check_names(name, [*task.reward], [*task.terms])
+    for error in task.errors:
+        for term in error.terms.keys() & TERMS.keys():
+            raise ValueError(
+                f"the task {name} has the error {error.name!r} with the reward term {term!r}, whose"
+                f" name is taken, by {TERMS.module_of(term)}: choose another name"
+            )
+    register_environment(name, max_episode_steps)
+    return replace(task, name=name)
 
 
-def _check_names(task: Task, names: Sequence[str], valid: Sequence[str]) -> None:
+def _check_names(task: str, names: Sequence[str], valid: Sequence[str]) -> None:
     """Raises ValueError for the first of a task's names that is not valid."""
     for name in names:
         if name not in valid:
-            raise ValueError(f"the task {task.name} names {name!r}: {not_among(name, valid)}")
+            raise ValueError(f"the task {task} names {name!r}: {not_among(name, valid)}")
 
 
-def task_of_class(name: str, suffix: str, module: str) -> Task:
-    """Registered task of the class `<task><suffix>`.
+TASKS: Registry[Task] = Registry("task", _checked_task)
+"""Every registered task, by its name."""
 
-    Args:
-        name: of the class.
-        suffix: after the task's name.
-        module: that was asked for the class, for messages.
-
-    Returns:
-        The task.
-
-    Raises:
-        AttributeError: as modules do for what they do not have.
-    """
-    task = name.removesuffix(suffix)
-    if not name.endswith(suffix) or task not in TASKS:
-        raise AttributeError(
-            f"module {module!r} has no attribute {name!r}; of tasks, {not_registered(task, TASKS)}"
-        )
-    return TASKS[task]
-
-
-def __getattr__(name: str) -> Task:
-    """A registered task by its name: for pickles."""
-    return task_of_class(name, "", __name__)
-
-
-TIP_POSE = register_task(
+TIP_POSE: Task = register(
+    "task",
+    "TipPose",
     Task(
-        name="TipPose",
         description="""
 ## Description
 The policy moves the tip of a tendon-driven soft arm along a moving pose: position and orientation.
@@ -233,12 +233,13 @@ Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
         reward={"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
         reference=("target_error", "preview"),
         measured_reference=("target_error", "preview"),
-    )
+    ),
 )
 
-SHAPE = register_task(
+SHAPE: Task = register(
+    "task",
+    "Shape",
     Task(
-        name="Shape",
         description="""
 ## Description
 The policy moves the whole arm through a sequence of shapes: the static equilibria under given
@@ -281,12 +282,13 @@ further terms, and their graded ones, with weight 0 by default.
         reference=("target_coordinates", "coordinate_preview"),
         measured_reference=("target_error", "preview", "wanted_coordinates"),
         shapes=True,
-    )
+    ),
 )
 
-REACH = register_task(
+REACH: Task = register(
+    "task",
+    "Reach",
     Task(
-        name="Reach",
         description="""
 ## Description
 The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned.
@@ -315,7 +317,7 @@ episode; `info["is_success"]` says whether the tip is there.
         },
         errors=(POSITION,),
         goal="tip position",
-    )
+    ),
 )
 
-__all__ = ["TASKS", "Task", "Tracking", "TrackingError", "register_task"]
+__all__ = ["TASKS", "Task", "Tracking", "TrackingError"]

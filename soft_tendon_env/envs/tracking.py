@@ -4,8 +4,8 @@ Reward terms are between 0 and 1, so that no episode gains by ending early; the 
 weighted mean. An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`. With several
 scales it counts as their mean: a small one, so that little errors matter, and larger ones, so that
 there is a slope from as far off as episodes begin. A task's errors make two terms each, of one
-scale and of GRADES of it; those of every task are in TERMS, and a user's own are functions of the
-tracking, see `register_reward_term`.
+scale and of GRADES of it; those of every task are in TERMS. A user's own are functions of the
+tracking under `@register("reward_term", "name")`, see `examples/own_reward.py`.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,6 +27,7 @@ from soft_tendon_env.tools.configuration import (
     not_among,
     shown,
 )
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
@@ -85,7 +86,10 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
 
 
 def _weight_of(value: Any) -> Weight:
-    """A weight of itself, a table or a number. Raises ConfigurationError."""
+    """A weight of itself, a table or a number.
+
+    Raises ConfigurationError.
+    """
     if isinstance(value, Weight):
         return value
     if isinstance(value, dict):
@@ -109,12 +113,25 @@ class Term(NamedTuple):
         return np.array(self.scale) * unit
 
 
-TERMS: Mapping[str, Term] = {"effort": Term(EFFORT), "smoothness": Term(SMOOTHNESS)}
-"""The terms that every task has besides those of its errors: mean square tension, as a part of the
-limits, and change of the action."""
+def _checked_term(name: str, function: Any) -> Term:
+    """Term of a function of the Tracking with values (rows,) between 0 and 1, 1 the best.
 
-OWN_TERMS: dict[str, Term] = {}
-"""The terms of `register_reward_term`, by name, which every task has too."""
+    No episode gains by ending early then. Raises TypeError, ValueError.
+    """
+    for error in ERRORS:
+        if name in error.terms:
+            raise ValueError(f"the reward term {name!r} is taken: choose another name")
+    if isinstance(function, Term):
+        return function
+    if not callable(function):
+        raise TypeError(
+            f"the reward term {name!r} should be a function of the Tracking, not {shown(function)}"
+        )
+    return Term(function)
+
+
+TERMS: Registry[Term] = Registry("reward_term", _checked_term)
+"""The terms that every task has besides those of its errors."""
 
 
 class Reward:
@@ -436,29 +453,12 @@ COORDINATES = TrackingError(
 )
 
 
-def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tracking], Array]:
-    """Function decorator: make a reward term available to every task and to the option `reward`.
+ERRORS = (POSITION, ANGLE, BACKBONE, COORDINATES)
+"""Errors of the package, whose terms no other may be called."""
 
-    A second function of the same name replaces the first.
-
-    Args:
-        function: takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that
-            no episode gains by ending early. Its name is the term's.
-
-    Returns:
-        The function itself.
-
-    Raises:
-        ValueError: for a name that a term of the package has.
-    """
-    name = function.__name__
-    taken = {*TERMS}
-    for error in (POSITION, ANGLE, BACKBONE, COORDINATES):
-        taken |= {*error.terms}
-    if name in taken:
-        raise ValueError(f"the reward term {name!r} is taken: choose another name")
-    OWN_TERMS[name] = Term(function)
-    return function
+# mean square tension, as a part of the limits, and change of the action
+register("reward_term", "effort", Term(EFFORT))
+register("reward_term", "smoothness", Term(SMOOTHNESS))
 
 
 class ErrorUnit(NamedTuple):

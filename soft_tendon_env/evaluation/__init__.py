@@ -1,5 +1,7 @@
-"""Evaluation of policies on fixed lists of episodes: tracking errors, settling times, effort, and
-their summaries."""
+"""Evaluation of policies on fixed lists of episodes, with summaries.
+
+Tracking errors, settling times and effort are measured.
+"""
 
 from soft_tendon_env.evaluation.conditions import (
     EVALUATION_SEEDS,

@@ -1,5 +1,7 @@
-"""Benchmark of policies on arms that none of them was made for: the same task, information and
-episodes for all."""
+"""Benchmark of policies on arms that none of them was made for.
+
+The task, the information and the episodes are the same for all.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -55,8 +57,10 @@ class BenchmarkPolicy(Configuration):
     told: bool = False
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
-        """Policies of which it consists, by seed of training; None: the only one. Raises
-        ValueError, OSError for what is none."""
+        """Policies of which it consists, by seed of training; None: the only one.
+
+        Raises ValueError, OSError for what is none.
+        """
         (files,) = agents_of(task, [self.policy]).values()
         if files.keys() == {None}:
             files = trained_alike(PolicyName.parse(self.policy, task))
@@ -112,9 +116,11 @@ class Benchmark(Workers):
         return self
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
-        """All that is to be played; and a line for every policy that is left out, since its files
-        are missing or no regime suffices for it, and one for those of which a wheel has one seed.
-        Raises ValueError where nobody is left."""
+        """All that is to be played, and lines about policies that are left out.
+
+        There is a line for every policy whose files are missing or for which no regime suffices,
+        and one for those of which a wheel has one seed. Raises ValueError where nobody is left.
+        """
         cells = dict[Label, Cell]()
         notes = list[str]()
         of_one_seed = list[str]()
@@ -135,7 +141,10 @@ class Benchmark(Workers):
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
-        """Labels and cells of a policy. Raises ValueError, OSError where it cannot play."""
+        """Labels and cells of a policy.
+
+        Raises ValueError, OSError where it cannot play.
+        """
         reasons = list[str]()
         plays = False
         members = entrant.members(self.task)
@@ -184,9 +193,11 @@ class Benchmark(Workers):
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
-    """Options of an environment in which a policy observes what it needs within a regime; users'
-    policies, unless they say otherwise, all that the task has and the regime allows. Raises
-    ValueError, OSError."""
+    """Options of an environment in which a policy observes what it needs within a regime.
+
+    Users' policies, unless they say otherwise, observe all that the task has and the regime allows.
+    Raises ValueError, OSError.
+    """
     if isinstance(policy, Controller):
         return policy.options({}, None if policy.estimator is None else regime)
     if isinstance(policy, Agent):
@@ -202,7 +213,9 @@ def misfit(
     regime: str,
 ) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can.
-    Raises ValueError."""
+
+    Raises ValueError.
+    """
     parsed = Options.parse(dict(options), "options")
     allowed = REGIMES[regime]
     if isinstance(policy, Agent):
@@ -210,7 +223,7 @@ def misfit(
         if period != parsed.control_period:
             return f"it was trained with control_period = {period}"
     groups = groups_of(parsed, TASKS[policy.task])
-    beyond = [name for name in groups if name not in allowed.groups]
+    beyond = [name for name in groups if name not in allowed.allowed]
     if beyond:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
@@ -222,8 +235,10 @@ def misfit(
 def standings_by_regime(
     benchmark: Benchmark, experiment: Experiment[Label]
 ) -> dict[str, Standings]:
-    """Standings by policy and setting, of every regime, once the experiment was played. Raises
-    ValueError, OSError."""
+    """Standings by policy and setting, of every regime, once the experiment was played.
+
+    Raises ValueError, OSError.
+    """
     standings = dict[str, dict[tuple[str, str], Standing]]()
     in_order = sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting))
     for label in in_order:
@@ -236,8 +251,10 @@ def standings_by_regime(
 
 
 def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -> str:
-    """A table per regime: errors by policy and setting, the gap of the best learned to the best
-    controller, and who is ahead."""
+    """Tables per regime: errors by policy and setting, gaps, and who is ahead.
+
+    A gap is that of the best learned policy to the best controller.
+    """
     played = {name for standings in by_regime.values() for name, _ in standings}
     models = dict[str, str]()
     learned = set[str]()
@@ -274,8 +291,10 @@ def gaps(
     learned: set[str],
     key: str,
 ) -> dict[str, Mean]:
-    """By how much the best learned policy has more of an error, or less return, than the best
-    controller, by setting where both play."""
+    """Gaps of the best learned policy to the best controller, by setting where both play.
+
+    A gap says by how much the learned policy has more of an error, or less return.
+    """
     sign = -1.0 if key == "return" else 1.0
     by_setting = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in standings):
@@ -304,8 +323,10 @@ def _least(
 
 
 def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
-    """Sentences that say, by every label, where the interval of its gap leaves out zero, and on
-    which side; none without gaps."""
+    """Sentences that say, by every label, on which side of zero its gap lies.
+
+    They stand where the interval leaves out zero; there are none without gaps.
+    """
     texts = list[str]()
     for label, gap in apart.items():
         settings_by_side = dict[str, list[str]]()

@@ -1,5 +1,6 @@
-"""Comparison of policies: controllers and agents on the same episodes, with the arm as their model
-says and with one that differs from it.
+"""Comparison of policies: controllers and agents on the same episodes.
+
+They play on the arm as their model says, and on one that differs from it.
 
 A folder of runs is one policy of several seeds, see entrants.py. Times per action are those of a
 single arm over the first episode, with nothing beside it.
@@ -42,9 +43,12 @@ def shared_arms(
     task: str,
     files: Files,
 ) -> Arms:
-    """Environments in which policies act on the same arm: that of the settings' options, and where
-    these leave it open the one that the agents were trained on, which is printed on the error
-    stream. Raises ValueError, also where agents differ in that, OSError."""
+    """Environments in which policies act on the same arm.
+
+    It is that of the settings' options, and where these leave it open the one that the agents were
+    trained on, which is printed on the error stream. Raises ValueError, also where agents differ in
+    that, OSError.
+    """
     policies = dict[str, PolicyName]()
     arms = dict[str, Mapping[str, Any]]()  # of the agents that were trained on one
     for by_seed in files.values():
@@ -94,9 +98,11 @@ def make_cell(
     options: dict[str, Any],
     error: str = TIME,
 ) -> Cell:
-    """A policy under a condition, which overrides what the options have drawn. TIME: its first
-    episode on the arm of the model, with nothing beside it, for times per action and for
-    recordings. Raises ValueError."""
+    """A policy under a condition, which overrides what the options have drawn.
+
+    TIME: its first episode on the arm of the model, with nothing beside it, for times per action
+    and for recordings. Raises ValueError.
+    """
     if error == TIME:
         return Cell(
             task,
@@ -127,8 +133,11 @@ def compare(
     arms: Arms,
     folder: Path,
 ) -> Experiment[tuple[str, str]]:
-    """Experiment of every policy with every model error, and under TIME alone on the arm of its
-    model. Raises ValueError, OSError for policies that cannot act there."""
+    """Experiment of every policy with every model error.
+
+    Under TIME each is alone on the arm of its model. Raises ValueError, OSError for policies that
+    cannot act there.
+    """
     seeds = EVALUATION_SEEDS[: settings.episodes]
     labels = [(policy, TIME) for policy in arms]
     labels += [(policy, error) for policy in arms for error in settings.errors]
@@ -141,8 +150,10 @@ def compare(
 def standings_of(
     experiment: Experiment[tuple[str, str]], files: Files
 ) -> tuple[Standings, Summaries]:
-    """Standings by policy and model error; and summaries, with the times per action. Raises
-    ValueError, OSError."""
+    """Standings by policy and model error; and summaries, with the times per action.
+
+    Raises ValueError, OSError.
+    """
     errors = dict.fromkeys(error for _, error in experiment.cells)
     standings = dict[tuple[str, str], Standing]()
     summaries = dict[tuple[str, str], Summary]()
@@ -164,8 +175,11 @@ def numbers_table(
     files: Files,
     summaries: Summaries,
 ) -> str:
-    """Table of all numbers: a row per model error of a single policy; of several a row each, on the
-    arm of the model, or under the first model error that there is. Raises ValueError, OSError."""
+    """Table of all numbers, by model error or by policy.
+
+    It has a row per model error of a single policy; of several a row each, on the arm of the model,
+    or under the first model error that there is. Raises ValueError, OSError.
+    """
     models = dict[str, str]()
     for policy, by_seed in files.items():
         first = next(iter(by_seed.values()))
@@ -187,8 +201,10 @@ def results_record(
     standings: Standings,
     summaries: Summaries,
 ) -> dict[str, Any]:
-    """All results of a task for JSON: settings, every policy's environment as resolved, summaries
-    and episodes."""
+    """All results of a task for JSON.
+
+    They are settings, every policy's environment as resolved, summaries and episodes.
+    """
     environments = {
         policy: Options(**options).model_dump(mode="json") for policy, options in arms.items()
     }
@@ -224,8 +240,9 @@ def record_side_by_side(
     label: str = "recording",
     new: bool = True,
 ) -> SideBySide:
-    """Episodes of several policies, each in its single environment; all play the same seeds, which
-    go to the arm of the policy's name in an open RerunFile.
+    """Records episodes of several policies, each in its single environment.
+
+    All play the same seeds, which go to the arm of the policy's name in an open RerunFile.
 
     Args:
         players: policies and their environments, by name.

@@ -1,14 +1,18 @@
-"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the
-episodes."""
+"""Conditions of an evaluation, and the seeds of the episodes.
+
+A condition says what differs from the arm that policies know.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from soft_tendon_env.envs.options import given_scene
+from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.policies.regimes import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import not_among, plain
+from soft_tendon_env.tools.configuration import ConfigurationError, not_among, plain, shown
+from soft_tendon_env.tools.registry import Registry, register
 
 NOMINAL = "nominal"
 AND = ","  # between the names of conditions that hold together
@@ -16,8 +20,11 @@ AND = ","  # between the names of conditions that hold together
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes
-    of the scene by dotted keys, and other options of the environment."""
+    """Difference of an episode from nominal, unknown to the policy.
+
+    It has values of `randomize`, changes of the scene by dotted keys, and other options of the
+    environment.
+    """
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
@@ -25,8 +32,16 @@ class Condition:
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The given options of an environment under this condition, which overrides what they have
-        drawn."""
+        """Returns options of an environment under this condition.
+
+        It overrides what the options have drawn.
+
+        Args:
+            given: options without the condition.
+
+        Returns:
+            Options by name.
+        """
         options = dict(given)
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
@@ -39,7 +54,23 @@ class Condition:
         return options
 
 
-MODEL_ERRORS: dict[str, Condition] = {
+def _checked_condition(name: str, condition: Any) -> Condition:
+    """The condition itself. Raises TypeError, ValueError where it does not do."""
+    if not isinstance(condition, Condition):
+        raise TypeError(f"the condition {name!r} should be a Condition, not {shown(condition)}")
+    if AND in name:
+        raise ValueError(f"the condition's name {name!r} has {AND!r}, which stands between names")
+    try:
+        Randomization(**condition.randomize)
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, f"the condition {name!r}") from error
+    return condition
+
+
+MODEL_ERRORS: Registry[Condition] = Registry("condition", _checked_condition)
+"""Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
+
+_SHIPPED: dict[str, Condition] = {
     NOMINAL: Condition("the arm as its model says"),
     "stiffness-20%": Condition(randomize={"stiffness": 0.8}),
     "stiffness+20%": Condition(randomize={"stiffness": 1.2}),
@@ -51,7 +82,9 @@ MODEL_ERRORS: dict[str, Condition] = {
     "noise": Condition(randomize={"noise": {**NOISE, "curvature_rate": 0.5, "stretch_rate": 0.01}}),
     "latency-20ms": Condition(randomize={"latency": 0.02}),
 }
-"""Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
+
+for _name, _condition in _SHIPPED.items():
+    register("condition", _name, _condition)
 
 
 def _pushes(scene: Scene) -> dict[str, Any]:
@@ -66,8 +99,10 @@ def _pushes(scene: Scene) -> dict[str, Any]:
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
-    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one
-    along z, and begin beside it."""
+    """Two balls that swing through the middle of the arm's space, and begin beside it.
+
+    One swings along the base's y axis, one along z.
+    """
     length = rod_length(scene)
     base = scene.base.pose
     swing = 0.25 * length
@@ -146,8 +181,17 @@ SETTINGS: dict[str, Condition] = {
 
 
 def model_error(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g".
-    Raises ValueError for unknown names, and where two set the same value."""
+    """Returns the condition of a name of MODEL_ERRORS, or of several together.
+
+    Args:
+        names: one name, or several, "stiffness+20%,payload-20g".
+
+    Returns:
+        The condition.
+
+    Raises:
+        ValueError: for unknown names, and where two set the same value.
+    """
     parts = list[Condition]()
     for name in names.split(AND):
         if name not in MODEL_ERRORS:

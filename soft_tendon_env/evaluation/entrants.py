@@ -1,12 +1,14 @@
-"""Policies that are compared: single ones, and folders of runs, as `soft-tendon sweep` leaves them,
-several seeds of one training."""
+"""Policies that are compared: single ones, and folders of runs.
+
+`soft-tendon sweep` leaves a folder with several seeds of one training.
+"""
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control import controllers_of
 from soft_tendon_env.policies.agent import find_agent, is_agent
 from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
 from soft_tendon_env.tools.files import read_json
@@ -17,12 +19,14 @@ ALIKE = ("task", "algorithm", "hyperparameters", "options", "steps")
 
 
 def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str]]:
-    """Policies of every name by seed of training, None: no folder of seeds; "all" is every
-    controller. Raises ValueError, OSError."""
+    """Policies of every name by seed of training, None: no folder of seeds.
+
+    The name "all" is every controller. Raises ValueError, OSError.
+    """
     every = list[str]()
     for name in names:
         if name == ALL:
-            every += CONTROLLERS.get(task, {})
+            every += controllers_of(task)
         else:
             every.append(name)
     agents = dict[str, dict[int | None, str]]()
@@ -34,9 +38,11 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
 
 
 def trained_alike(policy: PolicyName) -> dict[int | None, str]:
-    """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ... beside
-    its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
-    trained alike."""
+    """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ...
+
+    beside its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
+    trained alike.
+    """
     folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
@@ -50,8 +56,11 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
-    """Best agents of the runs of a folder by seed; none of what is no such folder, as an agent's
-    own. Raises ValueError, OSError unless all were trained on the task, and alike."""
+    """Best agents of the runs of a folder, by seed.
+
+    There are none in another folder, such as an agent's own. Raises ValueError, OSError unless all
+    were trained on the task, and alike.
+    """
     if not any(folder.glob("seed_*")) or is_agent(str(folder)):
         return {}
     runs = seed_folders(folder)
@@ -66,8 +75,7 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
 
 
 def check_alike(folders: Sequence[Path], task: str) -> None:
-    """Raises ValueError, OSError unless the runs or agents in all folders were trained on the task,
-    and alike."""
+    """Raises ValueError, OSError unless all runs or agents were trained on the task, and alike."""
     first: dict[str, Any] = {"task": task}
     for folder in folders:
         config = read_run(folder)
@@ -82,8 +90,10 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
-    """Runs seed_0, seed_1, ... of a folder by seed, in their order. Raises FileNotFoundError where
-    there are none."""
+    """Runs seed_0, seed_1, ...
+
+    of a folder by seed, in their order. Raises FileNotFoundError where there are none.
+    """
     runs = list[tuple[int, Path]]()
     for path in folder.glob("seed_*"):
         match = SEED.fullmatch(path.name)
@@ -98,7 +108,10 @@ def seed_folders(folder: Path) -> dict[int, Path]:
 
 
 def read_run(run: Path) -> dict[str, Any]:
-    """Configuration of a run. Raises ValueError, FileNotFoundError without one."""
+    """Configuration of a run.
+
+    Raises ValueError, FileNotFoundError without one.
+    """
     path = run / "config.json"
     if not path.is_file():
         raise FileNotFoundError(
@@ -108,9 +121,11 @@ def read_run(run: Path) -> dict[str, Any]:
 
 
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
-    """A policy's use of a model of the arm at run time, in words: "none" for agents, "own" for
-    users' policies, of which it is not known. told: whether a controller's model has the effects of
-    a benchmark's setting."""
+    """A policy's use of a model of the arm at run time, in words.
+
+    It is "none" for agents, "own" for users' policies, of which it is not known. told: whether a
+    controller's model has the effects of a benchmark's setting.
+    """
     if isinstance(policy, Controller):
         words = ["controller"]
         if policy.estimator is not None:

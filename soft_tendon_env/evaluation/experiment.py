@@ -1,5 +1,6 @@
-"""Experiments: policies x conditions x seeds, as cells that are played once, kept in a file each,
-and so go on where they were stopped.
+"""Experiments: policies x conditions x seeds, as cells that are played once.
+
+Each is kept in a file, so that an experiment goes on where it was stopped.
 
 A cell's file is named after a digest of the cell, its scenes, the policy's files, and the sources:
 what changes is played again.
@@ -39,8 +40,9 @@ Label = TypeVar("Label", bound=Hashable)
 
 
 class Cell(NamedTuple):
-    """Unit of work: a policy under a condition, over its episodes. Plain values, which other
-    processes and machines can get.
+    """Unit of work: a policy under a condition, over its episodes.
+
+    Plain values, which other processes and machines can get.
 
     options: of the environment. seconds: length of an episode; errors count from `skip` [s] on.
     alone: played with nothing beside it, for times per action. rows: episodes are side by side,
@@ -59,8 +61,10 @@ class Cell(NamedTuple):
     controller_scene: Mapping[str, Any] | None = None
 
     def open(self) -> tuple[Policy, Any]:
-        """The policy and its environment: a single one, or with a row per seed. Raises
-        ConfigurationError, ValueError, OSError."""
+        """The policy and its environment: a single one, or with a row per seed.
+
+        Raises ConfigurationError, ValueError, OSError.
+        """
         steps = episode_steps(self.seconds, self.skip, self.options)
         options: dict[str, Any] = {"max_episode_steps": steps, **self.options}
         name = PolicyName.parse(self.policy, self.task)
@@ -77,8 +81,10 @@ class Cell(NamedTuple):
             return name.load(env, scene, other_effects=has_other_effects), env
 
     def key(self, code: str) -> str:
-        """Digest of all that the result depends on, with the sources' `code`. Raises
-        ConfigurationError, ValueError, OSError."""
+        """Digest of all that the result depends on, with the sources' `code`.
+
+        Raises ConfigurationError, ValueError, OSError.
+        """
         options = Options.parse(self.options, "options")
         policy = PolicyName.parse(self.policy, self.task)
         both = resolved_scene(options), believed_scene(policy, self.controller_scene)
@@ -98,8 +104,11 @@ class Cell(NamedTuple):
 
 
 def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller or a user's policy believes in, at BELIEF unless its name says a
-    fidelity; None for agents, and without the option `scene` of such an arm. Raises ValueError."""
+    """Scene of the model that a controller or a user's policy assumes.
+
+    It is at BELIEF unless its name says a fidelity; None for agents, and without the option `scene`
+    of such an arm. Raises ValueError.
+    """
     if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
     scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
@@ -116,8 +125,10 @@ def _files_in(value: Any) -> Iterator[str]:
 
 
 def code_digest() -> str:
-    """Digest of the package's sources, and of loaded modules that are not installed, which may
-    register controllers or metrics."""
+    """Digest of the package's sources, and of loaded modules that are not installed.
+
+    These may register controllers or metrics.
+    """
     installed = [Path(sysconfig.get_path(name)) for name in FOLDERS]
     own = sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz")
     paths = set[Path]()
@@ -134,7 +145,10 @@ def code_digest() -> str:
 
 
 def measure(cell: Cell) -> list[EpisodeScore]:
-    """Scores of a cell, one per seed. Raises ValueError, OSError."""
+    """Scores of a cell, one per seed.
+
+    Raises ValueError, OSError.
+    """
     policy, env = cell.open()
     try:
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
@@ -153,8 +167,10 @@ class Experiment(Generic[Label]):
     """
 
     def __init__(self, cells: Mapping[Label, Cell], folder: Path) -> None:
-        """Cells that are played alone are opened: what is wrong with a policy is said before
-        anything takes long."""
+        """Opens the cells that are played alone.
+
+        An error of a policy is then raised before anything takes long.
+        """
         code = code_digest()
         self.cells = cells
         self._folder = folder
@@ -178,8 +194,10 @@ class Experiment(Generic[Label]):
         workers: int,
         cluster: str | None = None,
     ) -> None:
-        """Play the cells that are missing, see `run_all`, and keep each result as soon as it is
-        there. The title begins the names of the progress bars. Raises as `measure`."""
+        """Plays the cells that are missing, and keeps each result when it has come.
+
+        See `run_all`. The title begins the names of the progress bars. Raises as `measure`.
+        """
         where = origin()
         left = self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -216,7 +234,10 @@ class Experiment(Generic[Label]):
             )
 
     def scores(self, label: Label) -> list[EpisodeScore]:
-        """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
+        """Scores of a cell's episodes.
+
+        Raises ValueError for a damaged result, OSError.
+        """
         path = self._paths[label]
         try:
             return list(map(score_from, read_json(path)["scores"]))

@@ -1,7 +1,7 @@
 """Metrics of episodes, each defined once: errors, settling, effort, chatter, time per action.
 
-`score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to
-METRICS: tables and files follow.
+`score` judges an `Episode`; summaries.py puts scores together. `register("metric", "name",
+Metric(...))` adds a metric: tables and files follow.
 """
 
 import math
@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.tools.checks import checked_number
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
@@ -47,9 +49,12 @@ class Episode:
 
 
 class Metric(NamedTuple):
-    """Number of an episode: its heading in tables, with the unit, and its function of the episode
-    and the first sample that counts, in SI units. factor: from these to the heading's unit. Of
-    several episodes it is the root mean square. NaN: the episode has none."""
+    """Number of an episode, with its heading in tables.
+
+    The heading has the unit; the function is of the episode and the first sample that counts, in SI
+    units. factor: from these to the heading's unit. Of several episodes it is the root mean square.
+    NaN: the episode has none.
+    """
 
     heading: str
     of_episode: Callable[[Episode, int], float]
@@ -71,7 +76,7 @@ class ErrorScore(NamedTuple):
 
 @dataclass(frozen=True)
 class EpisodeScore:
-    """An episode in numbers.
+    """Scores of an episode.
 
     Attributes:
         errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.
@@ -99,8 +104,10 @@ class EpisodeScore:
 
     @property
     def bad(self) -> bool:
-        """Whether the episode diverged, or its first error is above BAD times the rod's length as
-        root mean square."""
+        """Whether the episode diverged, or its first error is large.
+
+        It is large as root mean square above BAD times the rod's length.
+        """
         return (
             self.diverged is not None
             or not next(iter(self.errors.values())).rms <= BAD * self.length
@@ -108,8 +115,11 @@ class EpisodeScore:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that has an interquartile mean over episodes, by name: NaN where an episode has no
-        such number, but infinite errors and chatter where it diverged."""
+        """All numbers that have an interquartile mean over episodes, by name.
+
+        They are NaN where an episode has no such number, but infinite errors and chatter where it
+        diverged.
+        """
         numbers = dict[str, float]()
         for name, error in self.errors.items():
             numbers[f"{name}_rms"] = error.rms
@@ -132,14 +142,19 @@ def record(score: Any) -> dict[str, Any]:
 
 
 def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
-    """Score from its `record`. Raises KeyError, TypeError for another."""
+    """Score from its `record`.
+
+    Raises KeyError, TypeError for another.
+    """
     errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
     return EpisodeScore(**{**saved, "errors": errors})
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
-    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also
-    where the episode ended before that."""
+    """Score of an episode; errors count from `skip` [s] on.
+
+    Raises TypeError, ValueError, also where the episode ended before that.
+    """
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
     first = math.ceil(skip / episode.period - 1e-9)
     steps = len(episode.reward)
@@ -179,10 +194,12 @@ def has_settled(
 
 
 def chatter(tension: Array, period: float) -> float:
-    """Root mean square [N], over time and tendons, of what lies above FAST in the changes of
-    tensions (m, n_a) [N] from one control period [s] to the next: by the Fourier transform under a
-    Hann window. Zero where the period is too long for such frequencies, else NaN for fewer than 8
-    changes."""
+    """Chatter: root mean square [N], over time and tendons, of fast changes of tensions.
+
+    Fast is what lies above FAST in the changes of tensions (m, n_a) [N] from one control period [s]
+    to the next: by the Fourier transform under a Hann window. Zero where the period is too long for
+    such frequencies, else NaN for fewer than 8 changes.
+    """
     if 2.0 * FAST * period >= 1.0:
         return 0.0
     change = np.diff(tension, axis=0)
@@ -204,11 +221,35 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
-METRICS: dict[str, Metric] = {
-    "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
-    "chatter": Metric(
-        "chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)
-    ),
-}
+OTHER_NUMBERS = ("return", "seconds")
+"""Names of numbers of a score that are no metrics."""
+
+
+def _checked_metric(name: str, metric: Any) -> Metric:
+    """The metric itself. Raises TypeError, ValueError where it lacks something."""
+    if not isinstance(metric, Metric):
+        raise TypeError(f"the metric {name!r} should be a Metric, not {shown(metric)}")
+    if not callable(metric.of_episode):
+        raise TypeError(
+            f"the metric {name!r} has of_episode = {shown(metric.of_episode)}: it should be a"
+            " function of an episode and the first sample that counts"
+        )
+    if name in OTHER_NUMBERS:
+        raise ValueError(f"the metric's name {name!r} is taken, by a number of every score")
+    return metric
+
+
+METRICS: Registry[Metric] = Registry("metric", _checked_metric)
 """Metrics by name: tensions applied over tendons and time, and what of their changes lies above
 FAST."""
+
+register(
+    "metric",
+    "effort",
+    Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
+)
+register(
+    "metric",
+    "chatter",
+    Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
+)

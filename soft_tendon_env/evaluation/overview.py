@@ -1,5 +1,6 @@
-"""Overview picture of policies on the same episode: shapes of one arm on its way, paths of all
-tips, errors over time, and numbers.
+"""Overview picture of policies on the same episode.
+
+It has shapes of one arm on its way, paths of all tips, errors over time, and numbers.
 
 It is read on a phone at a third of its size: large letters, few parts, one above the other.
 """
@@ -68,8 +69,10 @@ class Overview(NamedTuple):
 
 
 def draw_overview(overview: Overview, path: Path) -> None:
-    """Draw shapes, paths, errors and numbers into one picture. Raises ValueError for rollouts
-    without target poses, OSError."""
+    """Draw shapes, paths, errors and numbers into one picture.
+
+    Raises ValueError for rollouts without target poses, OSError.
+    """
     figure = plt.figure(figsize=SIZE, layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=HEIGHTS, width_ratios=WIDTHS)
     figure.suptitle(overview.headline, fontsize=HEADLINE, fontweight="bold")
@@ -86,8 +89,10 @@ def draw_arm(
     overview: Overview,
     looks: Mapping[str, Style],
 ) -> None:
-    """Draw backbones of one arm and its target's path, as the camera of frames sees them from
-    higher up."""
+    """Draws backbones of one arm and its target's path.
+
+    The camera of frames sees them, from higher up.
+    """
     rollout = overview.rollouts[overview.bent]
     _, _, vertical, upright = shapes.view_box(rollout.model.scene)
     camera = shapes.viewpoint(vertical, upright, ELEVATION)
@@ -111,8 +116,10 @@ def draw_arm(
 
 
 def backbones_on_the_way(rollout: Rollout) -> Array:
-    """Backbones (SHAPES, points, 3) [m] of the arm at equal distances in time, those of the first
-    and of the last sample among them."""
+    """Backbones (SHAPES, points, 3) [m] of the arm at equal distances in time.
+
+    Those of the first and of the last sample are among them.
+    """
     samples = np.linspace(0, rollout.samples - 1, SHAPES).round().astype(int)
     stations = shapes.drawing_stations(rollout.model, STATIONS)
     base = shapes.base_poses(rollout.model, samples * rollout.period, rollout.scene)
@@ -121,7 +128,10 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
 
 
 def target_path(rollout: Rollout) -> Array:
-    """Positions (samples, 3) [m] of a rollout's target. Raises ValueError where it has no poses."""
+    """Positions (samples, 3) [m] of a rollout's target.
+
+    Raises ValueError where it has no poses.
+    """
     if rollout.target_pose is None:
         raise ValueError("rollouts should have target_pose, as those of TipPose have")
     return shapes.positions(rollout.target_pose)
@@ -132,8 +142,10 @@ def draw_paths(
     overview: Overview,
     looks: Mapping[str, Style],
 ) -> None:
-    """Draw the paths of all tips and of their target, as seen along the straight arm from its
-    tip."""
+    """Draws the paths of all tips and of their target.
+
+    They are seen along the straight arm from its tip.
+    """
     first = next(iter(overview.rollouts.values()))
     across = first.model.scene.base.pose[:3, 1:3]  # (3, 2), from the world to the picture
     target = target_path(first) @ across
@@ -157,8 +169,10 @@ def draw_paths(
 
 
 def line_widths(overview: Overview) -> dict[str, float]:
-    """Widths [pt] of lines by policy, from wide to thin in the order of drawing, so that each can
-    be seen on those below it."""
+    """Widths [pt] of lines by policy, from wide to thin in the order of drawing.
+
+    Each can so be seen on those below it.
+    """
     widths = np.linspace(WIDEST, THINNEST, len(overview.rollouts)).tolist()
     by_policy = dict(zip(overview.rollouts, widths, strict=True))
     for name, rollout in overview.rollouts.items():

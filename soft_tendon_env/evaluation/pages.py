@@ -1,5 +1,6 @@
-"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp
-that says what made it.
+"""Generated blocks of documents, and the stamp that says what made them.
+
+A command writes a block between two lines of a page.
 
 <!-- made {"command": ..., "commit": ..., "made": ...} -->
 <small>Made by `soft-tendon ...` at commit ..., on ...</small>
@@ -56,8 +57,9 @@ def stamp() -> str:
 
 
 class Page:
-    """File in which generated blocks stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`;
-    without a path nothing is written.
+    """File in which generated blocks stand between `<!-- NAME -->` and `<!-- /NAME -->`.
+
+    Without a path nothing is written.
 
     Raises as `around_markers` for names whose lines are not there.
     """
@@ -69,8 +71,10 @@ class Page:
                 around_markers(self._path, name)
 
     def write(self, name: str, text: str) -> None:
-        """Replaces what stands between the lines of a name, with a stamp before it. Raises as
-        `around_markers`, OSError."""
+        """Replaces what stands between the lines of a name, with a stamp before it.
+
+        Raises as `around_markers`, OSError.
+        """
         if self._path is not None:
             before, after = around_markers(self._path, name)
             with replacing(self._path) as path:
@@ -79,8 +83,10 @@ class Page:
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """Text before and after the markers in a file, with them. Raises ValueError,
-    FileNotFoundError."""
+    """Text before and after the markers in a file, with them.
+
+    Raises ValueError, FileNotFoundError.
+    """
     begin = f"<!-- {name} -->"
     end = f"<!-- /{name} -->"
     content = read_text(path)

@@ -22,8 +22,10 @@ SPREAD = 0.7  # part of a condition's width over which its policies are spread
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
-    """Draw interquartile means of the first error with their intervals, by title of a panel, policy
-    and condition. Raises OSError."""
+    """Draws interquartile means of the first error with their intervals.
+
+    They are by title of a panel, policy and condition. Raises OSError.
+    """
     figure, columns = plt.subplots(
         len(panels),
         1,
@@ -83,7 +85,10 @@ def _draw_panel(
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a picture, print its path, and close the figure. Raises OSError."""
+    """Write a picture, print its path, and close the figure.
+
+    Raises OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DOTS)
     plt.close(figure)
@@ -91,7 +96,10 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def set_log_scale(axes: Axes, axis: Axis) -> None:
-    """Make an axis logarithmic, with labels at 1, 2, 5, 10, ... and room around."""
+    """Make an axis logarithmic, with labels at 1, 2, 5, 10, ...
+
+    and room around.
+    """
     axes.set(**{"xscale" if axis is axes.xaxis else "yscale": "log"})
     axes.margins(0.1)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -1,5 +1,6 @@
-"""Episodes of any policy, played by one loop of `predict` and `step`: one arm at a time, or many
-side by side as rows.
+"""Episodes of any policy, played by one loop of `predict` and `step`.
+
+It plays one arm at a time, or many side by side as rows.
 
     scores = evaluate(policy, env, EVALUATION_SEEDS)
     print(summarise(scores).errors["position_error"].rms)
@@ -36,10 +37,20 @@ def evaluate(
     seeds: Iterable[int],
     skip: float = 1.0,
 ) -> list[EpisodeScore]:
-    """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
+    """Scores a policy on one episode per seed.
 
-    Raises TypeError for environments of other packages, ValueError for episodes that end before
-    `skip` or have no end.
+    Args:
+        policy: with `predict` as of Stable-Baselines3.
+        env: environment with one arm of this package, whose episodes end.
+        seeds: of `reset`.
+        skip: time [s] from which on errors count.
+
+    Returns:
+        Scores in the order of the seeds.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for episodes that end before `skip` or have no end.
     """
     if isinstance(env, TendonRodEnv):
         raise ValueError(
@@ -56,9 +67,25 @@ def evaluate_rows(
     seeds: Sequence[int],
     skip: float = 1.0,
 ) -> list[EpisodeScore]:
-    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment
-    plays the one of seeds[i]. The time of an action is that of all rows divided by their number.
-    Raises as `evaluate`, ValueError unless there is a row per seed."""
+    """Scores a policy on episodes side by side, as `evaluate` does.
+
+    Row i of a vector environment plays the episode of seeds[i]. The time of an action is that of
+    all rows divided by their number.
+
+    Args:
+        policy: with `predict` as of Stable-Baselines3.
+        envs: vector environment of this package with a step limit and `autoreset_mode="next_step"`.
+        seeds: of `reset`, one per row.
+        skip: time [s] from which on errors count.
+
+    Returns:
+        Scores in the order of the seeds.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for another number of seeds, another reset mode, or episodes that end before
+            `skip` or have no end.
+    """
     inner = checked_type(
         "envs",
         envs.unwrapped,
@@ -81,8 +108,10 @@ def evaluate_rows(
 
 
 class Step(NamedTuple):
-    """One control period of all rows: rewards (rows,), rows that ended (rows,), and the time [s]
-    that each action took."""
+    """One control period of all rows.
+
+    It has rewards (rows,), rows that ended (rows,), and the time [s] that each action took.
+    """
 
     reward: Array
     ended: NDArray[np.bool_]
@@ -94,9 +123,11 @@ def play_steps(
     env: Env,
     seeds: Sequence[int],
 ) -> Iterator[Step]:
-    """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector
-    environment has a row per seed, any other one seed. `env` stands where the step left it when a
-    step is yielded."""
+    """Steps of an episode per seed, without end: the reset comes first, with zeros.
+
+    A vector environment has a row per seed, any other one seed. `env` stands where the step left it
+    when a step is yielded.
+    """
     rows = len(seeds)
     # of an int Gymnasium would make the seeds of rows itself
     seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]

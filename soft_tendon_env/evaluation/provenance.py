@@ -52,8 +52,10 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """Commit of the clone that the package is in, with "+" where other files than documents differ;
-    None for an installed package."""
+    """Commit of the clone that the package is in; None for an installed package.
+
+    It has "+" where other files than documents differ.
+    """
     if not (PACKAGE.parent / ".git").exists():
         return None
     commands = (["rev-parse", "HEAD"], ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"])
@@ -84,8 +86,10 @@ def write_json(
     content: Any,
     say: bool = True,
 ) -> None:
-    """Write a JSON file, and print its path; numbers that are not finite become null, which is what
-    JSON has. Raises OSError."""
+    """Writes a JSON file, and prints its path.
+
+    Numbers that are not finite become null, which JSON has. Raises OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     plain = json.loads(json.dumps(content), parse_constant=lambda number: None)
     path.write_text(json.dumps(plain, indent=1) + "\n")

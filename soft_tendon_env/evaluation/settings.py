@@ -1,5 +1,7 @@
-"""Settings of experiments, as files and command lines have them: episodes, conditions, policies,
-workers."""
+"""Settings of experiments, as files and command lines have them.
+
+They are episodes, conditions, policies and workers.
+"""
 
 import math
 from collections.abc import Mapping
@@ -98,8 +100,10 @@ def episode_steps(
     skip: float,
     options: Mapping[str, Any],
 ) -> int:
-    """Control periods of an episode in an environment with these options. Raises
-    ConfigurationError, ValueError."""
+    """Control periods of an episode in an environment with these options.
+
+    Raises ConfigurationError, ValueError.
+    """
     period = Options.parse(options, "options").control_period
     steps = seconds / period
     if steps > MOST_STEPS:

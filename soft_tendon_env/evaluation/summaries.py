@@ -1,5 +1,6 @@
-"""Summaries of episodes: root mean squares, interquartile means, their intervals, differences of
-pairs.
+"""Summaries of episodes: root mean squares, interquartile means, intervals, differences.
+
+Differences are of pairs.
 
 After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice",
 NeurIPS 2021. `tails` say what the middle half hides. NaN, a run without a number, counts as larger
@@ -30,8 +31,10 @@ CONFIDENCE = 0.95
 
 
 def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
-    """Mean of the middle half along an axis, NaN where no value remains that is one: a quarter of
-    the count is cut at either end, rounded down. Raises ValueError without any."""
+    """Mean of the middle half along an axis, NaN where no value remains that is one.
+
+    A quarter of the count is cut at either end, rounded down. Raises ValueError without any.
+    """
     ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
     if not len(ordered):
         raise ValueError("values should have at least one run")
@@ -41,8 +44,10 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
 
 def tails(values: ArrayLike) -> tuple[float, float]:
-    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and
-    there is at least one."""
+    """Mean of all values, of any shape, and their percentile HIGH.
+
+    Values may be infinite, and there is at least one.
+    """
     ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
     places = np.arange(ordered.size)
     percentile = np.interp(HIGH * (ordered.size - 1) / 100, places, ordered)
@@ -83,9 +88,10 @@ def bootstrap_interval(
 
 @dataclass(frozen=True)
 class Summary:
-    """Scores of several episodes together. Where some diverged, the numbers are those of the
-    others, NaN if none lived; but for the mean return, the goals reached and the time, which are of
-    all.
+    """Summary of the scores of several episodes.
+
+    Where some diverged, the numbers are those of the others, NaN if none lived; but for the mean
+    return, the goals reached and the time, which are of all.
 
     Attributes:
         errors: `rms` over all samples of all episodes (these are alike in number), the others means
@@ -108,7 +114,17 @@ class Summary:
 
 
 def summarise(scores: Sequence[EpisodeScore]) -> Summary:
-    """Summary of episodes of one policy and task. Raises ValueError without any."""
+    """Summarises the scores of episodes of one policy and task.
+
+    Args:
+        scores: of the episodes, at least one.
+
+    Returns:
+        Errors, metrics, returns and times of all of them together.
+
+    Raises:
+        ValueError: without scores.
+    """
     if not scores:
         raise ValueError("scores should have at least one episode")
     # errors and metrics are of the episodes that lived
@@ -137,9 +153,11 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
 
 
 def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
-    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean
-    square and CHATTER_COST times the chatter, at most WORST, which is that of an episode that
-    diverged, both times the rod's length."""
+    """Cost [m] by which parameters are tuned.
+
+    It is the mean over episodes of the first error's root mean square and CHATTER_COST times the
+    chatter, at most WORST, which is that of an episode that diverged, both times the rod's length.
+    """
 
     def cost(score: EpisodeScore) -> float:
         worst = WORST * score.length
@@ -161,8 +179,10 @@ class Mean(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Scores of a policy's episodes by member: a controller is one, an agent has one per seed of
-    its training."""
+    """Scores of a policy's episodes by member.
+
+    A controller is one, an agent has one per seed of its training.
+    """
 
     scores: Sequence[Sequence[EpisodeScore]]
 
@@ -181,8 +201,10 @@ class Standing(NamedTuple):
         return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
 
     def mean(self, key: str) -> Mean:
-        """Interquartile mean over all episodes of all members; members and episodes are drawn anew
-        for its interval."""
+        """Interquartile mean over all episodes of all members, with its interval.
+
+        Members and episodes are drawn anew for the interval.
+        """
         values = self.values(key)
         return Mean(
             float(interquartile_mean(values.ravel())),
@@ -195,9 +217,12 @@ def difference(
     other: Standing,
     key: str,
 ) -> Mean:
-    """Interquartile mean of a policy less that of another of a single member, and its interval by
-    the paired bootstrap: negative where the first has less error. Raises ValueError unless the
-    other has played all episodes of the first."""
+    """Difference of interquartile means of two policies, and its interval.
+
+    It is the mean of a policy less that of another of a single member, its interval by the paired
+    bootstrap: negative where the first has less error. Raises ValueError unless the other has
+    played all episodes of the first.
+    """
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
     if len(other.scores) > 1 or any(score.seed not in theirs for score in first.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")

@@ -1,5 +1,7 @@
-"""Tables of summaries and standings, in Markdown and as CSV. Millimetres, degrees and milliseconds
-where people read them, SI in CSV."""
+"""Tables of summaries and standings, in Markdown and as CSV.
+
+Millimetres, degrees and milliseconds where people read them, SI in CSV.
+"""
 
 import csv
 import math
@@ -63,8 +65,10 @@ def summary_table(
     summaries: Mapping[str, Summary],
     models: Mapping[str, str],
 ) -> str:
-    """Table with a row per summary: errors, settled, metrics, time of an action. models: by name,
-    the policies' use of a model at run time, see `entrants.model_in_the_loop`."""
+    """Table with a row per summary: errors, settled, metrics, time of an action.
+
+    models: by name, the policies' use of a model at run time, see `entrants.model_in_the_loop`.
+    """
     rows = []
     for name, summary in summaries.items():
         rows.append({label: name, **summary_cells(summary), MODEL: models[name]})
@@ -90,8 +94,9 @@ def error_table(
     models: Mapping[str, str] | None = None,
     more: Sequence[Mapping[str, str]] = (),
 ) -> str:
-    """Table of the task's first error by policy (rows) and condition (columns), "-" where a policy
-    did not play.
+    """Table of the task's first error by policy (rows) and condition (columns).
+
+    It has "-" where a policy did not play.
 
     models: a column, see `summary_table`. more: rows below by condition, whose first cells are
     those of "".
@@ -118,8 +123,10 @@ def error_table(
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """A Markdown table with a row per record: a column per key that any of them has, "-" where one
-    lacks it."""
+    """Markdown table with a row per record.
+
+    It has a column per key that any of them has, "-" where one lacks it.
+    """
     header = list(dict.fromkeys(key for row in rows for key in row))
     cells = [[row.get(key, "-") for key in header] for row in rows]
     return markdown_table(header, cells)
@@ -139,8 +146,10 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def records(standings: Standings) -> list[dict[str, Any]]:
-    """Errors, metrics and time of an action of every policy under every condition for CSV, in SI
-    units, see STATISTICS."""
+    """Errors, metrics and time of an action of every policy under every condition.
+
+    They are for CSV, in SI units, see STATISTICS.
+    """
     rows = []
     for (policy, condition), standing in standings.items():
         row: dict[str, Any] = {
@@ -159,8 +168,10 @@ def records(standings: Standings) -> list[dict[str, Any]]:
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write a CSV file: a row per record, a column per key that any of them has, nothing where it
-    is NaN. Raises OSError."""
+    """Writes a CSV file: a row per record, a column per key that any of them has.
+
+    There is nothing where it is NaN. Raises OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     columns = list(dict.fromkeys(key for row in rows for key in row))
     with open(path, "w", newline="") as file:

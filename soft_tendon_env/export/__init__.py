@@ -1,2 +1,4 @@
-"""Trained agents as ONNX files, `agent`, and arms as chains in MuJoCo, `mujoco_chain`: each needs
-the libraries of its own extra alone."""
+"""Export of trained agents as ONNX files, and of arms as chains in MuJoCo.
+
+They are `agent` and `mujoco_chain`: each needs the libraries of its own extra alone.
+"""

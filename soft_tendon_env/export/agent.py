@@ -1,5 +1,6 @@
-"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to
-be sent, and its check.
+"""Export of a trained agent: one ONNX graph from measurements to the command.
+
+Measurements are in SI units; the command is to be sent. The graph is checked.
 
 PyTorch traces the observation (`differentiable.observation`), integral action, normalisation,
 network and action scaling. What is remembered from one call to the next goes in and comes out, NAME
@@ -268,6 +269,8 @@ class _ControlPeriod(torch.nn.Module):
         self.inputs = dict(zip(measured, tensors, strict=True))
         for name, value in states.items():
             self.inputs[name] = value.double()
+        # those that are looked at for a lost sensor: what the agent reads
+        self.watched = [*measured]
         self.outputs = ["action"]
         for name in states:
             self.outputs.append(f"next_{name}")
@@ -307,14 +310,32 @@ class _ControlPeriod(torch.nn.Module):
         above = torch.maximum(unlimited, self.scale.least)
         sent = torch.minimum(above, self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
-        # an output of its own, though the same as the action
-        next_action = 1.0 * action
-        states = (started, sent, next_action, history, total, memory)
-        outputs = [action[0]]
-        for state in states:
+        states = {
+            "started": started,
+            "command": sent,
+            "last_action": action,
+            "history": history,
+            "integral": total,
+            "memory": memory,
+        }
+        before = {**rows, "command": command, "last_action": last_action}
+        is_lost = self._is_lost(rows)
+        outputs = [torch.where(is_lost, last_action, action)[0]]
+        for name, state in states.items():
             if state is not None:
-                outputs.append(state[0])
+                outputs.append(torch.where(is_lost, before[name], state)[0])
         return tuple(outputs)
+
+    def _is_lost(self, rows: Parts) -> Tensor:
+        """Whether a measurement is not finite, as of a sensor that is lost.
+
+        Then the command and all that is remembered stay: no NaN reaches motors or memory.
+        """
+        # x - x is NaN for what is not finite, which is not equal to 0
+        differences = torch.zeros((), dtype=torch.float64)
+        for name in self.watched:
+            differences = differences + (rows[name] - rows[name]).abs().sum()
+        return torch.logical_not(differences == 0.0)
 
     def _rows(self, values: tuple[Tensor, ...]) -> Parts:
         """Inputs by name, as rows."""
@@ -383,7 +404,9 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(
     policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None
 ) -> onnx.ModelProto:
-    """ONNX model of a trained agent for the observation and the actions of its environment.
+    """Exports a trained agent as an ONNX model from measurements to commands.
+
+    The model is for the observation and the actions of its environment.
 
     Args:
         policy: trained agent, see `load_agent`.
@@ -401,6 +424,10 @@ def export_agent(
     episodes = episodes_of(env)
     agent, integral = _parts_of(policy)
     module = _ControlPeriod(episodes, agent, integral).eval()
+    # first to see what the agent reads, with nothing looked at for a lost sensor
+    module.watched = []
+    read = _drop_unused_inputs(_trace(module))
+    module.watched = [name for name in MEASUREMENTS if name in read]
     model = _trace(module)
     used = _drop_unused_inputs(model)
     model.ir_version = IR_VERSION
@@ -411,7 +438,10 @@ def export_agent(
 
 
 def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
-    """The agent of a policy, and the integral action around it. Raises ValueError."""
+    """The agent of a policy, and the integral action around it.
+
+    Raises ValueError.
+    """
     integral = policy if isinstance(policy, IntegralPolicy) else None
     agent = policy if integral is None else integral.policy
     if (
@@ -426,7 +456,10 @@ def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
 
 
 def _trace(module: _ControlPeriod) -> onnx.ModelProto:
-    """ONNX model of a module. Raises ValueError where it makes an array of a tensor."""
+    """ONNX model of a module.
+
+    Raises ValueError where it makes an array of a tensor.
+    """
     file = io.BytesIO()
     options: dict[str, Any] = {
         "input_names": [*module.inputs],
@@ -473,6 +506,7 @@ def _metadata(episodes: Episodes, used: set[str]) -> dict[str, Any]:
         "preview_s": episodes.ahead[1:].tolist(),
         "sensors_m": episodes.sensors.tolist(),
         "command": {"unit": unit, "limits": limits.tolist()},
+        "lost": "NaN in an input repeats the last command and changes nothing that is remembered",
     }
 
 

@@ -1,5 +1,6 @@
-"""Export of a scene to MuJoCo: the arm as a chain of rigid links in MJCF, and the distance of its
-tip from that of the rod.
+"""Export of a scene to MuJoCo: the arm as a chain of rigid links in MJCF.
+
+It also measures the distance of its tip from that of the rod.
 
 The rod is cut into elements of one length l, with joints in the middle that have the stiffness and
 the Kelvin-Voigt damping of the element: hinges for torsion and bending, slides for stretch and
@@ -193,11 +194,18 @@ def time_step(scene: Scene, chain: Chain) -> float:
 
 
 def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
-    """Arm of a scene in MJCF, as a chain of at least two links.
+    """Exports the arm of a scene to MJCF, as a chain of rigid links.
 
     Bodies and geoms `base`, `link_0` ...; joints `torsion_0`, `bend_y_0` ...; site `tip`; spatial
     tendons `tendon_0` ..., with motors `tension_0` ... for tensions [N] within their limits, which
     pull where positive. Geoms do not touch each other. See `exportable` for what is left out.
+
+    Args:
+        scene: of the arm.
+        links: number of links, at least two.
+
+    Returns:
+        The model's XML.
     """
     scene, left = exportable(scene)
     chain = make_chain(scene, links)

@@ -13,13 +13,17 @@ from soft_tendon_env.policies.layers import (
     Feedforward,
     Layer,
     Linear,
+    Lstm,
     Renormalisation,
 )
 from soft_tendon_env.policies.network import PolicyNetwork
 
 
 class TensorNetwork(torch.nn.Module):
-    """Policy network in PyTorch that acts as one in NumPy, by the formulas of its methods."""
+    """Policy network in PyTorch that acts as one in NumPy, by the formulas of its methods.
+
+    Raises ValueError for one with an LSTM.
+    """
 
     def __init__(self, network: PolicyNetwork) -> None:
         super().__init__()
@@ -32,6 +36,10 @@ class TensorNetwork(torch.nn.Module):
             self._keys = [*network.observations.spaces]
         self.body = tensor_layers(actor.body)
         self.head = tensor_layers(actor.head)
+        if isinstance(actor.gates, Lstm):
+            raise ValueError(
+                "policy has an LSTM, which ONNX files do not have here: export another"
+            )
         if actor.gates is not None:
             self.gate = tensor_layer(actor.gates.gate)
             self.candidate = tensor_layer(actor.gates.candidate)

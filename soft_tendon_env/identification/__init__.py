@@ -1,5 +1,7 @@
-"""System identification: parameters of an arm's scene from measured marker positions, with
-intervals and held-out errors."""
+"""System identification: parameters of an arm's scene from measured marker positions.
+
+It has intervals and held-out errors.
+"""
 
 from soft_tendon_env.identification.identify import Estimate, identify, randomize
 from soft_tendon_env.identification.markers import Frame, Marker, MarkerSet, load_markers

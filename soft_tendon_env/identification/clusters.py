@@ -49,8 +49,10 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
 
 
 def _held_out_by_column(recordings: Sequence[Recording], column: str) -> Array:
-    """Which recordings (recordings,) have another number than zero in a column. Raises
-    ValueError."""
+    """Which recordings (recordings,) have another number than zero in a column.
+
+    Raises ValueError.
+    """
     cells = [recording.columns.get(column, "") for recording in recordings]
     numbers = np.array(
         [
@@ -68,8 +70,10 @@ def _held_out_by_column(recordings: Sequence[Recording], column: str) -> Array:
 
 
 def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
-    """Which recordings (recordings,) are of a share of the clusters, spread evenly. Raises
-    ValueError."""
+    """Which recordings (recordings,) are of a share of the clusters, spread evenly.
+
+    Raises ValueError.
+    """
     if not 0.0 <= share < 1.0:
         raise ValueError(
             f"held_out is {share:g}: it should be a share from 0 to below 1, or a column"
@@ -83,8 +87,9 @@ def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
 
 
 def clusters(recordings: Sequence[Recording]) -> Array:
-    """Clusters of recordings with common errors: those of a group, or where there are no groups
-    those with the same commands.
+    """Returns clusters of recordings with common errors.
+
+    They are those of a group, or where there are no groups those with the same commands.
 
     Args:
         recordings: in the order of the data.
@@ -99,8 +104,10 @@ def clusters(recordings: Sequence[Recording]) -> Array:
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:
-    """Clusters of recordings with the same commands. Of motions the difference is the mean over
-    their samples, since a start may be a sample late; the last command is held on.
+    """Clusters of recordings with the same commands.
+
+    Of motions the difference is the mean over their samples, since a start may be a sample late;
+    the last command is held on.
 
     Args:
         recordings: in the order of the data.

@@ -1,8 +1,10 @@
-"""Columns of measured data: which of a file hold which quantity, as the table `[columns]` of the
-markers' file says."""
+"""Columns of measured data: which of a file hold which quantity.
+
+The table `[columns]` of the markers' file says so.
+"""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,15 +57,22 @@ def read_columns(
     return table, sources
 
 
+def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
+    """Quantities that a key of `[columns]` names; group 1 of a match is what its `*` stands for."""
+    pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
+    return [match for match in map(pattern.fullmatch, quantities) if match is not None]
+
+
 def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Source]:
-    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name. Raises
-    ValueError for keys that are no quantities, and for units."""
+    """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name.
+
+    Raises ValueError for keys that are no quantities, and for units.
+    """
     expected = {quantity: Source(quantity, 1.0) for quantity in units}
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
-        pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
-        matches = [match for match in map(pattern.fullmatch, units) if match is not None]
+        matches = matches_of(key, units)
         if not matches:
             raise ValueError(
                 f"columns.{key} is no quantity that is read here: {not_among(key, units)}"
@@ -86,8 +95,10 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
 
 
 def _header_name(table: Table, column: str) -> str | None:
-    """Name of a column in a table's header, also in other letters of case; None without it. Raises
-    ValueError for several."""
+    """Name of a column in a table's header, also in other letters of case; None without it.
+
+    Raises ValueError for several.
+    """
     matches = [name for name in table.header if name.casefold() == column.casefold()]
     exact = matches.count(column)
     if exact:

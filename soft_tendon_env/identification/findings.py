@@ -1,5 +1,7 @@
-"""Findings about an estimate in words: what the data do not contain, signs that the model lacks
-something, data that were misread."""
+"""Findings about an estimate in words.
+
+They say what the data do not contain, signs that the model lacks something, data that were misread.
+"""
 
 from collections.abc import Sequence
 
@@ -57,8 +59,9 @@ EXPERIMENTS = {
 def findings(
     estimate: Fit, unseen: Sequence[Array], fitted: Readings, noise: float | None
 ) -> list[str]:
-    """Findings about an estimate: that the data are misread, or what they do not contain and the
-    model lacks.
+    """Returns findings about an estimate.
+
+    They say that the data are misread, or what they do not contain and the model lacks.
 
     Args:
         estimate: of `fit`.
@@ -136,8 +139,10 @@ def _experiment(name: str) -> str:
 
 
 def _misfit_texts(estimate: Fit, readings: Readings, noise: float | None) -> list[str]:
-    """Signs of outliers, and that the model lacks something: residuals above a known noise [m], and
-    those that follow each other."""
+    """Signs of outliers, and that the model lacks something.
+
+    They are residuals above a known noise [m], and those that follow each other.
+    """
     residual = np.full(readings.measured.shape, np.nan)  # (samples, m, 3), NaN where unseen
     residual[readings.seen] = estimate.residual
     mean_square = np.nanmean(residual**2)
@@ -221,9 +226,11 @@ def _correlation_texts(recording: Recording, residual: Array) -> list[str]:
 
 
 def _following_commands(residual: Array, readings: Readings) -> float:
-    """Root mean square [m] of the part of the residuals (samples, m, 3) of holds that follows
-    commands and their squares; 0 where that may be chance, by permutations (B. Phipson and G. K.
-    Smyth 2010), or where holds are few."""
+    """Root mean square [m] of the part of the residuals of holds that follows commands.
+
+    Residuals are (samples, m, 3), and follow commands and their squares; 0 where that may be
+    chance, by permutations (B. Phipson and G. K. Smyth 2010), or where holds are few.
+    """
     holds = [recording for recording in readings.recordings if not recording.period]
     if len(holds) <= 2 * len(readings.plants.scene.tendons) + 2:
         return 0.0
@@ -245,6 +252,8 @@ def _following_commands(residual: Array, readings: Readings) -> float:
 
 
 def _squares_within(basis: Array, columns: Array) -> float:
-    """Sum of squares of the part of columns (holds, k) in the span of an orthonormal basis (holds,
-    r)."""
+    """Sum of squares of the part of columns (holds, k) in the span of a basis.
+
+    The basis (holds, r) is orthonormal.
+    """
     return float(((basis.T @ columns) ** 2).sum())

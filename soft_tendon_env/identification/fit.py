@@ -1,5 +1,6 @@
-"""Least squares with priors: the parameters at which simulated and measured marker positions agree
-best, and their intervals.
+"""Least squares with priors: the parameters at which markers agree best, with intervals.
+
+Simulated and measured marker positions agree.
 
 Minimises sum (r / sigma)^2 + sum (x / prior)^2 within bounds (scipy.optimize.least_squares); a
 sigma that is not given is the root mean square of the residuals. Intervals are the wider of two.
@@ -54,15 +55,19 @@ class Fit(NamedTuple):
 
     @property
     def information(self) -> Array:
-        """Information of the data about the coordinates (k, k), J^T J / sigma^2, without the
-        priors."""
+        """Information of the data about the coordinates (k, k), J^T J / sigma^2.
+
+        It is without the priors.
+        """
         return np.asarray(self.jacobian.T @ self.jacobian) / self.sigma**2
 
 
 class Intervals(NamedTuple):
-    """Intervals at 95 % of k parameters, in their own units: low and high; identified (k,): whether
-    the data contain the parameter; unseen: directions (k,) of the coordinates that they do not
-    contain, the least known first."""
+    """Intervals at 95 % of k parameters, in their own units.
+
+    They are low and high; identified (k,): whether the data contain the parameter; unseen:
+    directions (k,) of the coordinates that they do not contain, the least known first.
+    """
 
     low: Array
     high: Array
@@ -119,8 +124,10 @@ def _prior_information(parameters: Sequence[Parameter]) -> Array:
 
 
 def _root_mean_square(estimate: Fit) -> float:
-    """Standard deviation [m] of readings from their residuals, less the degrees of freedom that the
-    data decided."""
+    """Standard deviation [m] of readings from their residuals.
+
+    The degrees of freedom that the data decided are left out.
+    """
     data = estimate.information
     posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
     decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
@@ -232,8 +239,10 @@ def _variances(estimate: Fit) -> Array:
 
 
 def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
-    """Whether the data contain each parameter (k,); directions (k,) that they do not contain, the
-    least known first."""
+    """Whether the data contain each parameter (k,), and directions (k,) that they do not.
+
+    The least known direction comes first.
+    """
     information, directions = np.linalg.eigh(estimate.information)
     is_seen = information > max(SEEN, SINGULAR * information[-1])
     unseen = directions[:, ~is_seen]
@@ -242,8 +251,10 @@ def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
 
 
 def _bootstrap(estimate: Fit, cluster: Array) -> Array:
-    """Coordinates (draws, k) of resampled estimates, by one Newton step each. cluster: index of
-    each reading (N,)."""
+    """Coordinates (draws, k) of resampled estimates, by one Newton step each.
+
+    cluster: index of each reading (N,).
+    """
     random = np.random.default_rng(0)
     clusters = int(cluster.max()) + 1
     weight = estimate.sigma**-2

@@ -1,5 +1,7 @@
-"""System identification of a real arm: parameters of its scene and its measurement from recordings,
-with what they do not contain."""
+"""System identification of a real arm: parameters of its scene from recordings.
+
+It also estimates the measurement, and says what the recordings do not contain.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -44,8 +46,10 @@ LOOK = (
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimated parameters of an arm, their intervals, errors of fit and of held-out recordings,
-    and findings in words."""
+    """Estimated parameters of an arm, with their intervals, errors and findings.
+
+    Errors are those of fit and of held-out recordings; findings are in words.
+    """
 
     parameters: tuple[Parameter, ...]
     value: Array  # (k,)
@@ -77,15 +81,17 @@ def identify(
     fidelity: str = FIDELITY,
     noise: float | None = None,
 ) -> Estimate:
-    """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
+    """Identifies parameters of an arm from recorded marker positions by least squares.
+
+    Priors keep what the data do not contain.
 
     Args:
         scene: the arm as it is known.
         data: CSV files, see identification.recordings.
         markers: TOML file, see identification.markers, or what was read from it.
         parameters: as `KEY` or `KEY=LOW..HIGH`, see identification.parameters.
-        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file
-            of others.
+        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file of
+            others.
         fit_to: greatest number of recordings to fit to, evenly over the data; None: all.
         fidelity: of the fitted model, whose errors go into the parameters.
         noise: standard deviation of a marker's coordinate [m]; None: it is estimated.
@@ -94,6 +100,7 @@ def identify(
         The estimate, with its intervals, errors and findings.
 
     Raises:
+        TypeError: for what is no scene.
         ValueError: for data that cannot be used, in one line that says where.
         ConfigurationError: for markers, keys and values that the scene does not allow.
         FileNotFoundError: for data that are missing.
@@ -159,8 +166,10 @@ def _read_parts(
 
 
 def _fitted_scene(scene: Scene, fidelity: str, recordings: Sequence[Recording]) -> Scene:
-    """The scene whose model is fitted: at a fidelity, with steps no longer than sample periods,
-    since a command may arrive in each."""
+    """Scene whose model is fitted, at a fidelity.
+
+    Its steps are no longer than sample periods, since a command may arrive in each.
+    """
     accurate = at_fidelity(scene, fidelity)
     periods = [recording.period for recording in recordings if recording.period]
     step = min([*periods, accurate.integrator.step])
@@ -233,8 +242,7 @@ def summary(estimate: Estimate) -> str:
 
 
 def _rows(estimate: Estimate) -> Iterator[tuple[Parameter, float, float, float, bool]]:
-    """Every parameter with its value, the ends of its interval, and whether the data contain
-    it."""
+    """Every parameter with its value, the ends of its interval, and whether the data contain it."""
     spread = estimate.intervals
     return zip(
         estimate.parameters, estimate.value, spread.low, spread.high, spread.identified, strict=True
@@ -242,8 +250,10 @@ def _rows(estimate: Estimate) -> Iterator[tuple[Parameter, float, float, float, 
 
 
 def _as_json(estimate: Estimate) -> dict[str, Any]:
-    """Estimate as plain JSON: parameters, errors, findings, randomisation, versions, digests of the
-    data."""
+    """Estimate as plain JSON.
+
+    It has parameters, errors, findings, randomisation, versions and digests of the data.
+    """
     parameters = {
         parameter.name: {
             "value": value,
@@ -277,8 +287,9 @@ def _errors_in_mm(errors: dict[str, float], mean: float) -> dict[str, Any]:
 
 
 def randomize(estimate: Estimate) -> dict[str, Any]:
-    """Table `randomize` of an environment with the identified scene: what the intervals leave open,
-    of parameters that the data or a prior contain.
+    """Returns the table `randomize` of an environment with the identified scene.
+
+    It has what the intervals leave open, of parameters that the data or a prior contain.
 
     Latency comes on top of the scene's delay. Offsets are tensions [N], also of arms that are
     driven by displacement.

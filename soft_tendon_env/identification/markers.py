@@ -1,5 +1,7 @@
-"""Markers of motion capture: where they sit on the arm, the frame of their positions, and the
-columns of the data, from a TOML file."""
+"""Markers of motion capture from a TOML file: places, frame and columns.
+
+The file says where they sit on the arm, the frame of their positions, and the columns of the data.
+"""
 
 import os
 from collections.abc import Mapping
@@ -38,8 +40,10 @@ class Marker(Configuration):
 
 
 class Frame(Configuration):
-    """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p +
-    translation."""
+    """Rigid motion R p + translation from the frame of the data to the scene's world frame.
+
+    It is the table `[frame]`.
+    """
 
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of the rotation R, (w, x, y, z)
     translation: Triple = (0.0, 0.0, 0.0)  # [m]
@@ -51,8 +55,10 @@ class Frame(Configuration):
 
 
 class Column(Configuration):
-    """Column of the data that holds a quantity, `[columns]`, by the quantity's name; a `*` there
-    stands for what `*` in `name` does."""
+    """Column of the data that holds a quantity, `[columns]`, by the quantity's name.
+
+    A `*` there stands for what `*` in `name` does.
+    """
 
     name: str | None = None  # of the column; None: the quantity's own
     unit: str | None = None  # one of `UNITS`; None: the SI unit
@@ -77,7 +83,14 @@ class MarkerSet(Configuration):
         return np.array([marker.offset for marker in self.markers.values()])
 
     def with_offsets(self, offsets: Array) -> "MarkerSet":
-        """The markers with other offsets (m, 3) [m]."""
+        """Returns the markers with other offsets.
+
+        Args:
+            offsets: in the sections' frames (m, 3) [m].
+
+        Returns:
+            The new markers, with the same frame and columns.
+        """
         moved = dict[str, Marker]()
         for (name, marker), offset in zip(self.markers.items(), offsets.tolist(), strict=True):
             moved[name] = marker.model_copy(update={"offset": tuple(offset)})

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from soft_tendon_env.identification.columns import matches_of
 from soft_tendon_env.identification.fit import fit
 from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.readings import Plants, Readings
@@ -71,8 +72,10 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str, list[Recording]]:
-    """Other reading that agrees best with the arm at the scene's numbers, in words, and the
-    recordings in it."""
+    """Other reading that agrees best with the arm at the scene's numbers, in words.
+
+    It comes with the recordings in it.
+    """
     nominal = np.zeros(len(plants.parameters))
     candidates = list[tuple[float, str, list[Recording]]]()
     frame = plants.markers.frame
@@ -85,7 +88,7 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
             positions = (recording.positions - frame.translation) @ R.T + frame.translation
             read.append(replace(recording, positions=positions))
         candidates.append((_distance(simulated, read), text, read))
-    for text, factor in _command_factors(plants).items():
+    for text, factor in command_factors(plants).items():
         read = [replace(recording, command=factor * recording.command) for recording in recordings]
         simulated = _simulate(plants, read, nominal)
         candidates.append((_distance(simulated, read), text, read))
@@ -94,8 +97,10 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
 
 
 def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
-    """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the
-    recordings."""
+    """Positions (samples, m, 3) [m] at coordinates x (k,).
+
+    They are infinite where the arm does not hold the recordings.
+    """
     try:
         for recording in recordings:
             check_commands(recording, plants.scene)
@@ -130,13 +135,21 @@ def _axes() -> dict[str, Array]:
     return matrices
 
 
-def _command_factors(plants: Plants) -> dict[str, float]:
-    """The other sign of commands and other units, as factors."""
+def command_factors(plants: Plants) -> dict[str, float]:
+    """Factors of commands by what they mean: other units, and the other sign.
+
+    Args:
+        plants: with the columns of their data.
+
+    Returns:
+        By words the factor that makes commands as they are read commands in another reading.
+    """
     unit = plants.scene.effects.command_unit
+    commands = [f"{COMMANDS[unit]}_{i}" for i in range(len(plants.scene.tendons))]
     # the unit that [columns] says, of which the first stands for all
     current = 1.0
     for key, column in plants.markers.columns.items():
-        if key.startswith(COMMANDS[unit]) and column.unit:
+        if matches_of(key, commands) and column.unit:
             current = UNITS[unit][column.unit]
             break
     factors = {

@@ -1,5 +1,6 @@
-"""Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement
-(markers, commands).
+"""Parameters to estimate: numbers of a scene by dotted keys, and of the measurement.
+
+Those of the measurement are of markers and commands.
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together,
 see scene.parameters. Numbers other than zero are estimated as a factor (in logarithm), others and
@@ -68,8 +69,11 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """Change that counts as 1: of factors e, else the prior's standard deviation, or half of
-        the distance of the bounds."""
+        """Change of the parameter that counts as 1.
+
+        It is that of factors e, else the prior's standard deviation, or half of the distance of the
+        bounds.
+        """
         if self.is_factor:
             return 1.0
         return self.prior or 0.5 * (self.high - self.low)
@@ -152,7 +156,10 @@ def _check_once(parameters: Sequence[Parameter]) -> None:
 
 
 def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
-    """Key, and bounds of a written text. Raises ValueError."""
+    """Key, and bounds of a written text.
+
+    Raises ValueError.
+    """
     key, _, ends = text.partition("=")
     if not ends:
         return key.strip(), None
@@ -267,8 +274,10 @@ def _difference(
 
 
 def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
-    """Parameter of the scene that is asked for. Raises ValueError where bounds must be given,
-    ConfigurationError."""
+    """Parameter of the scene that is asked for.
+
+    Raises ValueError where bounds must be given, ConfigurationError.
+    """
     (numbers,) = scene_parameters(scene, [key])
     value = numbers.value
     # angles that differ among the tendons have a common factor, as other numbers
@@ -296,8 +305,10 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
 
 
 def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Scene) -> Parameter:
-    """A parameter with given bounds in place of its own and of its prior. Raises ValueError where
-    they leave out the scene's number."""
+    """A parameter with given bounds in place of its own and of its prior.
+
+    Raises ValueError where they leave out the scene's number.
+    """
     low, high = bounds or (usual.low, usual.high)
     # a factor does not reach a number of the other sign
     is_unreachable = usual.is_factor and low * high <= 0.0

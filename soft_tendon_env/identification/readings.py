@@ -1,5 +1,4 @@
-"""Readings of recordings beside those that are simulated at given parameters: residuals and their
-derivatives.
+"""Readings of recordings beside simulated ones: residuals and their derivatives.
 
 Equilibria of still holds are sought by Newton's method from the last ones that were found for their
 recordings, so that a fit re-solves each in a few iterations; their derivatives take one Newton step
@@ -43,8 +42,10 @@ class Measurement(NamedTuple):
     offset: Array  # (n_a,) of the commands, after the gain
 
     def positions(self, poses: Array) -> Array:
-        """Positions (..., m, 3) [m] of markers in the world, of section poses (..., m, 4, 4) along
-        its axes, but beginning at the base."""
+        """Positions (..., m, 3) [m] of markers in the world.
+
+        Section poses (..., m, 4, 4) are along its axes, but beginning at the base.
+        """
         rotation = poses[..., :3, :3]
         centre = poses[..., :3, 3]
         from_base = centre + np.einsum("...ij,...j->...i", rotation, self.offsets)
@@ -52,8 +53,10 @@ class Measurement(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Equilibrium of a hold, and how it moves with forces on its coordinates while the command
-    stays."""
+    """Equilibrium of a hold, and its derivative by forces while the command stays.
+
+    The forces act on its coordinates.
+    """
 
     q: Array  # (n,)
     compliance: Array  # (n, n)
@@ -61,8 +64,10 @@ class Near(NamedTuple):
 
 
 class Plants:
-    """Arms by coordinates of the parameters; the grid is that of the nominal scene, so that what is
-    simulated is smooth in them."""
+    """Arms by coordinates of the parameters.
+
+    The grid is that of the nominal scene, so that what is simulated is smooth in them.
+    """
 
     def __init__(
         self, scene: Scene, model: Model, markers: MarkerSet, parameters: Sequence[Parameter]
@@ -79,8 +84,10 @@ class Plants:
         self.moves_arm = [parameter.quantity not in still for parameter in self.parameters]
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
-        """A scene with the numbers at coordinates (k,) of the parameters. Raises
-        ConfigurationError."""
+        """A scene with the numbers at coordinates (k,) of the parameters.
+
+        Raises ConfigurationError.
+        """
         changes = dict[str, Any]()
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             value = parameter.at(coordinate)
@@ -112,9 +119,11 @@ class Plants:
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): the coordinates of `measured` positions (samples
-    of all recordings, m, 3) [m] that are `seen`. cluster: index of each reading (N,) that those
-    with common errors share, see `clusters`."""
+    """Readings of recordings in one vector (N,).
+
+    They are the coordinates of `measured` positions (samples of all recordings, m, 3) [m] that are
+    `seen`. cluster: index of each reading (N,) that those with common errors share, see `clusters`.
+    """
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants = plants
@@ -136,21 +145,27 @@ class Readings:
         self.cluster = reading_cluster[self.seen]
 
     def positions(self, x: Array) -> Array:
-        """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError,
-        ConfigurationError."""
+        """Simulated positions (samples, m, 3) [m] at coordinates x (k,).
+
+        Raises NoHoldError, ConfigurationError.
+        """
         return self.plants.measurement(x).positions(self._poses(x))
 
     def residual(self, x: Array, poses: Array | None = None) -> Array:
         """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given.
-        Raises as `positions`."""
+
+        Raises as `positions`.
+        """
         if poses is None:
             poses = self._poses(x)
         simulated = self.plants.measurement(x).positions(poses)
         return np.asarray((simulated - self.measured)[self.seen])
 
     def jacobian(self, x: Array) -> Array:
-        """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within
-        the bounds. Raises as `positions`."""
+        """Derivatives (N, k) [m] of the readings by the coordinates.
+
+        They are central differences within the bounds. Raises as `positions`.
+        """
         poses = self._poses(x)  # which also finds the equilibria that the holds begin from
         near = self._near_holds(x)
         h = self._difference
@@ -185,8 +200,10 @@ class Readings:
         return near
 
     def errors(self, x: Array) -> dict[str, float]:
-        """Mean distance [m] of the seen markers from where they are simulated, by recordings, NaN
-        without any. Raises as `positions`."""
+        """Mean distance [m] of the seen markers from where they are simulated, by recordings.
+
+        It is NaN without any. Raises as `positions`.
+        """
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
         # without recordings there is one empty part
         parts = np.split(distance, self.ends[:-1])
@@ -206,8 +223,10 @@ class Readings:
         ]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
-        """Poses (samples, m, 4, 4) of markers' sections from the base's place; of holds `near`
-        others linear. Raises NoHoldError."""
+        """Poses (samples, m, 4, 4) of markers' sections from the base's place.
+
+        Those of holds `near` others are linear. Raises NoHoldError.
+        """
         arms = self._arms(x)
         simulated = list[Array]()  # coordinates (n,) of each sample
         with erring_actuators():  # by the gains and offsets that are looked for
@@ -225,8 +244,10 @@ class Readings:
         return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
-        """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises
-        NoHoldError."""
+        """Coordinates (n,) at every sample of a recording under commands (samples, n_a).
+
+        Raises NoHoldError.
+        """
         recording = self.recordings[i]
         try:
             return self._simulated(model, command, i)
@@ -263,8 +284,10 @@ class Readings:
 
 
 def _near(model: Model, command: Array, q: Array) -> Near | None:
-    """The equilibrium q (n,) of a hold under a command (n_a,); None where it does not move to first
-    order."""
+    """Equilibrium q (n,) of a hold under a command (n_a,).
+
+    None where it does not move to first order.
+    """
     u, pulls = _tension(model, command, q)
     with model.workspace() as work:
         linearised = Balance(model, u, work).linearise(q, 1.0)
@@ -284,8 +307,10 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
 
 
 def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
-    """Equilibrium (n,) of a hold of another arm by one Newton step; None where that says nothing,
-    as where a tendon goes slack."""
+    """Equilibrium (n,) of a hold of another arm by one Newton step.
+
+    None where that says nothing, as where a tendon goes slack.
+    """
     if near is None:
         return None
     u, pulls = _tension(model, command, near.q)
@@ -299,8 +324,10 @@ def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
 
 
 def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
-    """Tensions (n_a,) [N] under a command (n_a,) at coordinates q (n,), and which of them follow
-    the arm (n_a,)."""
+    """Tensions (n_a,) [N] under a command (n_a,) at coordinates q (n,).
+
+    It also says which of them follow the arm (n_a,).
+    """
     path = model.arm.effects.transmission
     if not path.elastic:
         return command, np.zeros(command.size, dtype=bool)

@@ -34,8 +34,10 @@ LATEST = 1e11  # time [s] from which on it is: in the year 5000, for seconds sin
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded commands and marker positions: one hold (a single sample), or a motion that begins
-    at rest."""
+    """Recorded commands and marker positions.
+
+    They are of one hold (a single sample), or of a motion that begins at rest.
+    """
 
     name: str
     where: str  # file and line of its first row
@@ -138,7 +140,10 @@ def _position_names(markers: MarkerSet) -> list[str]:
 
 
 def _commands(table: Table, sources: Mapping[str, Source], scene: Scene) -> Array:
-    """Commands (rows, n_a) in the scene's unit. Raises ValueError for an empty one."""
+    """Commands (rows, n_a) in the scene's unit.
+
+    Raises ValueError for an empty one.
+    """
     columns = [sources[name] for name in _command_names(scene)]
     command = table.numbers(columns)
     empty = np.argwhere(np.isnan(command))
@@ -161,8 +166,10 @@ def _positions(table: Table, sources: Mapping[str, Source], markers: MarkerSet) 
 
 
 def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
-    """Sample period [s] of a motion at times (rows,) [s] in equal steps; 0 for a hold, without
-    them. Raises ValueError."""
+    """Sample period [s] of a motion at times (rows,) [s] in equal steps.
+
+    It is 0 for a hold, without them. Raises ValueError.
+    """
     # one row before time 0 is a log that was cut off behind the row at rest
     is_cut_log = len(times) == 1 and not times[0] >= 0.0
     if not len(times) or is_cut_log:
@@ -203,8 +210,10 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
 
 
 def _time_unit_guess(period: float) -> str:
-    """Text of an error about samples that are too far apart in time [s]: a unit in which they would
-    have a usual period."""
+    """Text of an error about samples that are too far apart in time [s].
+
+    It says a unit in which they would have a usual period.
+    """
     unit = "..."
     for name, factor in UNITS["s"].items():
         if SHORTEST_USUAL <= period * factor < LONGEST_USUAL:
@@ -242,8 +251,10 @@ def check_commands(recording: Recording, scene: Scene) -> None:
 
 
 def _check_reach(positions: Array, length: float, path: Path, marker: str) -> None:
-    """Raises ValueError where markers (rows, m, 3), seen from the base, lie further than the rod
-    reaches, or all of them lie at it."""
+    """Raises ValueError where markers lie further than the rod reaches, or all at the base.
+
+    Markers (rows, m, 3) are seen from the base.
+    """
     distances = np.linalg.norm(positions, axis=-1)
     if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
@@ -260,8 +271,10 @@ def _check_reach(positions: Array, length: float, path: Path, marker: str) -> No
 
 
 def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
-    """End of an error about a value that should be at most `most`: units in which it would be
-    plausible, and where to say so."""
+    """End of an error about a value that should be at most `most`.
+
+    It says units in which the value would be plausible, and where to say so.
+    """
     likely = [
         name
         for name, factor in UNITS[unit].items()

@@ -1,2 +1,4 @@
-"""Reinforcement learning with Stable-Baselines3: trainings, sweeps over seeds, learning curves, and
-its vector environment."""
+"""Reinforcement learning with Stable-Baselines3, and its vector environment.
+
+It has trainings, sweeps over seeds, learning curves.
+"""

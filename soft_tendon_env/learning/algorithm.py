@@ -1,5 +1,7 @@
-"""Base of the package's own algorithms: the interface of Stable-Baselines3 and PPO's policies, on
-vector environments of this package."""
+"""Base of the package's own algorithms, with the interface of Stable-Baselines3.
+
+They have PPO's policies, on vector environments of this package.
+"""
 
 import math
 from abc import abstractmethod
@@ -41,6 +43,11 @@ class ActorAlgorithm(BaseAlgorithm):
         _init_setup_model: bool = True,
         **general: Any,
     ) -> None:
+        if isinstance(env, TendonRodVectorEnv):
+            raise TypeError(
+                "env is of gym.make_vec, which Stable-Baselines3 does not take: write"
+                ' make_sb3_vec_env("TendonRod-TipPose-v0", 64), of soft_tendon_env.learning.vec_env'
+            )
         super().__init__(
             policy,
             env,

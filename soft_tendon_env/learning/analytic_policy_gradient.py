@@ -1,5 +1,6 @@
-"""Analytic policy gradient: a policy learns by the derivative of the simulation itself, without a
-critic or a teacher.
+"""Analytic policy gradient: a policy learns by the derivative of the simulation itself.
+
+There is neither a critic nor an expert.
 
 The mean action is taken, without exploration, and the gradient of a cost of tracking goes back
 through windows of a rollout, see `differentiable.rollout`: backpropagation through time, truncated

@@ -1,5 +1,6 @@
-"""Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that
-a killed training can go on.
+"""Checkpoints of a training, atomic, so that a killed training can go on.
+
+One replaces the one before only when it is complete.
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling:
 `weights.npz`, `statistics.npz` and `config.json`, which has the digests of the other files. What a
@@ -30,8 +31,14 @@ BUFFER = "replay_buffer.pkl"
 MODEL = "model.zip"
 PICKLED = "vecnormalize.pkl"
 ENVIRONMENT = "environment.pkl"
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
-"""Attributes of a model that belong to its environment."""
+LAST = (
+    "_last_obs",
+    "_last_original_obs",
+    "_last_episode_starts",
+    "_last_lstm_states",
+    "action_space",
+)
+"""Attributes of a model that belong to its environment, as far as it has them."""
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
@@ -43,7 +50,7 @@ def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
     return {
         "env": unwrapped(statistics),
         "returns": statistics.returns,
-        "last": {name: getattr(model, name) for name in LAST},
+        "last": {name: getattr(model, name) for name in LAST if hasattr(model, name)},
         "generators": (torch.get_rng_state(), np.random.get_state()),
     }
 

@@ -1,5 +1,7 @@
-"""Configuration of a training: the keys of the files in configs/, read strictly, and what
-`--set key=value` changes of them."""
+"""Configuration of a training: the keys of the files in configs/, read strictly.
+
+`--set key=value` changes them.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,13 +15,14 @@ from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
+from soft_tendon_env.learning.hyperparameters import hyperparameter_problems
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
     Problem,
     not_among,
+    not_registered,
     override,
     parsed_changes,
     read_toml,
@@ -55,8 +58,9 @@ class Evaluation(Configuration):
 
 
 class Training(Configuration):
-    """Training of one agent, by reinforcement learning, by imitation of an expert, or by gradients
-    of the simulation.
+    """Training of one agent, by reinforcement learning, imitation or gradients.
+
+    Imitation is of an expert, gradients are those of the simulation.
 
     Attributes:
         task, algorithm: names of what is to be learned, and of the algorithm.
@@ -87,20 +91,35 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
-        """First arm's seed for `reset`, of a training that has done so many steps.
+        """Returns the first arm's seed for `reset`.
 
         Those of other arms follow. No two trainings share any.
+
+        Args:
+            done: number of steps that the training has done before.
+
+        Returns:
+            The seed.
         """
         sequence = np.random.SeedSequence((self.seed, done))
         (word,) = sequence.generate_state(1, np.uint64)
         return SEEDS["training"].start + int(word >> np.uint64(16))
 
+    @field_validator("learning_rate", mode="before")
+    @classmethod
+    def _is_rate(cls, rate: Any) -> Any:
+        if not isinstance(rate, int | float | list | tuple):
+            raise ValueError(
+                'should be a number such as 3e-4, [first, last], or [first, last, "geometric"]'
+            )
+        return rate
+
     @field_validator("algorithm")
     @classmethod
     def _is_trained(cls, algorithm: str) -> str:
-        names = (*ALGORITHMS, *MODULES)
-        if algorithm not in names:
-            raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
+        if algorithm not in ALGORITHMS:
+            known = not_registered(algorithm, ALGORITHMS)
+            raise ValueError(f"should be an algorithm to train with: {known}")
         return algorithm
 
     @field_validator("options")
@@ -172,9 +191,19 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """Training of a file, overridden by `changes` "key=value" and by `more` keys.
+    """Reads a training from a file, with changes.
 
-    Raises ConfigurationError, ValueError.
+    Args:
+        path: of the TOML file.
+        changes: "key=value" with dotted keys, as of `--set`.
+        more: values of keys of the file's top, by name.
+
+    Returns:
+        The training.
+
+    Raises:
+        ConfigurationError: for keys and values that are not allowed.
+        ValueError: for changes that cannot be read, or a key that is in both.
     """
     table = read_toml(path)
     overrides = parsed_changes(changes)

@@ -1,5 +1,6 @@
-"""Learning curves over the seeds of one training, out of evaluations.csv of every run: as a picture
-and as a table.
+"""Learning curves over the seeds of one training, as a picture and as a table.
+
+They come out of evaluations.csv of every run.
 
 Numbers are interquartile means over seeds with 95 % intervals, see summaries.py, at the steps at
 which all seeds were evaluated.

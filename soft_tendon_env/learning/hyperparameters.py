@@ -1,5 +1,6 @@
-"""Hyperparameters that a configuration can say: arguments of the algorithm and of its policy, by
-their names.
+"""Hyperparameters of a configuration: arguments of the algorithm and of its policy.
+
+They go by their names.
 
 Their values are left to the algorithm, which refuses what it cannot be made of, but for some that
 it would take: RANGES.
@@ -11,18 +12,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from soft_tendon_env.policies.algorithms import ALGORITHMS
+from soft_tendon_env.policies.algorithms import ALGORITHMS, policy_name
 from soft_tendon_env.tools.configuration import Problem, not_among, shown
 
 # names of the package's own algorithms
 APG = "APG"
 DAGGER = "DAgger"
-MODULES: Mapping[str, str] = {
-    APG: "soft_tendon_env.learning.analytic_policy_gradient",
-    DAGGER: "soft_tendon_env.learning.imitation",
-}
-"""Modules of the package's own algorithms by their names, each a `BaseAlgorithm` with its settings
-as `settings_class`."""
 NOT_IN_FILES = frozenset(
     [
         "self",
@@ -82,18 +77,15 @@ RANGES: Mapping[str, Range] = {
 
 
 def training_class(algorithm: str) -> Any:
-    """Class of an algorithm of ALGORITHMS or MODULES to train with.
+    """Class of an algorithm of ALGORITHMS to train with.
 
     Raises ModuleNotFoundError without Stable-Baselines3.
     """
-    if algorithm in MODULES:
-        own = importlib.import_module(MODULES[algorithm])
-        return getattr(own, algorithm)
-    registered = ALGORITHMS[algorithm]
-    if not isinstance(registered, str):
-        return registered
+    source = ALGORITHMS[algorithm].source
+    if not isinstance(source, str):
+        return source
     try:
-        module = importlib.import_module(registered)
+        module = importlib.import_module(source)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"'
@@ -111,7 +103,7 @@ def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Pr
     key = ("hyperparameters", "policy_kwargs")
     if not isinstance(policy, Mapping):
         return [Problem(key, f"is {shown(policy)}: it should be a table")]
-    policy_kind = kind.policy_aliases["MlpPolicy"]
+    policy_kind = kind.policy_aliases[policy_name(kind, has_goals=False)]
     problems = _unknown_keys(("hyperparameters",), given, kind)
     problems += _unknown_keys(key, policy, policy_kind)
     for name in RANGES.keys() & given.keys():

@@ -389,7 +389,10 @@ class DAgger(ActorAlgorithm):
         save_to_pkl(path, (self._shown, self._leads, self._teacher.memories))
 
     def load_replay_buffer(self, path: str | Path) -> None:
-        """Read what `save_replay_buffer` has written. Loading runs what is in the file."""
+        """Read what `save_replay_buffer` has written.
+
+        Loading runs what is in the file.
+        """
         shown, leads, memories = load_from_pkl(path)
         self._shown = shown
         self._leads = leads

@@ -1,5 +1,7 @@
-"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in
-the training's folder, and progress."""
+"""Monitor of a training, whatever its engine.
+
+It has validation, learning curve, best and last agent in the training's folder, and progress.
+"""
 
 import csv
 import time
@@ -113,7 +115,10 @@ class TrainingMonitor(ABC):
         return observation
 
     def begin(self, config: dict[str, Any]) -> None:
-        """Begin before the first step of this process. config: the record for config.json."""
+        """Begin before the first step of this process.
+
+        config: the record for config.json.
+        """
         self._started = time.perf_counter()
         self._config = config
         write_json(self.folder / CONFIG, config, say=False)
@@ -226,7 +231,10 @@ class TrainingMonitor(ABC):
 
 
 class TrainingCallback(TrainingMonitor, BaseCallback):
-    """Monitor of a training with Stable-Baselines3. Raises ValueError, OSError."""
+    """Monitor of a training with Stable-Baselines3.
+
+    Raises ValueError, OSError.
+    """
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         BaseCallback.__init__(self)

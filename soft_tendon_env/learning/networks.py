@@ -9,6 +9,7 @@ import torch
 
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.policies.activations import activation_name
+from soft_tendon_env.policies.algorithms import policy_name
 
 OPTIMISER = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that learn elsewhere
 
@@ -54,9 +55,8 @@ def new_network(
         ModuleNotFoundError: Stable-Baselines3 is not installed.
     """
     is_dict = isinstance(observations, gym.spaces.Dict)
-    aliases = training_class(algorithm).policy_aliases
-    kind = "MultiInputPolicy" if is_dict else "MlpPolicy"
-    policy = aliases[kind]
+    kind = training_class(algorithm)
+    policy = kind.policy_aliases[policy_name(kind, is_dict)]
     made = policy_arguments(arguments)
     for name in OPTIMISER:
         made.pop(name, None)

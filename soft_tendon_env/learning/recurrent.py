@@ -1,5 +1,7 @@
-"""Policy network of Stable-Baselines3 that can remember, by a gated unit whose state goes from one
-control period to the next."""
+"""Recurrent policy network of Stable-Baselines3, by a gated unit.
+
+Its state goes from one control period to the next.
+"""
 
 from typing import Any
 

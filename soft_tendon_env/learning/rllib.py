@@ -1,5 +1,6 @@
-"""Distributed training of PPO with RLlib (Ray), as a configuration says: environments in several
-processes, or on a Ray cluster.
+"""Distributed training of PPO with RLlib (Ray), as a configuration says.
+
+Environments are in several processes, or on a Ray cluster.
 
 A run leaves what one of Stable-Baselines3 does, `tensorboard/` aside, and RLlib's own checkpoint in
 `last/rllib/`, from which it goes on.

@@ -1,5 +1,6 @@
-"""Sweeps: trainings of every configuration with several seeds, side by side in processes, or on a
-Ray cluster.
+"""Sweeps: trainings of every configuration with several seeds, side by side.
+
+They are in processes, or on a Ray cluster.
 
 Every run has its folder OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are
 done are not repeated, and interrupted ones go on. A run that fails stops no other.
@@ -18,8 +19,9 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 
 class Sweep(Configuration):
-    """Train every configuration with several seeds (runs that are done are not repeated), and draw
-    and print their learning curves.
+    """Train every configuration with several seeds, and draw and print their learning curves.
+
+    Runs that are done are not repeated.
 
     Attributes:
         configs: names of trainings that ship, or paths of TOML files.
@@ -55,9 +57,13 @@ class Sweep(Configuration):
         return folders
 
     def jobs(self) -> list["Job"]:
-        """Runs, seed by seed, so that all have come equally far.
+        """Returns the runs, seed by seed, so that all have come equally far.
 
-        Raises ConfigurationError where one cannot be trained.
+        Returns:
+            Runs with their folders.
+
+        Raises:
+            ConfigurationError: where one cannot be trained.
         """
         folders = self.folders
         files = [find_config(config) for config in self.configs]

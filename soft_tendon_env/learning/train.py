@@ -1,5 +1,6 @@
-"""Training of an agent with an algorithm of Stable-Baselines3, or with its interface, by a
-configuration.
+"""Training of an agent by a configuration.
+
+The algorithm is one of Stable-Baselines3, or has its interface.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit),
 `evaluations.csv` (the learning curve, on the fixed validation targets), `best/` and `last/`
@@ -38,7 +39,7 @@ from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.networks import policy_arguments
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 from soft_tendon_env.policies.agent import CONFIG
-from soft_tendon_env.policies.algorithms import network_kind
+from soft_tendon_env.policies.algorithms import policy_name
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -93,7 +94,7 @@ def _check_same(folder: Path, training: Training, engine: str, record: dict[str,
 def train(
     training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None
 ) -> BaseAlgorithm:
-    """Train an agent for what is left of its steps.
+    """Trains an agent for the steps that it still lacks.
 
     Args:
         training: its configuration.
@@ -105,7 +106,8 @@ def train(
         The agent.
 
     Raises:
-        ValueError, OSError: before it begins.
+        ValueError: before it begins, for a training or a checkpoint that cannot be used.
+        OSError: before it begins, for files that cannot be read or written.
         UserError: weights became infinite or undefined, or a checkpoint cannot be written.
     """
     model = model_of(training, checkpoint)
@@ -116,7 +118,10 @@ def train(
 
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
-    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
+    """Agent as it is at the beginning, or as a checkpoint has it.
+
+    Raises ValueError, OSError.
+    """
     # best where several trainings run side by side, and makes them repeatable
     torch.set_num_threads(1)
     if checkpoint is None:
@@ -125,7 +130,10 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
-    """Learn what is left. Raises UserError where weights become infinite or undefined."""
+    """Learn what is left.
+
+    Raises UserError where weights become infinite or undefined.
+    """
     training = callback.training
     done = model.num_timesteps
     if done >= training.steps:
@@ -162,7 +170,6 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
-    network_kind(training.algorithm)  # raises where its agents could not act later
     env = make_training_env(training)
     arguments: dict[str, Any] = dict(training.hyperparameters)
     arguments["learning_rate"] = learning_rate(training)
@@ -174,8 +181,8 @@ def make_model(training: Training) -> BaseAlgorithm:
         gamma=arguments.get("gamma", 0.99),
     )
     has_goals = isinstance(env.observation_space, gym.spaces.Dict)
-    policy = "MultiInputPolicy" if has_goals else "MlpPolicy"
     kind = training_class(training.algorithm)
+    policy = policy_name(kind, has_goals)
     try:
         _gather_settings(kind, arguments)
         model: BaseAlgorithm = kind(

@@ -1,5 +1,6 @@
-"""The environments with many arms for Stable-Baselines3, which has no adapter of its own for
-Gymnasium's vector environments.
+"""Environments with many arms for Stable-Baselines3.
+
+It has no adapter of its own for Gymnasium's vector environments.
 
     from soft_tendon_env.learning.vec_env import make_sb3_vec_env
     agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
@@ -26,17 +27,21 @@ from soft_tendon_env.envs.environments import TendonRodVectorEnv
 class StableBaselinesVecEnv(VecEnv):
     """Rows of an environment as a VecEnv of Stable-Baselines3.
 
-    Row i is the single environment under DummyVecEnv with Monitor, bit for bit.
-    An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats,
-    with "TimeLimit.truncated" and, at the end of an episode, "terminal_observation" and "episode":
+    Row i is the single environment under DummyVecEnv with Monitor, bit for bit. An ended row is
+    reset at once. `infos[i]` is the info of the single environment in plain floats, with
+    "TimeLimit.truncated" and, at the end of an episode, "terminal_observation" and "episode":
     return "r", length "l" and seconds "t" since this object was made.
+
+    Args:
+        env: with `autoreset_mode="same_step"`.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for another reset mode.
     """
 
     def __init__(self, env: TendonRodVectorEnv) -> None:
-        """Rows of an environment.
-
-        env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for others.
-        """
+        """Wraps the rows."""
         if not isinstance(env, TendonRodVectorEnv):
             raise TypeError(
                 "env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids,"
@@ -155,12 +160,19 @@ class StableBaselinesVecEnv(VecEnv):
 
 
 def make_sb3_vec_env(id: str, num_envs: int, **options: Any) -> StableBaselinesVecEnv:
-    """Environment with many rows for Stable-Baselines3.
+    """Makes an environment with many rows for Stable-Baselines3.
 
     Args:
         id: of the environment.
         num_envs: number of rows.
         options: as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ...
+
+    Returns:
+        The rows as a VecEnv.
+
+    Raises:
+        TypeError: for the id of another package's environment.
+        ConfigurationError: for options that are not allowed.
     """
     env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
     return StableBaselinesVecEnv(env)

@@ -1,5 +1,6 @@
-"""Equation of motion of the rod and its integration, as compiled kernels (numba): pure functions,
-one stage of the derivation per file.
+"""Equation of motion of the rod and its integration, as compiled kernels (numba).
+
+They are pure functions, one stage of the derivation per file.
 
 Reading order: `types` (what the kernels read) and `workspace` (what they write), `terms/evaluate`
 (one evaluation, phase by phase), and the phases in its order: `terms/tendons`,

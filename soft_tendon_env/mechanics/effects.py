@@ -1,5 +1,6 @@
-"""Effects as the kernels see them: what an effect reads and adds to, its own kernels, their
-addresses, and how they are called.
+"""Effects as the kernels see them: their own kernels, addresses and calls.
+
+A kernel of an effect reads nodes or points of the rod, and adds to them.
 
 The kernels of an effect are compiled by themselves and called through their addresses, which stand
 in a table with those of their parameters, a `Struct`: the mechanics are compiled once, whatever
@@ -62,8 +63,10 @@ class Collision(Struct):
 
 
 class Nodes(NamedTuple):
-    """The slices of the rod that the nodes stand for: what an effect reads of them, and what it
-    adds to; layout as in types.py."""
+    """Slices of the rod that the nodes stand for.
+
+    They are what an effect reads of them, and what it adds to; layout as in types.py.
+    """
 
     packs: int
     time: float  # [s]
@@ -88,8 +91,10 @@ class Nodes(NamedTuple):
 
 
 class Points(NamedTuple):
-    """The sections at the quadrature points: what an effect reads of them, and what it adds to;
-    layout as in types.py."""
+    """Sections at the quadrature points.
+
+    They are what an effect reads of them, and what it adds to; layout as in types.py.
+    """
 
     packs: int
     time: float  # [s]
@@ -121,8 +126,10 @@ class Base(NamedTuple):
 
 
 class Transmission(Struct):
-    """Path from commands to tensions: a filter in front of the tendons, elastic tendons, friction
-    along them. Each may be off."""
+    """Path from commands to tensions: filter, elastic tendons, friction along them.
+
+    The filter is in front of the tendons. Each may be off.
+    """
 
     # index of the effect whose internal state is that of the filter, see transmission; -1: commands
     # act at once
@@ -211,8 +218,9 @@ Decorator = Callable[[Any], Any]
 
 
 class EffectTable(Struct):
-    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and
-    of their parameters.
+    """Effects of an arm: addresses of their kernels for every hook, and of their parameters.
+
+    The address is 0 where there is no kernel.
 
     The same type whatever the effects. Addresses hold within a process: a copy that is unpickled in
     another one gets its own.
@@ -237,9 +245,11 @@ class EffectTable(Struct):
         states: Sequence[np.ndarray],
         transmission: Transmission = DIRECT,
     ) -> None:
-        """The table of effects with these parameters and internal states, in their order; compiles
-        their kernels when needed. Those whose parameters no kernel reads act by the transmission
-        alone."""
+        """Makes the table of effects with these parameters and internal states, in their order.
+
+        Compiles their kernels when needed. Those whose parameters no kernel reads act by the
+        transmission alone.
+        """
         self.__dict__["_structs"] = tuple(structs)  # which their addresses do not keep
         kernels = {
             hook: _words(_address_of_kernel(hook, struct) for struct in structs) for hook in HOOKS
@@ -265,8 +275,10 @@ class EffectTable(Struct):
 
     @property
     def load(self) -> bool:
-        """True if any of them acts on an arm at rest, or moves its base: what the path from
-        commands to tensions holds does not."""
+        """True if any of them acts on an arm at rest, or moves its base.
+
+        What the path from commands to tensions holds does not.
+        """
         return bool(np.any([self.wrench, self.stress, self.base]))
 
     @property
@@ -305,13 +317,22 @@ def _register(hook: str, kind: type) -> Decorator:
 
 
 def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
-    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds
-    to `nodes.wrench`, see `Nodes`.
+    """Registers a kernel (parameters, nodes) that adds to `nodes.wrench`: a decorator.
 
     A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what
-    it depends on so, "pose", "twist" or both, and the step takes its derivatives at every node by
-    differences; or the kernel adds them to `nodes.stiffness` and `nodes.damping` itself. Raises
-    ValueError for another name, and where both would count.
+    it depends on so, and the step takes its derivatives at every node by differences; or the kernel
+    adds them to `nodes.stiffness` and `nodes.damping` itself. The decorator raises ValueError where
+    both would count.
+
+    Args:
+        kind: class of the parameters, see `Nodes` for the other argument of the kernel.
+        implicit: "pose", "twist" or both.
+
+    Returns:
+        The decorator.
+
+    Raises:
+        ValueError: for another name in `implicit`.
     """
     bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
     odd = {*implicit} - {*bits}
@@ -366,7 +387,12 @@ periodic by `allow_turning`. Contact checks for collisions between `nodes.before
 
 @kernel
 def allow_turning(rate, longest):
-    """Lower `longest` (1,) [s] to a sixteenth of the period of what turns at a rate [rad/s]."""
+    """Lowers the longest step to a sixteenth of the period of what turns at a rate.
+
+    Args:
+        rate: angular rate [rad/s]; 0 allows any step.
+        longest: (1,) [s], which is changed.
+    """
     if rate != 0.0:
         longest[0] = min(longest[0], TURN / abs(rate))
 
@@ -377,8 +403,10 @@ def kernels_of(kind: type) -> dict[str, Any]:
 
 
 def _address_of_kernel(hook: str, parameters: Struct) -> int:
-    """The address of the kernel for these parameters, 0 where there is none; compiles it when
-    needed."""
+    """Address of the kernel for these parameters, 0 where there is none.
+
+    Compiles it when needed.
+    """
     function = _KERNELS.get((hook, type(parameters)))
     if function is None:
         return 0
@@ -400,8 +428,10 @@ def _address(hook: str, function: Any, kind: Hashable) -> int:
 
 
 def call(address, parameters, arguments):
-    """Call the kernel at an address with the parameters at another one and a tuple of further
-    arguments."""
+    """Calls the kernel at an address.
+
+    Its arguments are the parameters at another address and a tuple of further arguments.
+    """
     _FUNCTIONS[address - 1](struct_at(None, [parameters], 0), *arguments)
 
 

@@ -1,5 +1,6 @@
-"""Arrays of an arm that the kernels read: rod, tendons, strain parametrisation. Shapes, units and
-layout are stated here, once.
+"""Arrays of an arm that the kernels read: rod, tendons, strain parametrisation.
+
+Shapes, units and layout are stated here, once.
 
 The rod is cut into Magnus intervals, none across a breakpoint, and LANES neighbouring intervals
 form a pack (the last pack is filled up with empty intervals at the tip). An interval carries two
@@ -76,8 +77,9 @@ class Strain(Struct):
 
 
 class Implicit(Strain):
-    """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and
-    passive wrenches.
+    """Base of the strains that static equilibrium defines implicitly.
+
+    Coordinates are tensions and passive wrenches.
 
     Tensions u are in balance, with the loads inside, at q = [u; 0] (34).
     """
@@ -90,16 +92,21 @@ class Implicit(Strain):
         return self.law.active == self.size and not self.law.mixed
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
-        """Coordinates (n,) at which tensions (n_a,), with the loads inside, are in balance, [u; 0]
-        of (34)."""
+        """Coordinates (n,) at which tensions (n_a,) are in balance, [u; 0] of (34).
+
+        The loads inside are in balance with them.
+        """
         law, q = self.law, np.zeros(self.size)
         np.add.at(q, law.column, law.weight * np.repeat(tension, np.diff(law.row_start)))
         return q
 
 
 class StaticsBased(Implicit):
-    """Statics-based strain (30). Tensions of the strain law: tau_i = sum weight[m] q[column[m]], m
-    in row_start[i]..row_start[i+1]."""
+    """Statics-based strain (30).
+
+    Tensions of the strain law: tau_i = sum weight[m] q[column[m]], m in
+    row_start[i]..row_start[i+1].
+    """
 
     row_start: IntVector  # (n_a + 1)
     column: IntVector
@@ -127,8 +134,10 @@ class StaticsBased(Implicit):
 
 
 class Loaded(Implicit):
-    """Statics-based strain with dead loads inside (35), which have every tension strain the whole
-    rod."""
+    """Statics-based strain with dead loads inside (35).
+
+    These have every tension strain the whole rod.
+    """
 
     law: StaticsBased  # of the tensions and passive wrenches
     acceleration: tuple[
@@ -156,8 +165,10 @@ class Explicit(Strain):
 
 
 class Arm(Struct):
-    """Arrays of a whole arm, as the kernels read it. The type of `strain` selects code when a
-    kernel is compiled."""
+    """Arrays of a whole arm, as the kernels read it.
+
+    The type of `strain` selects code when a kernel is compiled.
+    """
 
     base: FloatVector  # (12) pose of the base, before effects move it: R rows and r, world frame
     rod: Rod

@@ -1,5 +1,6 @@
-"""Workspace of one evaluation: the arrays that the kernels write, a struct for every stage; layout
-and letters as in types.py.
+"""Workspace of one evaluation: the arrays that the kernels write.
+
+There is a struct for every stage; layout and letters as in types.py.
 
 A stage gets the structs, or the arrays, that it reads and then those that it writes, and nothing
 else. Every field has one writer:
@@ -38,8 +39,9 @@ Kind = TypeVar("Kind", bound=Struct)
 
 
 def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
-    """A struct of the fields given, and of zeros of the shapes that the annotations name: aligned
-    to cache lines, in one piece of memory. Structs in it are made likewise.
+    """Struct of the fields passed, and of zeros of the shapes that the annotations name.
+
+    They are aligned to cache lines, in one piece of memory. Structs in it are made likewise.
 
     A shape is a text for each dimension, a size or a product of sizes and numbers,
     `Annotated[np.ndarray, "n", "points x 6"]`.
@@ -65,8 +67,11 @@ def _is_struct(annotation: Any) -> bool:
 def _places(
     kind: type[Struct], sizes: tuple[tuple[str, int], ...], made: tuple[str, ...]
 ) -> tuple[int, list[tuple[str, slice, list[int], bool]]]:
-    """Numbers in all, and name, place, shape and whether they are integers of the arrays of a
-    struct, but for the fields that are made already."""
+    """Numbers in all, and places of the arrays of a struct in one piece of memory.
+
+    A place has name, place, shape and whether they are integers, but for the fields that are made
+    already.
+    """
     known = dict(sizes)
     known |= {str(number): number for number in range(25)}
     line = LINE // 8  # numbers of a cache line
@@ -87,8 +92,10 @@ def _places(
 
 
 def sizes_of(arm: Arm) -> dict[str, int]:
-    """Sizes of an arm's arrays: coordinates n, tendons n_a, nodes, points, and internal states of
-    the effects."""
+    """Sizes of an arm's arrays.
+
+    They are coordinates n, tendons n_a, nodes, points, and internal states of the effects.
+    """
     nodes = arm.rod.length.size
     return {
         "n": arm.strain.size,
@@ -100,8 +107,10 @@ def sizes_of(arm: Arm) -> dict[str, int]:
 
 
 class Inputs(Struct):
-    """Time of an evaluation and internal states of the effects, beside coordinates, rates and
-    tensions."""
+    """Time of an evaluation and internal states of the effects.
+
+    They stand beside coordinates, rates and tensions.
+    """
 
     clock: Annotated[np.ndarray, "1"]  # time [s]
     state: Annotated[np.ndarray, "states"]  # internal states of the effects
@@ -111,8 +120,10 @@ class Inputs(Struct):
 
 
 class LoadMemory(Struct):
-    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other
-    strains."""
+    """Eliminated Hessian of the strain under dead loads, see load_hessian.
+
+    It is all but empty for other strains.
+    """
 
     e: Annotated[np.ndarray, "loaded x 2 x 6"]  # the scaled strain
     step: Annotated[np.ndarray, "loaded x 2 x 6"]  # residual of the balance and its correction
@@ -168,8 +179,10 @@ class Forces(Struct):
 
 
 class Loads(Struct):
-    """Wrenches and stresses of the effects, at the nodes and at the points, with the derivatives
-    that they give themselves, times the weight of the point."""
+    """Wrenches and stresses of the effects, at the nodes and at the points.
+
+    They have the derivatives that they give themselves, times the weight of the point.
+    """
 
     wrench: Annotated[np.ndarray, "nodes x 6"]  # body frame
     node_stiffness: Annotated[np.ndarray, "nodes x 21"]
@@ -188,8 +201,10 @@ class Matrices(Struct):
 
 
 class TendonForces(Struct):
-    """Tensions that come of a command, and forces on the coordinates by them, of tendons that are
-    elastic or rub."""
+    """Tensions that come of a command, and forces on the coordinates by them.
+
+    They are of tendons that are elastic or rub.
+    """
 
     tension: Annotated[np.ndarray, "n_a"]  # [N] at the actuators
     shortening: Annotated[np.ndarray, "n_a"]  # [m] of elastic tendons beside the stress-free rod

@@ -1,2 +1,4 @@
-"""Equation of motion, static equilibria, inverse statics and simulation of a scene; `model.py` and
-`simulation.py` first."""
+"""Equation of motion, static equilibria, inverse statics and simulation of a scene.
+
+Read `model.py` and `simulation.py` first.
+"""

@@ -14,8 +14,10 @@ from soft_tendon_env.tools.types import Array
 
 
 class ContactForces(NamedTuple):
-    """Contact of an arm with its obstacles, in their order; vectors in the world frame, forces on
-    the arm."""
+    """Contact of an arm with its obstacles, in their order.
+
+    Vectors are in the world frame, forces on the arm.
+    """
 
     force: Array  # (obstacles, 3) [N]
     # (obstacles,) [m] between surfaces, least along the arm; negative: the deepest penetration
@@ -30,8 +32,18 @@ class ContactForces(NamedTuple):
 
 
 def contact_forces(model: Model, state: State) -> ContactForces:
-    """Contact forces, clearance and penetration in a state. Raises ValueError where the model has
-    no contact."""
+    """Computes contact forces, clearance and penetration in a state.
+
+    Args:
+        model: of an arm with obstacles.
+        state: of that model.
+
+    Returns:
+        Forces [N] and distances [m] by obstacle and by sample along the arm.
+
+    Raises:
+        ValueError: for a model without contact.
+    """
     work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")

@@ -1,11 +1,11 @@
-"""Strain coordinates of a scene, what moves: actuation and passive fields, independent tensions and
-explicit bases; and all arrays of an arm."""
+"""Strain coordinates of a scene, what moves, and all arrays of an arm.
+
+They are actuation and passive fields, independent tensions and explicit bases.
+"""
 
 import math
-from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
@@ -21,7 +21,7 @@ from soft_tendon_env.mechanics.types import (
 from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid, make_rod
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
-from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
+from soft_tendon_env.scene.strain import STRAINS, ExplicitBasis, Snapshots, mode_fields
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
@@ -119,8 +119,9 @@ def make_strain(
     Returns:
         An explicit basis, or the law, with its dead loads, if any.
     """
-    if isinstance(scene.strain, ExplicitStrain):
+    if isinstance(scene.strain, ExplicitBasis):
         return _explicit_basis(scene.strain, grid, stress_free)
+    assert isinstance(scene.strain, StaticsBasedStrain)  # the registry takes no others
     if law is None:
         law = tension_law(scene, scene.strain, grid, stress_free)
     dead_loads = scene.effects.dead_loads()
@@ -135,29 +136,6 @@ def make_strain(
         law=law,
         **dead_loads._asdict(),
     )
-
-
-def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
-    """Legendre fields at the points: (fields, intervals, 2, 6).
-
-    They are in the order of pieces, then strains, then orders.
-    """
-    points = grid.points
-    borders = grid.breakpoints
-    whole_rod = [(0.0, borders[-1])]
-    pieces = list(pairwise(borders))
-    fields = list[Array]()
-    for group in modes:
-        spans = whole_rod if group.span == "rod" else pieces
-        for a, b in spans:
-            polynomials = _legendre_polynomials(points, a, b, group.order)
-            for strain in group.strains:
-                component = STRAINS.index(strain)
-                block = np.zeros((*polynomials.shape, 6))
-                block[..., component] = polynomials
-                fields.extend(block)
-    count = len(fields)
-    return np.array(fields).reshape(count, *points.shape, 6)
 
 
 def tension_law(
@@ -274,10 +252,17 @@ def _effect_table(scene: Scene, stress_free: StressFreeArm) -> EffectTable:
     return effects
 
 
-def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeArm) -> Explicit:
-    """Arrays of an explicit basis."""
-    fields = mode_fields(strain.modes, grid)
+def _explicit_basis(strain: ExplicitBasis, grid: Grid, stress_free: StressFreeArm) -> Explicit:
+    """Arrays of an explicit basis.
+
+    Raises ConfigurationError where its fields are of another shape.
+    """
+    fields = np.asarray(strain.fields(grid.points, grid.breakpoints), dtype=np.float64)
     count = len(fields)
+    expected = (count, *grid.points.shape, len(STRAINS))
+    if fields.shape != expected or not np.isfinite(fields).all():
+        text = f"has fields of shape {fields.shape}: they should be finite, and of shape {expected}"
+        raise ConfigurationError([Problem(("strain",), text)])
     present = _intervals_of(fields)
     begin, end = grid.pack_ranges(present)
     weight = grid.weights[..., None]
@@ -292,27 +277,13 @@ def _explicit_basis(strain: ExplicitStrain, grid: Grid, stress_free: StressFreeA
     )
 
 
-def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
-    """Legendre polynomials on [a, b] at points (intervals, 2), 0 beside it: (order + 1, intervals,
-    2)."""
-    length = b - a
-    from_start = points - a
-    on_unit = 2 * from_start / length - 1
-    is_behind_start = points > a
-    is_before_end = points < b
-    is_inside = is_behind_start & is_before_end
-    polynomials = legendre.legvander(on_unit, order)
-    values = polynomials * is_inside[..., None]
-    return np.asarray(np.moveaxis(values, -1, 0))
-
-
 def _passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
     """The passive fields as the scene has them, (fields, intervals, 2, 6)."""
     passive = strain.passive
     if isinstance(passive, Snapshots):
         own_fields = fields_of(scene)
         return own_fields.at(grid.points, passive.fields)
-    return mode_fields(passive, grid)
+    return mode_fields(passive, grid.points, grid.breakpoints)
 
 
 def _intervals_of(fields: Array) -> Array:

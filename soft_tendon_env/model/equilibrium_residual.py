@@ -1,5 +1,7 @@
-"""Static balance of an arm under a part of its load, 0 to 1: unbalanced force, stiffness,
-stability, at given coordinates."""
+"""Static balance of an arm under a part of its load, 0 to 1.
+
+It is the unbalanced force, stiffness and stability at given coordinates.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +54,10 @@ class Linearised:
 
     @cached_property
     def stability(self) -> Stability:
-        """Stability of the equilibrium: the energy has a minimum there, or, for loads without a
-        potential, motions from it die out."""
+        """Stability of the equilibrium: the energy has a minimum there.
+
+        For loads without a potential, motions from it die out.
+        """
         balance, S = self.balance, self.balance._by_metric(self.stiffness)
         has_potential = balance._is_symmetric(S)
         values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
@@ -87,8 +91,10 @@ class Stability(NamedTuple):
 
 
 class Balance:
-    """The balance of one model under one load, f(q, part) = part (B u + F) - K, and its
-    derivatives; None and `obstacle` where none."""
+    """Static balance of one model under one load, f(q, part) = part (B u + F) - K.
+
+    It has its derivatives; where there is no balance they are None, and `obstacle` says why.
+    """
 
     def __init__(self, model: Model, tension: Array, work: Workspace) -> None:
         """work: of the model, that nobody else uses meanwhile."""
@@ -161,8 +167,10 @@ class Balance:
         return Linearised(self, at, at.G, compliance, compliance @ out.rate)
 
     def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
-        """The balance at q (n,), and V^T S V (m, m) for modes V (n, m), 1 for each of them on the
-        unloaded arm."""
+        """Balance at q (n,), and its curvature V^T S V (m, m) for modes V (n, m).
+
+        The curvature is 1 for each of them on the unloaded arm.
+        """
         computed = self._compute(q, part, False, np.ascontiguousarray(modes.T))
         return (
             None if computed is None else (computed[0], modes.T @ computed[1].slopes / self.energy)
@@ -203,14 +211,18 @@ class Balance:
         return At(q, part, out.force, out.G, residual), out
 
     def product(self, a: Array, b: Array) -> float:
-        """The inner product of `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for
-        absurd coordinates."""
+        """Inner product of `angle`, a^T G b of the unloaded arm [rad^2].
+
+        It is infinite or NaN for absurd coordinates.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             return float(a @ self.model.metric @ b) / self.energy
 
     def angle(self, change: Array) -> float:
-        """Size of a change of coordinates (n,): the angle [rad] of a bend of the whole unloaded arm
-        that stores as much energy."""
+        """Size of a change of coordinates (n,) as an angle of bending [rad].
+
+        It is that of a bend of the whole unloaded arm that stores as much energy.
+        """
         squared = self.product(change, change)
         return math.sqrt(max(squared, 0.0)) if math.isfinite(squared) else math.inf
 

@@ -1,5 +1,7 @@
-"""Discretisation of the rod: where its intervals, quadrature points and nodes are, and the section
-and tendons of the stress-free arm there."""
+"""Discretisation of the rod: its intervals, quadrature points and nodes.
+
+There it has the section and tendons of the stress-free arm.
+"""
 
 import math
 from collections.abc import Callable
@@ -450,6 +452,9 @@ def _discretisation(
     def segment_hull(segment: Segment, places: Array) -> ArrayLike:
         return segment.shape.hull(places, segment.length)
 
+    def segment_corners(segment: Segment, places: Array) -> ArrayLike:
+        return np.full((1, places.size), segment.shape.has_corners)
+
     def line_mass(arc_length: Array) -> Array:
         _, _, inertia = screw_matrices(scene, arc_length)
         return inertia[:, 3]
@@ -462,6 +467,7 @@ def _discretisation(
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
         hull=lambda arc_length: along_rod(scene, arc_length, segment_hull),
+        has_corners=lambda arc_length: along_rod(scene, arc_length, segment_corners)[0] > 0.0,
         discs=disc_rows(scene),
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=line_mass,
@@ -475,8 +481,10 @@ def _discretisation(
 
 
 def _node_inertia(scene: Scene, grid: Grid, rod: Discretisation) -> tuple[Array, Array]:
-    """Screw inertia (nodes, 6) [kg m^2, kg] with what effects add, and mass (nodes,) [kg] that
-    gravity pulls at."""
+    """Screw inertia (nodes, 6) [kg m^2, kg] with what effects add, and mass (nodes,) [kg].
+
+    Gravity pulls at the mass.
+    """
     effects = scene.effects
 
     def density(arc_length: Array) -> Array:
@@ -506,8 +514,7 @@ def _leading_strains(free: tuple[Strain, ...]) -> tuple[int, ...]:
 
 
 def _panel_weights(size: int) -> Array:
-    """Closed Newton-Cotes weights (size + 1,) on [-1, 1], which integrate all powers up to
-    `size`."""
+    """Closed Newton-Cotes weights (size + 1,) on [-1, 1]: exact for powers up to `size`."""
     nodes = np.linspace(-1.0, 1.0, size + 1)
     powers = np.arange(size + 1)
     of_nodes = nodes ** powers[:, None]

@@ -58,7 +58,7 @@ class InverseEquilibrium(NamedTuple):
 def tension_for_tip_pose(
     model: Model, pose: ArrayLike, *, start: ArrayLike | None = None
 ) -> InverseEquilibrium:
-    """Inverse statics for a tip pose: tensions within the scene's limits.
+    """Solves the inverse statics for a tip pose: tensions within the scene's limits.
 
     They are locally of least effort |u| if there are many. If the pose cannot be reached within
     1e-4 of the rod's length, the result is the nearest pose, with a `reason`. A radian counts as
@@ -67,7 +67,7 @@ def tension_for_tip_pose(
     Args:
         model: of the arm.
         pose: (4, 4) in the world frame.
-        start: tensions (n_a,) near the solution, when following a path: one local search from
+        start: tensions (n_a,) [N] near the solution, when following a path: one local search from
             there instead of several from afar.
 
     Returns:
@@ -95,7 +95,7 @@ def tension_for_tip_pose(
 def tension_for_tip_position(
     model: Model, position: ArrayLike, *, start: ArrayLike | None = None
 ) -> InverseEquilibrium:
-    """Inverse statics for a tip position alone, whatever the tip's orientation.
+    """Solves the inverse statics for a tip position alone, whatever the tip's orientation.
 
     Args:
         model: of the arm.
@@ -207,8 +207,10 @@ class _TipSearch:
         return np.array(turn), desired - position
 
     def error(self, u: Array) -> Array:
-        """Error e (6,) [m]: weighted rotation vector and displacement from the tip to the desired
-        pose; NaN without equilibrium."""
+        """Error e (6,) [m] from the tip to the desired pose; NaN without equilibrium.
+
+        It has the weighted rotation vector and the displacement.
+        """
         equilibrium = self.equilibrium(u)
         if not equilibrium.converged:
             return np.full(6, np.nan)
@@ -270,8 +272,10 @@ class _TipSearch:
         return 0.5 * (self.slack + anywhere)
 
     def _least_squares(self, u: Array, mu: float, unit: float) -> Array:
-        """Tensions (n_a,) [N] of least |e|^2 + mu^2 |u|^2, tensions in units of `unit` [N] and
-        errors in lengths."""
+        """Tensions (n_a,) [N] of least |e|^2 + mu^2 |u|^2.
+
+        There tensions are in units of `unit` [N] and errors in lengths.
+        """
         # here: it takes longer to import than all else that most scenes need
         from scipy.optimize import least_squares
 

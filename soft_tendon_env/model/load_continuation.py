@@ -1,5 +1,6 @@
-"""Equilibrium path of a slowly loaded arm: numerical continuation of B u - K + F = 0 from the
-unloaded arm to its full load.
+"""Equilibrium path of a slowly loaded arm by numerical continuation.
+
+It solves B u - K + F = 0 from the unloaded arm to its full load.
 
 Predictor and corrector (Allgower and Georg, Introduction to Numerical Continuation Methods, 1990),
 with steps that show that they stayed on the path: the cubic through both ends is an equilibrium in
@@ -226,8 +227,10 @@ class LoadPath:
         return None
 
     def _point_at(self, equilibrium: At, linearised: Linearised) -> Linearised | None:
-        """The balance around an equilibrium, with the derivatives computed nearby where they will
-        do."""
+        """Balance around an equilibrium, linearised.
+
+        The derivatives are those computed nearby where they will do.
+        """
         if equilibrium is linearised.at:
             return linearised
         way = self.balance.angle(equilibrium.q - linearised.at.q)

@@ -1,5 +1,7 @@
-"""Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and
-energies at given coordinates."""
+"""Reduced-order Cosserat-rod model of a scene.
+
+It has the terms of the equation of motion, kinematics and energies at given coordinates.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,9 @@ TOLERANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene;
-    it never changes.
+    """Reduced-order Cosserat-rod model of a tendon-driven arm; it never changes.
+
+    `build_model` makes it from a scene.
 
     Coordinates q (n,) of the statics-based strain are the tensions [N] that determine the strain
     (combinations of them if tendons are redundant), then the passive coordinates. With an explicit
@@ -64,8 +67,19 @@ class Model:
         )
 
     def with_scene(self, scene: Scene) -> Model:
-        """Model of a scene with other numbers or effects; grid, combinations of tensions and fields
-        stay. Raises ConfigurationError."""
+        """Returns the model of a scene with other numbers or effects.
+
+        Grid, combinations of tensions and strain fields stay.
+
+        Args:
+            scene: of the same arm.
+
+        Returns:
+            The new model.
+
+        Raises:
+            ConfigurationError: for an arm that cannot be computed.
+        """
         arm = make_arm(scene, self.grid, self.arm.strain)
         sizes = [
             (type(arm.strain), arm.effects.count, arm.effects.state.size) for arm in (self.arm, arm)
@@ -73,8 +87,19 @@ class Model:
         return Model(scene, self.grid, arm, self._idle if sizes[0] == sizes[1] else [])
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
-        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`. Raises
-        TypeError or ConfigurationError."""
+        """Returns the model with other numbers in its scene.
+
+        Args:
+            changes: numbers by keys of the scene, `{"segments.*.young_modulus": 1.1e6}`.
+
+        Returns:
+            The new model, with the same grid and strain fields.
+
+        Raises:
+            TypeError: for values that are no numbers.
+            ConfigurationError: for keys or values that the scene does not allow, or numbers that
+                need a model of their own.
+        """
         scene_parameters(self.scene, changes)
         made = self.with_scene(scene_with_numbers(self.scene, changes))
         if misfit := self.misfit(made):
@@ -87,8 +112,10 @@ class Model:
         return made
 
     def misfit(self, other: Model) -> str:
-        """Difference other than in numbers of a model `with_scene`; "": there is none, and both can
-        be rows of one batch."""
+        """Difference other than in numbers of a model `with_scene`, in words.
+
+        It is empty where there is none, so that both can be rows of one batch.
+        """
         if type(other.arm.strain) is not type(self.arm.strain):
             return "whether there are loads inside of the strain"
         here, there, ours, theirs = (
@@ -128,11 +155,24 @@ class Model:
     def terms(
         self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None, *, time: float = 0.0
     ) -> Terms:
-        """Terms of the equation of motion (23) at q, q_dot (n,), the effects' internal states at
-        rest at q.
+        """Computes the terms of the equation of motion (23) at coordinates and rates.
 
-        `tension` (n_a,) matters to `stiffness` of explicit bases only; on time [s] disturbances and
-        a moving base depend.
+        The effects' internal states are at rest at q.
+
+        Args:
+            q: coordinates (n,).
+            q_dot: rates (n,).
+            tension: (n_a,) [N], which matters to `stiffness` of explicit bases only.
+            time: [s], on which disturbances and a moving base depend.
+
+        Returns:
+            The matrices and forces, tip pose and tip Jacobian.
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
+            OverflowError: for absurd rates.
         """
         with self.workspace() as work:
             return self._evaluate(
@@ -140,19 +180,56 @@ class Model:
             )
 
     def tip_pose(self, q: ArrayLike) -> Array:
-        """Pose of the tip in the world frame, (4, 4): forward kinematics."""
+        """Computes the pose of the tip in the world frame: forward kinematics.
+
+        Args:
+            q: coordinates (n,).
+
+        Returns:
+            The pose (4, 4), its translation in [m].
+
+        Raises:
+            TypeError: for an array that is not of numbers.
+            ValueError: for a wrong shape or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         with self.configuration(q) as work:
             return _poses(work.kinematics.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
-        """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points,
-        4, 4)."""
+        """Computes the backbone: poses of the sections at equal distances from base to tip.
+
+        Args:
+            q: coordinates (n,).
+            points: number of sections.
+
+        Returns:
+            Poses (points, 4, 4) in the world frame, their translations in [m].
+
+        Raises:
+            TypeError: for arguments that are no numbers.
+            ValueError: for a wrong shape, numbers that are not finite, or fewer than one point.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         return self.backbone_at(
             q, np.linspace(0.0, self.length, checked_count("points", points, 1))
         )
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
-        """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
+        """Computes the backbone at arc lengths: poses of the sections there.
+
+        Args:
+            q: coordinates (n,).
+            arc_length: (m,) [m] from the base.
+
+        Returns:
+            Poses (m, 4, 4) in the world frame, their translations in [m].
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes, or arc lengths beyond the rod.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
         with self.configuration(q) as work:
@@ -162,8 +239,22 @@ class Model:
         return poses
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
-        """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between
-        the two points of an interval."""
+        """Computes strains and their derivatives at arc lengths.
+
+        Both are linear between the two points of an interval.
+
+        Args:
+            q: coordinates (n,).
+            arc_length: (m,) [m] from the base.
+
+        Returns:
+            Strains (m, 6) [1/m, 1], and Phi (m, 6, n), their derivatives by q.
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes, or arc lengths beyond the rod.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         places, q = (
             self.arc_lengths("arc_length", arc_length),
             checked_array("q", q, (self.coordinate_count,)),
@@ -187,8 +278,10 @@ class Model:
 
     @property
     def acting(self) -> dict[str, Effect]:
-        """The effects that act as forces on the coordinates, by name, in the order of the arm's
-        table of effects."""
+        """Effects that act as forces on the coordinates, by name.
+
+        They stand in the order of the arm's table of effects.
+        """
         return effects_outside(self.scene).acting()
 
     @property
@@ -198,8 +291,11 @@ class Model:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Meaning of the numbers of a state: effects with internal states or other commands than
-        tensions, "actuators:20"; times."""
+        """Meaning of the numbers of a state.
+
+        An effect with internal states or other commands than tensions has an entry, "actuators:20";
+        so have relaxation times.
+        """
         effects = zip(
             self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True
         )
@@ -220,8 +316,10 @@ class Model:
 
     @cached_property
     def metric(self) -> Array:
-        """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are
-        compared."""
+        """Metric in which coordinates are compared, (n, n).
+
+        It is the symmetric part of G of the unloaded arm.
+        """
         G = self.terms(rest := np.zeros(self.coordinate_count), rest).stiffness
         return np.asarray(0.5 * (G + G.T))
 
@@ -232,32 +330,69 @@ class Model:
 
     @cached_property
     def bending_energy(self) -> float:
-        """Twice the energy [J] of the rod bent evenly by an angle of 1: the unit in which
-        stiffnesses of coordinates compare."""
+        """Unit in which stiffnesses of coordinates compare: twice a bending energy [J].
+
+        It is that of the rod bent evenly by an angle of 1.
+        """
         bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]
         return float(bending @ self.grid.weights.ravel()) / self.length**2
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Strain field: arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p)
-        there, (m, 6)."""
+        """Computes the strain field at the quadrature points.
+
+        Args:
+            q: coordinates (n,).
+
+        Returns:
+            Arc lengths (m,) [m] of the points, and the strains xi = (k, p) there, (m, 6) [1/m, 1].
+
+        Raises:
+            TypeError: for an array that is not of numbers.
+            ValueError: for a wrong shape or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         return self.grid.points[self.grid.real].ravel(), self.grid.unpacked(self.packed_strain(q))
 
     def packed_strain(self, q: ArrayLike) -> Array:
-        """The strain at the points in the kernels' flat layout (points * 6,), see
-        mechanics.types."""
+        """Strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
         with self.configuration(q) as work:
             return work.strain.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
-        """Lengths of the tendons along the strained rod (n_a,) [m]."""
+        """Computes the lengths of the tendons along the strained rod.
+
+        Args:
+            q: coordinates (n,).
+
+        Returns:
+            Lengths (n_a,) [m].
+
+        Raises:
+            TypeError: for an array that is not of numbers.
+            ValueError: for a wrong shape or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         lengths = np.empty(self.tendon_count)
         with self.configuration(q) as work:
             tendon_lengths(self.arm.rod, self.arm.tendons, work.strain.xi, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
-        """Kinetic, elastic and load energy; effects (m,): internal states, by default at rest.
-        Raises ValueError without a potential."""
+        """Computes the kinetic, elastic and load energy.
+
+        Args:
+            q: coordinates (n,).
+            q_dot: rates (n,).
+            effects: internal states (m,); None is at rest.
+
+        Returns:
+            The energies [J].
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes, or an effect without a potential.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         rod, grid, rate = (
             self.arm.rod,
             self.grid,
@@ -294,13 +429,24 @@ class Model:
 
     @property
     def command_unit(self) -> str:
-        """Unit of commands: "N" where they are tensions, "m" where they are displacements of
-        elastic tendons' actuators."""
+        """Unit of commands: "N" of tensions, "m" of displacements of elastic tendons' actuators."""
         return self.scene.effects.command_unit
 
     def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
-        """The command (n_a,), tensions [N] or displacements [m], that holds tensions (n_a,) [N] at
-        rest at q (n,)."""
+        """Computes the command that holds tensions at rest.
+
+        Args:
+            tension: (n_a,) [N].
+            q: coordinates (n,) at rest under them.
+
+        Returns:
+            The command (n_a,): tensions [N] or displacements [m], see `command_unit`.
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
+        """
         u, path = (
             checked_array("tension", tension, (self.tendon_count,)),
             self.arm.effects.transmission,
@@ -312,8 +458,18 @@ class Model:
         )
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
-        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based
-        strain only, else ValueError."""
+        """Returns the coordinates at rest under tensions alone, [u; 0] of (34).
+
+        Args:
+            tension: (n_a,) [N].
+
+        Returns:
+            Coordinates (n,).
+
+        Raises:
+            TypeError: for an array that is not of numbers.
+            ValueError: for a wrong shape, or an explicit strain, whose coordinates are no tensions.
+        """
         u = checked_array("tension", tension, (self.tendon_count,))
         if isinstance(self.arm.strain, Explicit):
             raise ValueError(
@@ -322,13 +478,20 @@ class Model:
         return self.arm.strain.rest_coordinates(u)
 
     def coordinate_scale(self) -> Array:
-        """Unit of each coordinate (n,): the amplitude that stores as much energy as bending the arm
-        by 1 rad."""
+        """Returns the unit of each coordinate: the amplitude that stores a bending energy.
+
+        It is the energy of bending the arm by 1 rad.
+
+        Returns:
+            Units (n,).
+        """
         return np.asarray(np.sqrt(self.bending_energy / np.diag(self.metric)))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
-        """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming
-        `name`."""
+        """Arc lengths (m,) [m] along the rod, checked.
+
+        Raises TypeError or ValueError naming `name`.
+        """
         places = checked_array(name, np.zeros(0) if np.size(value) == 0 else value, (None,))
         if places.size and not (places.min() >= 0.0 and places.max() <= self.length * (1 + 1e-12)):
             raise ValueError(
@@ -339,8 +502,10 @@ class Model:
 
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
-        """A workspace that nobody else uses, with the effects' states at rest; what it holds
-        otherwise is of evaluations before."""
+        """A workspace that nobody else uses, with the effects' states at rest.
+
+        What it holds otherwise is of evaluations before.
+        """
         try:
             work = self._idle.pop()
         except IndexError:  # asked for and taken at once, for threads
@@ -354,7 +519,10 @@ class Model:
 
     @contextmanager
     def configuration(self, q: ArrayLike) -> Iterator[Workspace]:
-        """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
+        """A workspace with strains and poses at q (n,).
+
+        Raises StrainLimitError.
+        """
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
@@ -362,8 +530,10 @@ class Model:
             yield work
 
     def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:
-        """Raises StrainLimitError where the strain could not be found at a block, of -1 for none,
-        or the rod could not be placed."""
+        """Raises StrainLimitError where the strain was not found or the rod could not be placed.
+
+        The block where it was not found is -1 for none.
+        """
         if block >= 0:
             nearest = nearest_limit(self.arm, self.grid, q, work.strain.xi, reached, block)
             what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
@@ -426,8 +596,10 @@ class Model:
 
 
 def model_on(scene: Scene, intervals: int) -> Model:
-    """Model of a scene on a quadrature with this many intervals per piece, whatever the scene says,
-    and however coarse that is."""
+    """Model of a scene on a quadrature with this many intervals per piece.
+
+    The number holds whatever the scene says, and however coarse that is.
+    """
     grid = make_grid(scene, intervals)
     return Model(scene, grid, make_arm(scene, grid))
 

@@ -1,5 +1,7 @@
-"""Error estimates of quadratures, and the choice of one: what the tip at rest moves by, and what
-masses change by, on a finer quadrature."""
+"""Error estimates of quadratures, and the choice of one.
+
+They are what the tip at rest moves by, and what masses change by, on a finer quadrature.
+"""
 
 import functools
 import math
@@ -328,7 +330,10 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
 
 
 def _tip(model: Model, q: Array) -> Array:
-    """Position (3,) [m] of the tip at q (n,). Raises StrainLimitError."""
+    """Position (3,) [m] of the tip at q (n,).
+
+    Raises StrainLimitError.
+    """
     pose = model.tip_pose(q)
     return pose[:3, 3]
 

@@ -15,7 +15,6 @@ from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.routing import HelixRouting
 from soft_tendon_env.scene.scene import Scene, breakpoints
 from soft_tendon_env.tools.types import Array
 
@@ -64,8 +63,7 @@ def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
     """
     rates = [math.hypot(*segment.curvature) for segment in scene.segments]
     for tendon in scene.tendons:
-        if isinstance(tendon.routing, HelixRouting):
-            rates.append(abs(tendon.routing.angular_rate))
+        rates.append(tendon.routing.turn_rate())
     fastest = max(rates)
     cut_lengths = list[float]()
     for start, end in pairwise(breakpoints(scene)):

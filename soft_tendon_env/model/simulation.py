@@ -1,5 +1,7 @@
-"""Time integration of a model: one control step at a time (`Simulation`), or a whole input at once
-(`simulate`)."""
+"""Time integration of a model, by control steps or over a whole input.
+
+`Simulation` takes one step at a time, `simulate` a whole input at once.
+"""
 
 from __future__ import annotations
 
@@ -67,8 +69,16 @@ JUMP_RATIO = 1e3
 
 
 class SimulationDiverged(RuntimeError):
-    """Raised where no step of the smallest allowed size succeeds. `state` is the last good one,
-    `cause` says why."""
+    """Raised where no integrator step of the smallest allowed size succeeds.
+
+    Attributes `state`, `cause`, `command` and `unit` are the arguments.
+
+    Args:
+        state: the last good one.
+        cause: why no step succeeds.
+        command: (n_a,) under which it happened.
+        unit: of the command, "N" or "m".
+    """
 
     def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
         super().__init__(state, cause, command, unit)  # what it is pickled as
@@ -87,8 +97,7 @@ class NoEquilibriumError(ValueError):
 
 
 class StepReport(NamedTuple):
-    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, the
-    estimated error, and what it all cost."""
+    """Statistics of one call of `Simulation.step`: integrator steps, estimated error and cost."""
 
     steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
@@ -114,8 +123,9 @@ class Trajectory(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal
-    states of effects, k forces.
+    """Simulated motion over N periods and its linearisation.
+
+    There are n coordinates, n_a tendons, m internal states of effects, k forces.
 
     The derivatives are those of a linearly implicit method with the matrices of the period's
     beginning, see docs/explanation/derivatives.md: 2 to 15 percent of the largest entry off on most
@@ -133,8 +143,9 @@ class Rollout(NamedTuple):
 
 
 class Linearization(NamedTuple):
-    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates,
-    their rates, m internal states.
+    """End of a period and its derivatives.
+
+    There are s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
 
     Columns are by the numbers of the state before, then by the n_a commands; angular components
     before linear ones.
@@ -148,8 +159,18 @@ class Linearization(NamedTuple):
 
 
 class Simulation:
-    """Simulation of a model, one control step at a time. Commands are held over a step (zero-order
-    hold); arguments are checked."""
+    """Simulates a model one control step at a time.
+
+    Commands are held over a step (zero-order hold); arguments are checked.
+
+    Args:
+        model: of the arm.
+        state: where the simulation begins; None is the stress-free shape at rest.
+
+    Raises:
+        TypeError: for a model or a state of another type.
+        ValueError: for a state that is not one of the model.
+    """
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
@@ -174,11 +195,23 @@ class Simulation:
         effects: Given = None,
         tension: Given = None,
     ) -> State:
-        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises
-        ValueError, TypeError, StrainLimitError.
+        """Resets the simulation to coordinates and rates at a time.
 
-        effects (m,): the effects' internal states, see State; by default those of an arm that
-        tensions (n_a,) [N], by default zero, have held at q since long before.
+        Args:
+            q: coordinates (n,); None is zero.
+            q_dot: rates (n,) of the coordinates; None is zero.
+            time: of the state [s].
+            effects: the effects' internal states (m,), see State. None is those of an arm that the
+                tensions have held at q since long before.
+            tension: the tensions (n_a,) [N] that held the arm; None is zero.
+
+        Returns:
+            The new state.
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes or numbers that are not finite.
+            StrainLimitError: if no strain balances the coordinates.
         """
         still, clock = (
             np.zeros(self.model.coordinate_count),
@@ -198,8 +231,10 @@ class Simulation:
         return self.state
 
     def _rest_states(self, strain: Array, command: Array) -> Array:
-        """Internal states (m,) of the effects where a command (n_a,) has always held the arm at a
-        packed strain."""
+        """Internal states (m,) of the effects at rest at a packed strain.
+
+        A command (n_a,) has always held the arm there.
+        """
         work = self._scratch.work
         if work.inputs.state.size:
             work.strain.xi[:] = strain
@@ -207,11 +242,21 @@ class Simulation:
         return work.inputs.state.copy()
 
     def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
-        """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the
-        loads at time 0; returns the state.
+        """Resets the simulation to the static equilibrium under tensions and the loads at time 0.
 
-        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the
-        arm is let go to where it settles. Raises ValueError, TypeError, NoEquilibriumError.
+        Where the branch of stable equilibria ends the arm is let go to where it settles.
+
+        Args:
+            tension: (n_a,) [N]; None is zero.
+            time: which the state's time is set to [s].
+
+        Returns:
+            The new state.
+
+        Raises:
+            TypeError: for arrays that are not of numbers.
+            ValueError: for wrong shapes or numbers that are not finite.
+            NoEquilibriumError: if the arm has no stable equilibrium under them.
         """
         u = (
             np.zeros(self.model.tendon_count)
@@ -233,8 +278,10 @@ class Simulation:
 
     @property
     def state(self) -> State:
-        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError
-        leave the simulation as it was."""
+        """State of the simulation, a copy.
+
+        Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was.
+        """
         return state_of(self.model, self._motion, self._step)
 
     @state.setter
@@ -249,11 +296,22 @@ class Simulation:
         advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
-        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant
-        command (n_a,), see `Model.command_unit`.
+        """Integrates the equation of motion under a constant command.
 
-        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError,
-        TypeError, `SimulationDiverged`.
+        The steps are equal, and of at most the scene's. A command beyond `tension_limits` is taken
+        as it is, with a TensionLimitWarning.
+
+        Args:
+            command: (n_a,) in the unit `Model.command_unit`.
+            duration: [s], at least 0.
+
+        Returns:
+            Numbers of steps, their estimated error and their cost.
+
+        Raises:
+            TypeError: for arguments that are no numbers.
+            ValueError: for wrong shapes, numbers that are not finite, or a negative duration.
+            SimulationDiverged: if no integrator step of the smallest size succeeds.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -266,14 +324,26 @@ class Simulation:
         )
 
     def linearize(self, command: ArrayLike, duration: float) -> Linearization:
-        """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves
-        the simulation where it is.
+        """Linearises `step` under a constant command; the simulation stays where it is.
 
         Central differences with the integrator's steps held, by 1e-4 of units,
         `Model.coordinate_scale`, limits of commands and internal states, among obstacles by a
         hundredth of that. The error is below 1e-6 of the largest entry of a block where the motion
         is smooth. At a kink both sides are mixed; where one jumps or fails, the other one counts.
-        Raises as `step`, LinAlgError where both sides fail.
+
+        Args:
+            command: (n_a,) in the unit `Model.command_unit`.
+            duration: of the period [s].
+
+        Returns:
+            The end of the period and its derivatives.
+
+        Raises:
+            TypeError: for arguments that are no numbers.
+            ValueError: for wrong shapes, numbers that are not finite, or a duration of too many
+                steps.
+            SimulationDiverged: if the step itself diverges.
+            LinAlgError: if both sides of a difference fail.
         """
         start, step = self._motion.copy(), self._step
         try:
@@ -301,14 +371,25 @@ class Simulation:
         forces: Given = None,
         steps: int | None = None,
     ) -> Rollout:
-        """Simulated motion over N periods from the present state, with its linearisation; leaves
-        the simulation where it was.
+        """Simulates N periods from the present state and linearises them; the simulation stays.
 
-        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with
-        durations (p,) [s]. forces (n, k): generalised forces by which to differentiate besides.
-        steps: of a period that the linearisation takes, by default as many as resolve the slowest
-        vibration. Raises ValueError, TypeError, `SimulationDiverged`, LinAlgError where there is no
-        linearisation.
+        Args:
+            commands: (N, n_a), each held for a period, or (N, p, n_a) of the p parts of a period,
+                in the unit `Model.command_unit`.
+            duration: of a period [s], or (p,) of its parts.
+            forces: generalised forces (n, k) by which to differentiate besides; None: no forces.
+            steps: of a period that the linearisation takes; None is as many as resolve the slowest
+                vibration.
+
+        Returns:
+            The motion at the ends of the periods and its derivatives.
+
+        Raises:
+            TypeError: for arguments that are no numbers.
+            ValueError: for wrong shapes, numbers that are not finite, or durations that are not
+                positive.
+            SimulationDiverged: if no integrator step of the smallest size succeeds.
+            LinAlgError: if the motion has no linearisation.
         """
         n, n_a = self.model.coordinate_count, self.model.tendon_count
         parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
@@ -353,8 +434,10 @@ class Simulation:
         return self._sample.tip_pose[0].copy()
 
     def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
-        """Advance by control.step under each row of commands (rows, n_a), with the record's samples
-        evenly among them; unchecked."""
+        """Advances by control.step under each row of commands (rows, n_a); unchecked.
+
+        The record's samples are evenly among them.
+        """
         arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
         done = advance.advance(
             arm,
@@ -393,16 +476,30 @@ def simulate(
     sample_period: float,
     initial: State | None = None,
 ) -> Trajectory:
-    """Simulates `duration` [s] and samples the motion every `sample_period` [s].
+    """Simulates the motion of an arm under commands and samples it at equal periods.
 
-    command, in the unit `Model.command_unit`: an array (n_a,) is constant. A table (duration /
-    sample_period, n_a) has a row per sample period. A function of time [s] is sampled at the middle
-    of each integrator step and held over it: second order, exact for jumps at the borders of steps.
-    Commands beyond `tension_limits` are used as given, with a TensionLimitWarning. initial: first
-    state, by default at rest without tension; `Simulation(model).state` is the stress-free shape.
+    Commands beyond `tension_limits` are used as given, with a TensionLimitWarning.
 
-    Raises ValueError or TypeError before anything is computed, NoEquilibriumError if the arm has no
-    equilibrium, `SimulationDiverged`.
+    Args:
+        model: of the arm.
+        command: in the unit `Model.command_unit`. An array (n_a,) is constant. A table (duration /
+            sample_period, n_a) has a row per sample period. A function of time [s] returns (n_a,);
+            it is sampled at the middle of each integrator step and held over it: second order,
+            exact for jumps at the borders of steps.
+        duration: of the motion [s], a multiple of the sample period.
+        sample_period: time between two samples [s].
+        initial: first state. None is rest without tension; `Simulation(model).state` is the
+            stress-free shape.
+
+    Returns:
+        The sampled motion, its first sample the initial state.
+
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for wrong shapes, numbers that are not finite, or a duration that is no multiple
+            of the period.
+        NoEquilibriumError: if the arm has no equilibrium to begin at.
+        SimulationDiverged: if no integrator step of the smallest size succeeds.
     """
     simulation = Simulation(model, initial)
     period = checked_number(
@@ -442,8 +539,9 @@ def simulate(
 
 
 def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array, Array]:
-    """States (copies, s), tip poses (copies, 4, 4) and twists (copies, 6) after a period, inf where
-    it fails. Raises LinAlgError.
+    """States, tip poses and twists after a period, infinite where it fails.
+
+    They are (copies, s), (copies, 4, 4) and (copies, 6). Raises LinAlgError.
 
     inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2):
     length [s] and columns of every step, the same for all copies, since an order that follows their
@@ -496,8 +594,10 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
 
 
 def _slopes(values: Array, step: Array) -> Array:
-    """Derivatives (.., inputs) by inputs of values (1 + 2 inputs, ..): at the inputs, then a step
-    (inputs,) to the right of every input, then to the left.
+    """Derivatives (.., inputs) of values by inputs, from differences on both sides.
+
+    values (1 + 2 inputs, ..) are those at the inputs, then a step (inputs,) to the right of every
+    input, then to the left.
 
     They are central; where a value jumps on one side, they are those of the other side.
     """
@@ -524,7 +624,9 @@ def period_derivatives(
     model: Model, start: Motion, inputs: Array, taken: Array, following: State
 ) -> Linearization:
     """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`.
-    Raises LinAlgError."""
+
+    Raises LinAlgError.
+    """
     # steps of the differences, by the unit of every input
     effects = model.scene.effects
     scale = model.coordinate_scale()

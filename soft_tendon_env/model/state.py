@@ -27,8 +27,10 @@ STATE = "state that State.save wrote"
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a simulation, everything that the next step depends on: a saved state continues bit
-    for bit."""
+    """State of a simulation, all that the next step depends on.
+
+    A saved state continues bit for bit.
+    """
 
     time: float  # [s]
     q: Array  # (n,) coordinates
@@ -47,7 +49,14 @@ class State:
         )
 
     def save(self, path: str | Path) -> None:
-        """Saves the state to an .npz file."""
+        """Saves the state to an .npz file.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            OSError: if the file cannot be written.
+        """
         with open(path, "wb") as file:
             np.savez(
                 file, **{entry.name: getattr(self, entry.name) for entry in reversed(fields(self))}
@@ -55,7 +64,19 @@ class State:
 
     @classmethod
     def load(cls, path: str | Path) -> State:
-        """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
+        """Loads a state that `save` wrote.
+
+        Args:
+            path: of the .npz file.
+
+        Returns:
+            The state, equal to the saved one bit for bit.
+
+        Raises:
+            TypeError: for what is no path.
+            OSError: if the file cannot be read.
+            ValueError: for a file that holds no state.
+        """
         saved = read_arrays(path, STATE)
         try:
             time, step, names = (
@@ -69,8 +90,10 @@ class State:
 
 
 def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
-    """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError,
-    ValueError where it is not of the model."""
+    """Motion of a state, in arrays of its own, and the step [s] to try next.
+
+    Raises TypeError, ValueError where it is not of the model.
+    """
     checked_type("state", state, State, "see Simulation.state")
     q, q_dot = (
         checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,))

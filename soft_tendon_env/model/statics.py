@@ -1,5 +1,7 @@
-"""Static equilibria B u - K + F = 0 of (23): of many the one where a slowly loaded arm goes, see
-load_continuation."""
+"""Static equilibria B u - K + F = 0 of (23).
+
+Of many it is the one where a slowly loaded arm goes, see load_continuation.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +45,9 @@ class RedundancyWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A static equilibrium, n coordinates; if not `converged`, the last one on the path from the
-    unloaded arm to the full load.
+    """Static equilibrium of an arm with n coordinates.
+
+    If not `converged`, it is the last one on the path from the unloaded arm to the full load.
 
     `residual` is the angle by which the unbalanced force would bend a rod as stiff as this one:
     sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
@@ -65,11 +68,11 @@ class Equilibrium:
 
     @cached_property
     def tip_error(self) -> float:
-        """Estimated distance [m] of the tip from that of the rod itself: error of coordinates and
-        quadrature, computed when first read.
+        """Estimated distance of the tip [m] from that of the rod itself.
 
-        A converged reference model solves the equilibrium again, see
-        reference_model.equilibrium_error. Infinite where it has none near.
+        It is the error of coordinates and quadrature, computed when first read. A converged
+        reference model solves the equilibrium again, see reference_model.equilibrium_error.
+        Infinite where it has none near.
         """
         return equilibrium_error(self.model, self.q, self.tension, self.load, self.stable)
 
@@ -77,20 +80,30 @@ class Equilibrium:
 def static_equilibrium(
     model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False
 ) -> Equilibrium:
-    """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as
-    a slowly loaded arm reaches it.
+    """Computes the static equilibrium of the arm under constant tensions and its effects.
 
-    Tensions and effects grow together from zero (continuation), along the branch of stable
-    equilibria that begins at the unloaded arm. Loads inside the strain act from the beginning. If
-    the branch ends before the full load (at a limit point, a bifurcation, flutter, the strain
-    limit), the result is not `converged`. It then has the load reached and the reason.
+    It is the one that a slowly loaded arm reaches. Tensions and effects grow together from zero
+    (continuation), along the branch of stable equilibria that begins at the unloaded arm. Loads
+    inside the strain act from the beginning. If the branch ends before the full load (at a limit
+    point, a bifurcation, flutter, the strain limit), the result is not `converged`. It then has the
+    load reached and the reason.
 
-    guess: coordinates (n,), from which Newton's method starts at the full load. The result is the
-    equilibrium next to them, stable or not, if there is one. settle: if the branch ends, let the
-    arm move, with damping and without inertia, until it rests, and load it further.
+    Tensions beyond `tension_limits` are used as given, with a TensionLimitWarning.
 
-    Tensions beyond `tension_limits` are used as given, with a TensionLimitWarning. Raises
-    ValueError or TypeError for bad arrays.
+    Args:
+        model: of the arm.
+        tension: (n_a,) [N].
+        guess: coordinates (n,), from which Newton's method starts at the full load. The result is
+            the equilibrium next to them, stable or not, if there is one.
+        settle: if the branch ends, let the arm move, with damping and without inertia, until it
+            rests, and load it further.
+
+    Returns:
+        The equilibrium, or the last one on the way to the full load.
+
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for wrong shapes or numbers that are not finite.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
@@ -162,11 +175,20 @@ def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
-    """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,)
-    [N] that hold it.
+    """Computes the static equilibrium under a command, and the tensions that hold it.
 
-    Newton's method on the tensions, within what elastic tendons and actuators can hold. Raises as
-    `static_equilibrium`.
+    Newton's method on the tensions, within what elastic tendons and actuators can hold.
+
+    Args:
+        model: of the arm.
+        command: (n_a,) in the unit `Model.command_unit`.
+
+    Returns:
+        The equilibrium, and the tensions (n_a,) [N].
+
+    Raises:
+        TypeError: for arguments of wrong types.
+        ValueError: for wrong shapes or numbers that are not finite.
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = (
@@ -209,8 +231,9 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
 
 
 class ChordSolver:
-    """Static equilibria near one that is known, by Newton's method with its stiffness (chord
-    iteration).
+    """Static equilibria near one that is known, by Newton's method with its stiffness.
+
+    This is the chord iteration.
 
     answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises
     StrainLimitError where there is no strain.
@@ -231,8 +254,10 @@ class ChordSolver:
         self.answer: Array = self._compliance @ self.terms.actuation
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
-        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None
-        where there is none."""
+        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,).
+
+        None where there is none.
+        """
         q = (
             self.model.rest_coordinates(tension)
             if self._known

@@ -1,5 +1,7 @@
-"""Time steps of a scene as the kernels take them: integration method, control of step size, and the
-commands held over each."""
+"""Time steps of a scene as the kernels take them.
+
+They are the integration method, control of step size, and the commands held over each.
+"""
 
 import warnings
 from collections.abc import Callable
@@ -188,7 +190,10 @@ def _warn_of_changes_within_steps(rows: Array, beside: Array, middles: Array, st
 
 
 def _sample(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
-    """The function at all times (m,): (m, size). An error names the time."""
+    """The function at all times (m,): (m, size).
+
+    An error names the time.
+    """
     rows = list[Array]()
     for time in times:
         name = f"command({time:.6g})"

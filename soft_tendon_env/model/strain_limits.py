@@ -1,5 +1,7 @@
-"""Limits of the strain: which tendon, or which load, is nearest to what no section balances, in
-words."""
+"""Limits of the strain, in words.
+
+They say which tendon, or which load, is nearest to what no section balances.
+"""
 
 import numpy as np
 
@@ -61,8 +63,10 @@ def nearest_limit(
 
 
 def _chords_and_give(arm: Arm, grid: Grid, xi: Array) -> tuple[Array, Array]:
-    """Sizes of the tendons' chords, 0 where they are not, and what the section gives way to their
-    pull: (n_a, intervals, 2) each."""
+    """Sizes of the tendons' chords, and what the section gives way to their pull.
+
+    They are (n_a, intervals, 2) each; chords are 0 where they are not.
+    """
     tendons = arm.tendons
     by_tendon = tendons.geometry.reshape(tendons.size, -1)
     geometry = grid.at_points(by_tendon, 5)

@@ -1,2 +1,5 @@
-"""Reproduction of figures 2 to 6 of Mathew, Renda et al., Dynamics and Control of Soft Robots With
-Implicit Strain Parametrization."""
+"""Reproduction of figures 2 to 6 of the paper of the model.
+
+It is Mathew, Renda et al., Dynamics and Control of Soft Robots With Implicit Strain
+Parametrization.
+"""

@@ -62,8 +62,11 @@ class ClosedLoop:
         return np.concatenate([q_dot, q_ddot])
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
-        """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton
-        iterations hardly converge."""
+        """df/dx.
+
+        The differences that SciPy would choose by itself are so coarse that its Newton iterations
+        hardly converge.
+        """
         rate = self.rate(t, x)
         columns = []
         for step in APART * np.eye(x.size):
@@ -120,8 +123,10 @@ def below_for_good(
     error: np.ndarray,
     threshold: float,
 ) -> float:
-    """The first time [s] from which on the error stays below the threshold; infinity if it is not
-    below at the end."""
+    """First time [s] from which on the error stays below the threshold.
+
+    It is infinite if the error is not below at the end.
+    """
     first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
     return float(time[first]) if first < time.size else float("inf")
 
@@ -138,8 +143,10 @@ def track(
     circle: Circle,
     duration: float,
 ) -> Motion:
-    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those
-    of the period that ends."""
+    """Episode of `duration` [s], sampled at the ends of the control periods.
+
+    Tensions are those of the period that ends.
+    """
     count = round(duration / PERIOD)
     options: dict[str, Any] = {
         "scene": scene,

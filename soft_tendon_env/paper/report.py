@@ -1,5 +1,7 @@
-"""Claims of the paper about its figures, beside what is measured here, and shared parts of the
-pictures."""
+"""Claims of the paper about its figures, beside what is measured here.
+
+It also has shared parts of the pictures.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -69,8 +71,10 @@ def draw_arms(
 
 
 def box(axes: Any, title: str, **paths: np.ndarray) -> None:
-    """Equal scales, names, and paths (m, 3) [m] of a tip by their names, on axes with
-    projection="3d"."""
+    """Draws equal scales, names, and paths (m, 3) [m] of a tip by their names.
+
+    Axes have projection="3d".
+    """
     for (name, path), colour in zip(paths.items(), (ACTUAL, DESIRED), strict=False):
         axes.plot(
             *path.T,

@@ -1,5 +1,6 @@
-"""Figures 2 to 6 of the paper, as pictures and numbers, and what it says of them beside what is
-measured.
+"""Figures 2 to 6 of the paper, as pictures and numbers.
+
+What it says of them stands beside what is measured.
 
 Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted
 shapes, the circle's period) is ours: see validation.py, shape.py and tip.py. The control laws act
@@ -18,8 +19,10 @@ from soft_tendon_env.paper.report import Claim, Result
 
 
 def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
-    """Draw the figures into a folder, print their tables, and write numbers.json. Raises
-    OSError."""
+    """Draw the figures into a folder, print their tables, and write numbers.json.
+
+    Raises OSError.
+    """
     results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
     claims = list[Claim]()
     numbers = dict[str, Any]()

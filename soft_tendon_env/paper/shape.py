@@ -1,5 +1,6 @@
-"""Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000
-and kd = 100.
+"""Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38).
+
+Gains are kp = 1000 and kd = 100.
 
 The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4
 and 3 N. They are approached within 2.5 s by a polynomial that is twice differentiable. The shape

@@ -1,5 +1,6 @@
-"""Figures 5 and 6: the tip along the paper's circle with (39), kp = 10 000 and kd = 1000, from rest
-without tension.
+"""Figures 5 and 6: the tip along the paper's circle with (39), from rest without tension.
+
+Gains are kp = 10 000 and kd = 1000.
 
 The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. The
 underactuated arm depends on the left inverse of B and on the passive coordinates: "as printed" are
@@ -189,8 +190,10 @@ def staying_below(
     name: str,
     numbers: dict[str, float],
 ) -> Claim:
-    """Claim of very small errors: what misses the threshold keeps a steady-state error above it, or
-    breaks down."""
+    """Claim of very small errors.
+
+    What misses the threshold keeps a steady-state error above it, or breaks down.
+    """
     since = numbers.get("below_1_mm_from_s", np.inf)
     holds = bool(np.isfinite(since))
     steady = "" if holds or "late_rms_mm" not in numbers else "steady-state error: "

@@ -1,5 +1,6 @@
-"""Figure 2: the statics-based models against a model of 48 coordinates, under tensions that vary,
-step and stay.
+"""Figure 2: the statics-based models against a model of 48 coordinates.
+
+They are under tensions that vary, step and stay.
 
 The paper gives its inputs as plots only. Ours: tendon i pulls A_i sin^2(pi f_i t) until 7.5 s and
 then as much as it did at that time; tendons 2 and 3 pull 8 N and 5 N more from 5 s on.
@@ -70,8 +71,10 @@ def reproduce(seconds: float, folder: Path) -> Result:
 
 
 def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
-    """Largest, root mean square and last of errors [mm]; around the step only where the motion
-    comes to it."""
+    """Largest, root mean square and last of errors [mm].
+
+    Those around the step are there only where the motion comes to it.
+    """
     numbers = {
         "largest": float(error.max()),
         "rms": root_mean_square(error),

@@ -1,8 +1,9 @@
-"""Policies turn observations into actions: model-based controllers and trained agents, with
-Stable-Baselines3's `predict`."""
+"""Policies turn observations into actions, with Stable-Baselines3's `predict`.
+
+They are model-based controllers and trained agents.
+"""
 
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
-from soft_tendon_env.policies.algorithms import register_algorithm
 from soft_tendon_env.policies.controller_policy import (
     ControllerPolicy,
     make_policy,
@@ -26,6 +27,5 @@ __all__ += [
     "make_policy",
     "observation_options",
     "policy_options",
-    "register_algorithm",
     "save_agent",
 ]

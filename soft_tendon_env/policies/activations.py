@@ -1,5 +1,7 @@
-"""Activation functions of policy networks in NumPy, by the names of their classes in torch.nn, with
-the parameters that those have by default."""
+"""Activation functions of policy networks in NumPy, by the names of their torch.nn classes.
+
+Their parameters are those that the classes have by default.
+"""
 
 from collections.abc import Callable, Mapping
 
@@ -61,7 +63,10 @@ ACTIVATIONS: Mapping[str, Callable[[Single], Single]] = {
 
 
 def activation_name(name: object) -> str:
-    """The name, if it is one of ACTIVATIONS. Raises ValueError that lists them."""
+    """The name, if it is one of ACTIVATIONS.
+
+    Raises ValueError that lists them.
+    """
     if not (isinstance(name, str) and name in ACTIVATIONS):
         raise ValueError(
             f"activation_fn is {name!r}: it should be the name of an activation function in"

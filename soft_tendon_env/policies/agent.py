@@ -1,5 +1,4 @@
-"""Trained agents as policies: their files, network, normalisation of observations and integral
-action.
+"""Trained agents as policies: files, network, normalisation and integral action.
 
 An agent's folder has `weights.npz`, the arrays of its network; `statistics.npz`, mean and variance
 by which it sees observations, absent where it sees them as they are; and `config.json`, which says
@@ -19,7 +18,7 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import given_scene, resolved_scene
-from soft_tendon_env.policies.algorithms import ALGORITHMS, OF_PACKAGE, network_kind
+from soft_tendon_env.policies.algorithms import ALGORITHMS, network_kind
 from soft_tendon_env.policies.architecture import read_architecture
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import PolicyNetwork
@@ -32,8 +31,8 @@ from soft_tendon_env.policies.normalization import (
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, build_network, read_weights
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
-from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
+from soft_tendon_env.tools.configuration import Configuration, not_registered, read_toml
+from soft_tendon_env.tools.files import check_digests, digest, read_json, shipped_folder
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Positive
 
@@ -71,12 +70,21 @@ OF_TRAINING = (
 say."""
 PHYSICS = ("segments", "tendons", "base", "effects")
 """Tables of a scene that define the physical arm, as opposed to how it is computed."""
-OF_COORDINATES = {"coordinates", "rates", "target_coordinates"}
+OF_COORDINATES = {
+    "coordinates",
+    "rates",
+    "target_coordinates",
+    "coordinate_preview",
+    "wanted_coordinates",
+}
 """Observation groups whose meaning depends on the strain parametrisation."""
 
 
 def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Plain options of an environment as they are. Raises ConfigurationError."""
+    """Plain options of an environment as they are.
+
+    Raises ConfigurationError.
+    """
     Options.parse(options, "options")
     return options
 
@@ -125,9 +133,8 @@ class AgentConfig(Configuration):
     @field_validator("algorithm")
     @classmethod
     def _is_known(cls, algorithm: str) -> str:
-        names = sorted([*ALGORITHMS, *OF_PACKAGE])
-        if algorithm not in names:
-            raise ValueError(f"should be an algorithm: {not_among(algorithm, names)}")
+        if algorithm not in ALGORITHMS:
+            raise ValueError(f"should be an algorithm: {not_registered(algorithm, ALGORITHMS)}")
         return algorithm
 
 
@@ -162,7 +169,10 @@ def trained_folder() -> Path:
 
 
 def _agents_table() -> dict[str, Any]:
-    """agents.toml of the agents that ship. Raises ValueError, FileNotFoundError."""
+    """agents.toml of the agents that ship.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return read_toml(trained_folder() / "agents.toml")
 
 
@@ -219,7 +229,10 @@ def find_agent(name: str, task: str) -> Path:
 
 
 def read_config(folder: Path) -> AgentConfig:
-    """Configuration of the agent in a folder. Raises ValueError, FileNotFoundError."""
+    """Configuration of the agent in a folder.
+
+    Raises ValueError, FileNotFoundError.
+    """
     return AgentConfig.parse(read_json(folder / CONFIG), str(folder / CONFIG))
 
 
@@ -249,28 +262,28 @@ class NetworkPolicy:
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
-    """Trained agent as a policy for an environment like its own, single or vector.
+    """Loads a trained agent as a policy for an environment like its own, single or vector.
 
-    Nothing is unpickled.
+    Nothing is unpickled. A TrainingWarning says where the task or preset is another than in its
+    training.
 
     Args:
         name: of an agent that ships for the environment's task, or an agent's folder.
         env: the environment.
         other_effects: whether the arm may have effects that it was not trained with.
 
+    Returns:
+        The policy, which acts by NumPy alone.
+
     Raises:
         TypeError: the environment is of another package.
         ValueError: the files were damaged, or are of another arm or control period.
         OSError: a file cannot be read.
-
-    Warns:
-        TrainingWarning: the task or preset is another than in its training.
     """
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
-    files = {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}
-    check_digests(folder, files, folder / CONFIG)
+    _check_files(folder, config)
     _check_agent(name, config, episodes, other_effects)
     if isinstance(env, gym.vector.VectorEnv):
         observations: gym.Space[Any] = env.single_observation_space
@@ -288,6 +301,24 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
             " see others without"
         )
     return acting_policy(NetworkPolicy(network, normalization), env, config.integral_time)
+
+
+def _check_files(folder: Path, config: AgentConfig) -> None:
+    """Raises an error for files that are not those of an agent's training.
+
+    It is a ValueError or a FileNotFoundError, also for files without a digest in config.json.
+    """
+    for name in (WEIGHTS, STATISTICS):
+        is_there = (folder / name).exists()
+        if is_there and name not in config.files:
+            digest_of_file = digest(folder / name)
+            raise ValueError(
+                f"{folder / CONFIG} has no digest of {name}, by which a damaged or exchanged file"
+                " is noticed: if it is the right one, write"
+                f' "files": {{"{name}": "{digest_of_file}"}} into it'
+            )
+    files = {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}
+    check_digests(folder, files, folder / CONFIG)
 
 
 def load_network(
@@ -322,8 +353,8 @@ def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Polic
     return IntegralPolicy(agent, env, integral_time)
 
 
-def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
-    """Write an agent's weights and statistics into a folder, for a config.json that says the rest.
+def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> dict[str, str]:
+    """Writes an agent's weights and statistics into a folder, beside its config.json.
 
     Args:
         folder: that is there.
@@ -331,13 +362,19 @@ def save_agent(folder: Path, network: Any, normalization: Normalization | None) 
             written.
         normalization: of its observations, see `normalization_of`; None: there is none.
 
+    Returns:
+        SHA-256 of the files by name, which config.json should have as `files`.
+
     Raises:
         OSError: the folder cannot be written.
     """
     arrays = acting_arrays(network.state_dict())
     np.savez_compressed(folder / WEIGHTS, allow_pickle=False, **arrays)
+    names = [WEIGHTS]
     if normalization is not None:
         save_normalization(folder / STATISTICS, normalization)
+        names.append(STATISTICS)
+    return {name: digest(folder / name) for name in names}
 
 
 def strain_of(scene: Scene) -> dict[str, Any]:
@@ -463,8 +500,10 @@ def _check_arm(name: str, trained: Options, scene: Scene, other_effects: bool) -
 def _check_interface(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
     """Raises ValueError where observations or actions mean something else than in a training."""
     layout = layout_of(episodes)
+    # first what others follow from: the usual preview times depend on the control period
     values: dict[str, tuple[Any, Any]] = {
-        "observation": (_group_names(config.layout or layout), _group_names(layout))
+        "control_period": (trained.control_period, episodes.options.control_period),
+        "observation": (_group_names(config.layout or layout), _group_names(layout)),
     }
     for key in SAME:
         values[key] = (getattr(trained, key), getattr(episodes.options, key))

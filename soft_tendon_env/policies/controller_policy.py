@@ -1,5 +1,6 @@
-"""Controllers as policies: Stable-Baselines3's `predict` around a controller of
-`soft_tendon_env.control`.
+"""Controllers as policies: Stable-Baselines3's `predict` around a controller.
+
+Controllers are those of `soft_tendon_env.control`.
 
 What the controller knows comes out of the observation and of its own state; what it decides becomes
 an action.
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
-from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
+from soft_tendon_env.control.catalogue import LOOKS_AHEAD, Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL, Setting, Uncertainty
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -32,6 +33,7 @@ from soft_tendon_env.tools.configuration import (
     not_registered,
     shown,
 )
+from soft_tendon_env.tools.registry import Registry
 from soft_tendon_env.tools.types import Array
 
 # share of the largest command by which one that is observed in single precision may differ from
@@ -59,7 +61,7 @@ def observation_options(
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
-    """Options of an environment under which a controller sees what it needs, and gives tensions.
+    """Returns options under which a controller sees what it needs, and gives tensions.
 
     Args:
         controller: of CONTROLLERS, or an entry like those there.
@@ -69,12 +71,15 @@ def observation_options(
         estimator: of ESTIMATORS, which finds the coordinates; None: they are observed.
         regime: of REGIMES, what a Kalman filter observes, by default "sensors".
 
+    Returns:
+        Options of an environment, by name.
+
     Raises:
         ValueError: a name is not known.
     """
     estimator_entry = _among("estimator", estimator, ESTIMATORS)
     reference = _among("task", task, TASKS).measured_reference
-    entry = _among("controller", controller, CONTROLLERS.get(task, {}))
+    entry = _controller(controller, task)
     ahead = _periods_ahead(entry, latency, period, estimator_entry)
     options: dict[str, Any] = {"action": "tension"}
     options["preview"] = [period * k for k in range(1, ahead + 1)]
@@ -93,7 +98,7 @@ def make_policy(
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
 ) -> "ControllerPolicy":
-    """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy.
+    """Makes a controller of `soft_tendon_env.control.CONTROLLERS` a policy.
 
     Args:
         controller: of CONTROLLERS, or an entry like those there.
@@ -106,6 +111,9 @@ def make_policy(
         estimator: of ESTIMATORS, finds the coordinates from the other observations and the known
             noise of the sensors; None: they are observed.
         uncertainty: process noise and first uncertainty of a Kalman filter.
+
+    Returns:
+        The policy, for one row or many.
 
     Raises:
         TypeError: the environment is of another package.
@@ -127,7 +135,7 @@ def make_policy(
     if latency is None:
         latency = delay
     late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
-    entry: Entry = _among("controller", controller, CONTROLLERS.get(episodes.task.name, {}))
+    entry = _controller(controller, episodes.task.name)
     ahead = _periods_ahead(entry, late, episodes.period, estimator_entry)
     _check_preview(entry, episodes, ahead)
     greatest = late
@@ -216,23 +224,41 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
         raise ConfigurationError([Problem(("preview",), text)], "environment")
 
 
-def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
-    """Entry of a table by its name; a controller's entry itself, or None, as it is.
-
-    Raises ValueError.
-    """
-    if chosen is None or isinstance(chosen, Entry):
+def _controller(chosen: str | Entry, task: str) -> Entry:
+    """Entry of a controller by its name, or itself. Raises ValueError."""
+    if isinstance(chosen, Entry):
         return chosen
+    entries = controllers_of(task)
+    if isinstance(chosen, str) and chosen in entries:
+        return entries[chosen]
+    raise ValueError(f"controller is {shown(chosen)}: {valid_controllers(str(chosen), task)}")
+
+
+def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
+    """Entry of a table by its name; None as it is. Raises ValueError."""
+    if chosen is None:
+        return None
     if isinstance(chosen, str) and chosen in valid:
         return valid[chosen]
-    # users add to those two
-    describe = not_registered if kind in ("controller", "task") else not_among
-    known = describe(str(chosen), valid)
-    raise ValueError(f"{kind} is {shown(chosen)}: {known}")
+    # users add to registries
+    describe = not_registered if isinstance(valid, Registry) else not_among
+    raise ValueError(f"{kind} is {shown(chosen)}: {describe(str(chosen), valid)}")
 
 
 class ControllerPolicy:
-    """Controller behind Stable-Baselines3's `predict`, for one row or many."""
+    """Controller behind Stable-Baselines3's `predict`, for one row or many.
+
+    Args:
+        controller: what acts.
+        env: its environment.
+        model: which knows what commands make tensions, by default the environment's.
+        estimator: finds the coordinates; None: they are observed.
+        predictor: of where the arm will be when commands arrive; None: they arrive at once.
+
+    Raises:
+        TypeError: the environment is of another package.
+        ConfigurationError: the observation lacks what the controller needs.
+    """
 
     def __init__(
         self,
@@ -242,19 +268,7 @@ class ControllerPolicy:
         estimator: protocol.Estimator | None = None,
         predictor: SmithPredictor | None = None,
     ) -> None:
-        """A controller's policy for an environment.
-
-        Args:
-            controller: what acts.
-            env: its environment.
-            model: which knows what commands make tensions, by default the environment's.
-            estimator: finds the coordinates; None: they are observed.
-            predictor: of where the arm will be when commands arrive; None: they arrive at once.
-
-        Raises:
-            TypeError: the environment is of another package.
-            ConfigurationError: the observation lacks what the controller needs.
-        """
+        """Makes the policy for the environment."""
         self.controller = controller
         self.estimator = estimator
         self.predictor = predictor
@@ -312,17 +326,17 @@ class ControllerPolicy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
-        """Actions for one observation or many, and the state to give back with the next ones.
+        """Computes actions for one observation or many.
 
         Args:
             observation: of the environment, or rows of them.
             state: what the last call returned, None at the beginning of episodes; a UserWarning
-                says where it is never given back.
+                says where it is never passed.
             episode_start: (rows,) bool, rows that forget.
             deterministic: is not used: controllers always are.
 
         Returns:
-            Actions (n_a,), or (rows, n_a) for many, and the state.
+            Actions (n_a,), or (rows, n_a) for many, and the state to pass with the next ones.
         """
         self._lost.notice(state is None and not np.any(episode_start))
         flat = observation

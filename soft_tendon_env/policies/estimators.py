@@ -1,16 +1,20 @@
-"""State estimators by name, and by what stands before a controller's name: filtered:tracking is
-`tracking` with the Kalman filter.
+"""State estimators by name, and by what stands before a controller's name.
 
-To add one, add an entry to ESTIMATORS: ESTIMATORS["lengths"] = EstimatorEntry("lengths:",
-LengthObserver).
+filtered:tracking is `tracking` with the Kalman filter.
+
+One is a class or function under `@register("estimator", "lengths")`, here or in a user's own file
+as `examples/own_estimator.py`.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
 from soft_tendon_env.control.protocol import Estimator
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.registry import Registry, register
 
 GREATEST_LATENCY = 0.08  # [s] that an estimate of an unknown latency reaches
 PARAMETERS: Mapping[str, str] = {
@@ -42,8 +46,57 @@ def _adaptive_filter(model: Model, setting: Setting) -> Estimator:
     )
 
 
-ESTIMATORS: dict[str, EstimatorEntry] = {
-    "kalman": EstimatorEntry("filtered:", ExtendedKalmanFilter, filters=True),
-    "adaptive": EstimatorEntry("adaptive:", _adaptive_filter, GREATEST_LATENCY, filters=True),
-}
+def _checked_estimator(
+    name: str,
+    make: Any,
+    *,
+    prefix: str = "",
+    greatest_latency: float = 0.0,
+    filters: bool = False,
+) -> EstimatorEntry:
+    """Entry of a state estimator, see EstimatorEntry.
+
+    Args:
+        name: of the estimator.
+        make: a class or function of a model and a Setting that makes it.
+        prefix: before the names of controllers, by default the name with a colon.
+        greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
+        filters: whether it is a Kalman filter.
+
+    Returns:
+        The entry.
+
+    Raises:
+        TypeError: `make` makes no estimator.
+        ValueError: the prefix is no word with a colon, or that of another estimator.
+    """
+    prefix = prefix or f"{name}:"
+    if not callable(make):
+        raise TypeError(f"the estimator {name!r} should be a class or function, not {shown(make)}")
+    if isinstance(make, type) and not hasattr(make, "estimate"):
+        raise TypeError(
+            f"the estimator {name!r}, {make.__qualname__}, lacks a method estimate(measured, last)"
+        )
+    if not prefix[:-1].isidentifier() or not prefix.endswith(":"):
+        raise ValueError(
+            f"the estimator {name!r} has prefix = {prefix!r}: it should be a word and a colon"
+        )
+    for other, entry in ESTIMATORS.items():
+        if entry.prefix == prefix and other != name:
+            raise ValueError(
+                f"the prefix {prefix!r} is that of the estimator {other!r}: choose another"
+            )
+    return EstimatorEntry(prefix, make, greatest_latency, filters)
+
+
+ESTIMATORS: Registry[EstimatorEntry] = Registry("estimator", _checked_estimator)
 """State estimators by name: extended Kalman filter, and the same with unknown latency."""
+
+register("estimator", "kalman", ExtendedKalmanFilter, prefix="filtered:", filters=True)
+register(
+    "estimator",
+    "adaptive",
+    _adaptive_filter,
+    greatest_latency=GREATEST_LATENCY,
+    filters=True,
+)

@@ -1,5 +1,7 @@
-"""Integral action around a learned policy: it sees the target moved by the integral of the error,
-so that no constant error is left."""
+"""Integral action around a learned policy.
+
+The policy sees the target moved by the integral of the error, so that no constant error remains.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple

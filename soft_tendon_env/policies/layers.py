@@ -80,12 +80,69 @@ class Gates:
     def size(self) -> int:
         return len(self.gate.weight)
 
-    def __call__(self, seen: Single, memory: Single) -> Single:
-        """Next memory (rows, size), of what is seen (rows, n) and the memory."""
+    def __call__(self, seen: Single, memory: Single) -> tuple[Single, Single]:
+        """Values (rows, n + size) for the layers, with the next memory, and that (rows, size).
+
+        Args:
+            seen: (rows, n).
+            memory: (rows, size).
+        """
         share = expit(self.gate(np.concatenate([seen, memory], axis=1)))
         recalled = np.concatenate([seen, share * memory], axis=1)
         candidate = np.tanh(self.candidate(recalled))
-        return memory + share * (candidate - memory)
+        # the action follows what is remembered now, this period's observation included
+        memory = memory + share * (candidate - memory)
+        return np.concatenate([seen, memory], axis=1), memory
+
+
+class LstmLayer(NamedTuple):
+    """Layer of an LSTM, with PyTorch's order of gates: input, forget, cell, output."""
+
+    of_input: Linear  # (4 size, inputs)
+    of_hidden: Linear  # (4 size, size)
+
+    def __call__(self, values: Single, hidden: Single, cell: Single) -> tuple[Single, Single]:
+        """Next hidden and cell state, (rows, size) each.
+
+        S. Hochreiter and J. Schmidhuber, Neural Computation 9 (8), 1997, with forget gates.
+        """
+        sums = self.of_input(values) + self.of_hidden(hidden)
+        enters, stays, candidate, leaves = np.split(sums, 4, axis=1)
+        cell = expit(stays) * cell + expit(enters) * np.tanh(candidate)
+        hidden = expit(leaves) * np.tanh(cell)
+        return hidden, cell
+
+
+@dataclass(frozen=True, eq=False)
+class Lstm:
+    """Memory of an episode: a long short-term memory, whose last hidden state alone goes on."""
+
+    layers: tuple[LstmLayer, ...]
+
+    @property
+    def size(self) -> int:
+        return 2 * len(self.layers) * self._state_size
+
+    @property
+    def _state_size(self) -> int:
+        """Size of the hidden state of a layer, and of its cell state."""
+        return self.layers[0].of_hidden.weight.shape[1]
+
+    def __call__(self, seen: Single, memory: Single) -> tuple[Single, Single]:
+        """Hidden state (rows, size of a layer) of the last layer, and the next memory.
+
+        Args:
+            seen: (rows, n).
+            memory: (rows, size), the hidden and the cell state of each layer in turn.
+        """
+        states = np.split(memory, 2 * len(self.layers), axis=1)
+        values = seen
+        following = []
+        for layer, hidden, cell in zip(self.layers, states[::2], states[1::2], strict=True):
+            hidden, cell = layer(values, hidden, cell)
+            following += [hidden, cell]
+            values = hidden
+        return values, np.concatenate(following, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +176,7 @@ class Actor:
     body: Feedforward
     head: Feedforward
     squashes: bool = False
-    gates: Gates | None = None
+    gates: Gates | Lstm | None = None
     gains: Gains | None = None
     fine: float = 0.0
 
@@ -132,9 +189,7 @@ class Actor:
         """
         seen = self._finer(plain)
         if self.gates is not None:
-            # the action follows what is remembered now, this period's observation included
-            memory = self.gates(seen, memory)
-            seen = np.concatenate([seen, memory], axis=1)
+            seen, memory = self.gates(seen, memory)
         latent = self.body(seen)
         mean = self.head(latent)
         if self.gains is not None:

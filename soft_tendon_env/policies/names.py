@@ -1,5 +1,6 @@
-"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's
-policy.
+"""Policies by name: controllers, trained agents and policies of users.
+
+A name is parsed once into a type.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
@@ -7,6 +8,7 @@ policy = name.load(env)
 """
 
 import importlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,17 +17,19 @@ from typing import Any, Union
 import gymnasium as gym
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.policies.agent import (
     ARM,
     INTERFACE,
+    OF_COORDINATES,
     AgentConfig,
     find_agent,
     is_agent,
+    layout_of,
     load_agent,
     read_config,
     shipped,
@@ -38,7 +42,6 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import (
     Configuration,
     not_among,
-    not_registered,
     read_toml,
     shown,
 )
@@ -69,16 +72,29 @@ ZIP = (
 
 @dataclass(frozen=True)
 class PolicyName:
-    """Name of a policy for a task ("TipPose", ...): `text`, as it was given, and what it means."""
+    """Name of a policy for a task, and what the name means.
+
+    `text` is the name as it was written, `task` "TipPose" or another.
+    """
 
     text: str
     task: str
 
     @staticmethod
     def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:
-        """The policy that a name means: the first of the three that fits.
+        """Parses the name of a policy.
 
-        Raises ValueError that says what names there are.
+        Of a controller, an agent and a policy of a user's own it is the first that fits.
+
+        Args:
+            text: the name, see `load_policy`.
+            task: name of the task.
+
+        Returns:
+            The policy that the name means.
+
+        Raises:
+            ValueError: for other names; the error says what names exist.
         """
         path = Path(text)
         if is_agent(text):
@@ -87,7 +103,7 @@ class PolicyName:
             return _tuned_controller(text, task)
         estimator, prefix = _estimator_of(text)
         method, mark, belief = text.removeprefix(prefix).partition("@")
-        if method in CONTROLLERS.get(task, {}):
+        if method in controllers_of(task):
             if not mark:
                 return Controller(text, task, method, estimator, None)
             try:
@@ -101,14 +117,22 @@ class PolicyName:
         raise ValueError(f"policy is {text!r}{_what_it_should_be(text, task, prefix, method)}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Options of an environment in which the policy sees what it needs: its own, and others.
+        """Returns options of an environment in which the policy sees what it needs.
 
-        given: those that are set. Raises ValueError, OSError.
+        Args:
+            given: options that are set already.
+
+        Returns:
+            Both together, by name.
+
+        Raises:
+            ValueError: for options that the policy cannot act with.
+            OSError: where a file cannot be read.
         """
         raise NotImplementedError
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options.
+        """Loads the policy for an environment with its options.
 
         Args:
             env: the environment.
@@ -116,20 +140,34 @@ class PolicyName:
                 that the name says, if it says one.
             other_effects: whether the arm may have effects that an agent was not trained with.
 
-        Raises ValueError, OSError, ModuleNotFoundError.
+        Returns:
+            The policy.
+
+        Raises:
+            ValueError: for files or models that do not fit the environment.
+            OSError: where a file cannot be read.
+            ModuleNotFoundError: where a module cannot be found.
         """
         raise NotImplementedError
 
     def fingerprint(self) -> Any:
-        """Plain values that tell it from others: its name, and digests of its files.
+        """Returns plain values that tell the policy from others.
 
-        Raises ValueError, OSError.
+        Returns:
+            Its name, and digests of its files.
+
+        Raises:
+            ValueError: for files that do not fit.
+            OSError: where a file cannot be read.
         """
         return self.text
 
 
 def _tuned_controller(text: str, task: str) -> "Controller":
-    """The controller that a file of parameters has. Raises ValueError."""
+    """The controller that a file of parameters has.
+
+    Raises ValueError.
+    """
     tuned = TunedController.parse(read_toml(Path(text)), text)
     named = PolicyName.parse(tuned.policy, task)
     if not isinstance(named, Controller):
@@ -151,8 +189,7 @@ def _what_it_should_be(text: str, task: str, prefix: str, method: str) -> str:
     if usual is not None:
         controller, words = usual
         return f": it should be {prefix + controller!r}, this package's {words}"
-    controllers = CONTROLLERS.get(task, {})
-    expected = f"a controller of {task}; {not_registered(method, controllers)}"
+    expected = f"a controller of {task}; {valid_controllers(method, task)}"
     if prefix:
         return f": what stands behind {prefix!r} should be {expected}"
     path = Path(text)
@@ -210,7 +247,7 @@ class Controller(PolicyName):
         They are of the catalogue's entry, and behind "estimator." of the Kalman filter's
         Uncertainty.
         """
-        defaults = dict(CONTROLLERS[self.task][self.name].parameters)
+        defaults = dict(controllers_of(self.task)[self.name].parameters)
         if self.estimator is not None and ESTIMATORS[self.estimator].filters:
             for name, value in USUAL._asdict().items():
                 defaults[f"{ESTIMATOR}{name}"] = value
@@ -219,7 +256,7 @@ class Controller(PolicyName):
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        entry = CONTROLLERS[self.task][self.name]
+        entry = controllers_of(self.task)[self.name]
         numbers = {}
         for name, value in self.parameters.items():
             if not name.startswith(ESTIMATOR):
@@ -268,12 +305,18 @@ class Agent(PolicyName):
 
     @property
     def config(self) -> AgentConfig:
-        """The configuration of its training. Raises ValueError, OSError."""
+        """The configuration of its training.
+
+        Raises ValueError, OSError.
+        """
         return read_config(find_agent(self.text, self.task))
 
     @property
     def arm(self) -> dict[str, Any]:
-        """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
+        """Options of the arm that it was trained on, all of them.
+
+        Raises ValueError, OSError.
+        """
         options = Options.parse(undisturbed(self.config.options), "options")
         return options.model_dump(mode="json", include=set(ARM))
 
@@ -282,6 +325,14 @@ class Agent(PolicyName):
         for key, value in undisturbed(self.config.options).items():
             if key in (*ARM, *INTERFACE):
                 own[key] = value
+        # before options that follow from it, such as the preview, are refused in its place
+        period = self.arm["control_period"]
+        other_period = given.get("control_period", period)
+        if other_period != period:
+            raise ValueError(
+                f"{self.text} was trained with control_period = {period!r}, and acts at no other:"
+                f" control_period is {other_period!r}"
+            )
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
@@ -306,7 +357,10 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
-        """Callable that makes the policy. Raises ValueError where there is no such thing."""
+        """Callable that makes the policy.
+
+        Raises ValueError where there is no such thing.
+        """
         try:
             module = importlib.import_module(self.module)
             made: Callable[..., Any] = getattr(module, self.name)
@@ -340,13 +394,41 @@ class UserPolicy(PolicyName):
             if isinstance(space, gym.Space) and space not in spaces:
                 raise ValueError(
                     f"policy is {self.text!r}, made for the {key} {space}: the environment's is"
-                    f" {spaces[0]}"
+                    f" {spaces[0]}{_other_sizes(space, episodes_of(env))}"
                 )
         return made
 
     def fingerprint(self) -> Any:
         file = getattr(importlib.import_module(self.module), "__file__", None)
         return [self.text, None if file is None else digest(Path(file))]
+
+
+def _other_sizes(space: gym.Space[Any], episodes: Episodes) -> str:
+    """Why an observation of another size may be of the same groups, in words; "": it is not."""
+    box = space["observation"] if isinstance(space, gym.spaces.Dict) else space
+    layout = layout_of(episodes)
+    sizes = ", ".join(f"{group} ({size})" for group, size in layout.items())
+    depending = [group for group in layout if group in OF_COORDINATES]
+    if not isinstance(box, gym.spaces.Box) or box.shape == episodes.layout.space.shape:
+        return ""
+    text = f". It has {sizes}"
+    if depending and not episodes.options.history:
+        coordinates = episodes.model.coordinate_count
+        of_coordinates = sum(layout[group] for group in depending) // coordinates
+        difference = math.prod(box.shape) - sum(layout.values())
+        others = coordinates + difference / of_coordinates
+        text += (
+            f"; {', '.join(depending)} have an entry for each of the arm's {coordinates}"
+            " coordinates, whose number depends on the fidelity, here"
+            f" {episodes.options.fidelity!r}"
+        )
+        if others == int(others) > 0:
+            text += (
+                f": an arm with {int(others)} has observations of that size. Evaluate at the"
+                " fidelity of the training, or train with groups that do not depend on it, such as"
+                " 'measurable'"
+            )
+    return text
 
 
 def policy_environment(env: Any, scene: Scene | None = None) -> Any:
@@ -369,19 +451,41 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of an environment in which a policy sees what it needs: its own, and those given.
+    """Returns options of an environment in which a policy sees what it needs.
 
-    Raises ValueError, OSError.
+    Args:
+        name: of the policy, see `load_policy`.
+        task: name of the task, "TipPose", "Shape" or "Reach".
+        given: options that are set already.
+
+    Returns:
+        Both together, by name.
+
+    Raises:
+        ValueError: for a name that is not known, or options that the policy cannot act with.
+        OSError: where an agent's file cannot be read.
     """
     return PolicyName.parse(name, task).options(given)
 
 
 def load_policy(name: str, env: Any) -> Policy:
-    """The policy for an environment with the options that it needs, see `policy_options`.
+    """Loads the policy of a name for an environment with the options that it needs.
 
-    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model
-    has another fidelity; an agent's folder; "agent" or another of those that ship for the
-    environment's task, see agents/trained; module:name of what makes one. Raises TypeError for
-    environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    See `policy_options` for these options.
+
+    Args:
+        name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its
+            model has another fidelity; an agent's folder; "agent" or another of those that ship for
+            the environment's task, see agents/trained; module:name of what makes one.
+        env: single or vector environment of this package.
+
+    Returns:
+        The policy, to be used with `predict`.
+
+    Raises:
+        TypeError: for environments of other packages.
+        ValueError: for a name that is not known, or files that do not fit.
+        OSError: where a file cannot be read.
+        ModuleNotFoundError: where a module cannot be found.
     """
     return PolicyName.parse(name, episodes_of(env).task.name).load(env)

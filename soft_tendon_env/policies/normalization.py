@@ -1,5 +1,6 @@
-"""Observation normalisation of trained agents: running mean and variance as arrays in an .npz file,
-read without unpickling.
+"""Observation normalisation of trained agents: running mean and variance.
+
+They are arrays in an .npz file, read without unpickling.
 
 The formula is that of Stable-Baselines3's VecNormalize: clip((o - mean) / sqrt(variance + epsilon),
 -clip, clip), as float32.
@@ -74,7 +75,10 @@ def _array_name(key: str, field: str) -> str:
 
 
 def save_normalization(path: Path, normalization: Normalization) -> None:
-    """Write `mean` and `variance` of every part, `clip` and `epsilon`. Raises OSError."""
+    """Write `mean` and `variance` of every part, `clip` and `epsilon`.
+
+    Raises OSError.
+    """
     arrays = {}
     for key, moments in normalization.moments.items():
         for field, value in moments._asdict().items():
@@ -126,7 +130,10 @@ def read_normalization(path: Path, space: gym.Space[Any]) -> Normalization:
 
 
 def _take_moments(arrays: dict[str, Array]) -> dict[str, Moments]:
-    """Takes the moments of all parts out of named arrays. Raises KeyError."""
+    """Takes the moments of all parts out of named arrays.
+
+    Raises KeyError.
+    """
     keys = []
     for name in arrays:
         key, _, field = name.rpartition(".")

@@ -9,7 +9,7 @@ actions alone hardly makes as many."""
 
 
 class Policy(Protocol):
-    """Stable-Baselines3's interface.
+    """Policy with the interface of Stable-Baselines3.
 
     Observation and state go in, action and the next state come out.
     """
@@ -21,7 +21,17 @@ class Policy(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Action for an observation, and the `state` to pass with the next one."""
+        """Computes the action for an observation.
+
+        Args:
+            observation: of the environment, or rows of them.
+            state: what the last call returned, None at the beginning of episodes.
+            episode_start: (rows,) bool, rows whose episodes begin; None: no row.
+            deterministic: whether to act without exploration.
+
+        Returns:
+            The action, and the state to pass with the next observation.
+        """
 
 
 class LostState:

@@ -1,5 +1,6 @@
-"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors, in single
-precision, in an .npz file that is read without unpickling.
+"""Weights of policy networks: arrays by the names of Stable-Baselines3's tensors.
+
+They are in single precision, in an .npz file that is read without unpickling.
 
 What a training needs besides is not among them: critics, exploration, optimisers.
 """
@@ -12,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.policies.architecture import Architecture, check_sizes
+from soft_tendon_env.policies.architecture import ON_POLICY, Architecture, check_sizes
 from soft_tendon_env.policies.layers import (
     Activation,
     Actor,
@@ -22,6 +23,8 @@ from soft_tendon_env.policies.layers import (
     Gates,
     Layer,
     Linear,
+    Lstm,
+    LstmLayer,
     Renormalisation,
 )
 from soft_tendon_env.policies.network import PolicyNetwork
@@ -32,6 +35,7 @@ WEIGHTS = "weights.npz"
 LEARNING_ALONE = (
     "critic.",
     "critic_target.",
+    "lstm_critic.",
     "value_net.",
     "mlp_extractor.value_net.",
     "log_std",
@@ -51,7 +55,10 @@ def acting_arrays(state: Mapping[str, Any]) -> dict[str, Single]:
 
 
 def read_weights(path: Path) -> dict[str, Single]:
-    """Arrays by name of an .npz file, without unpickling. Raises ValueError, OSError."""
+    """Arrays by name of an .npz file, without unpickling.
+
+    Raises ValueError, OSError.
+    """
     arrays = read_arrays(path, "weights alone")
     for name, array in arrays.items():
         if array.dtype != np.float32:
@@ -122,15 +129,38 @@ class _Loader:
         copies = 2 if architecture.fine else 1  # entries, and their fine copies
         self._seen = copies * inputs + architecture.memory
         self._away = copies * (inputs - architecture.posture)
-        self._latent = architecture.hidden[-1] if architecture.hidden else self._seen
-        self._is_on_policy = architecture.kind in ("PPO", "APG")
+        self._told = architecture.lstm_size or self._seen  # to the hidden layers
+        self._latent = architecture.hidden[-1] if architecture.hidden else self._told
+        self._is_on_policy = architecture.kind in ON_POLICY
 
-    def gates(self) -> Gates | None:
+    def gates(self) -> Gates | Lstm | None:
+        """The memory; None where there is none."""
+        if self._architecture.lstm_size:
+            return self._lstm()
         size = self._architecture.memory
         if not size:
             return None
         gate = self._linear("gate", self._seen, size)
         return Gates(gate, self._linear("candidate", self._seen, size))
+
+    def _lstm(self) -> Lstm:
+        """The LSTM, by PyTorch's names."""
+        size = self._architecture.lstm_size
+        layers = []
+        inputs = self._seen
+        for i in range(self._architecture.lstm_layers):
+            name = "lstm_actor"
+            of_input = Linear(
+                self._take(f"{name}.weight_ih_l{i}", 4 * size, inputs),
+                self._take(f"{name}.bias_ih_l{i}", 4 * size),
+            )
+            of_hidden = Linear(
+                self._take(f"{name}.weight_hh_l{i}", 4 * size, size),
+                self._take(f"{name}.bias_hh_l{i}", 4 * size),
+            )
+            layers.append(LstmLayer(of_input, of_hidden))
+            inputs = size
+        return Lstm(tuple(layers))
 
     def body(self) -> Feedforward:
         """Hidden layers, with batch renormalisation before each and after the last."""
@@ -138,7 +168,7 @@ class _Loader:
         activation = Activation(self._architecture.activation)
         renormalises = self._architecture.renorm_epsilon is not None
         layers: list[Layer] = []
-        inputs = self._seen
+        inputs = self._told
         for outputs in self._architecture.hidden:
             # names of tensors have the place of the layer among all layers
             if renormalises:

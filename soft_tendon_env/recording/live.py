@@ -1,5 +1,7 @@
-"""Live view: episodes streamed to the Rerun viewer while they run, no faster than their own clock;
-`render_mode="human"`."""
+"""Live view: episodes streamed to the Rerun viewer while they run.
+
+They run no faster than their own clock; `render_mode="human"`.
+"""
 
 import os
 import socket
@@ -29,8 +31,9 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
 class RerunViewer(RerunStream):
-    """A Rerun viewer on this machine that shows what is written at once: one that listens at
-    `port`, else one that is opened.
+    """Rerun viewer on this machine that shows at once what is written.
+
+    It is one that listens at `port`, else one that is opened.
 
     It stays open when this is closed. Raises gymnasium.error.Error where no window can be opened.
     """
@@ -45,8 +48,10 @@ class RerunViewer(RerunStream):
 
 
 class LiveRows:
-    """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the
-    viewer's window does no harm."""
+    """Shows rows of running episodes in the viewer, no faster than their own clock.
+
+    Closing the viewer's window does no harm.
+    """
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
@@ -65,8 +70,7 @@ class LiveRows:
             recorder.begin()
 
     def step(self, members: Iterable[int]) -> None:
-        """Send where the rows `members` are after a step, and wait until it is time for the
-        next."""
+        """Sends where the rows `members` are after a step, and waits for the next one's time."""
         for recorder in self._shown(members):
             recorder.step()
         now = time.perf_counter()
@@ -98,8 +102,10 @@ def is_open(port: int) -> bool:
 
 
 def open_viewer(port: int) -> None:
-    """Open the Rerun viewer in a process of its own, which no Ctrl-C reaches, and wait until it
-    listens. Raises gymnasium.error.Error."""
+    """Opens the Rerun viewer in a process of its own, and waits until it listens.
+
+    No Ctrl-C reaches it. Raises gymnasium.error.Error.
+    """
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: use"

@@ -8,11 +8,17 @@ from soft_tendon_env.recording.rollout import Rollout
 
 
 class RerunFile(RerunStream):
-    """A Rerun file that opens as a 3-D view beside plots. Also a context manager.
+    """Rerun file that opens as a 3-D view beside plots.
 
-    Whatever `write` has returned from stays readable if the process is killed, unless in the very
-    moment of another write; `close` adds the index that `rerun rrd verify` asks for.
-    It and `write` raise OSError if the file cannot be written, because a disk is full for instance.
+    It is a context manager too. Whatever `write` has returned from stays readable if the process is
+    killed, unless in the very moment of another write; `close` adds the index that `rerun rrd
+    verify` asks for.
+
+    Args:
+        path: of the file, which is replaced; its folder is made.
+
+    Raises:
+        OSError: if the file cannot be written, because a disk is full for instance.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -29,11 +35,16 @@ class RerunFile(RerunStream):
         *,
         continues: bool = False,
     ) -> None:
-        """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last
-        episode; on disk when this returns.
+        """Appends an episode of an arm, which is on disk when this returns.
 
-        Raises ValueError if the arm has another scene, or the file is closed, and OSError if it
-        cannot be written.
+        Args:
+            rollout: the episode, or a stretch of one.
+            arm: its name.
+            continues: whether it is the next stretch of the arm's last episode.
+
+        Raises:
+            ValueError: if the arm has another scene, or the file is closed.
+            OSError: if the file cannot be written.
         """
         super().write(rollout, arm, continues=continues)
         self._attempt(self._open_recording().flush)

@@ -1,5 +1,7 @@
-"""Rerun blueprint: the layout with which the viewer opens a recording, the arms large, below them
-plots of what is compared."""
+"""Rerun blueprint: the layout with which the viewer opens a recording.
+
+The arms are large, below them plots of what is compared.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -47,7 +49,10 @@ class DrawnArm:
     series: dict[str, list[str]] = field(default_factory=dict)
 
     def add_series(self, series: dict[str, list[str]]) -> bool:
-        """Add names of numbers by kind. Returns whether any is new."""
+        """Add names of numbers by kind.
+
+        Returns whether any is new.
+        """
         is_new = False
         for kind, names in series.items():
             before = self.series.get(kind, [])
@@ -64,8 +69,10 @@ def part(name: str) -> str:
 
 
 def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
-    """Names of the lines of every entity that is plotted, and the arm's colour where a plot has
-    lines of several arms."""
+    """Names of the lines of every entity that is plotted, and colours.
+
+    The arm has its colour where a plot has lines of several arms.
+    """
     styles = dict[str, rr.SeriesLines]()
     alone = len(arms) == 1
     for name, arm in arms.items():
@@ -91,8 +98,10 @@ def layout(
     *,
     live: bool,
 ) -> rrb.Blueprint:
-    """The blueprint, the arms above their plots: `trail` [s] behind the tips; `live` plots follow
-    the time."""
+    """Blueprint with the arms above their plots.
+
+    `trail` [s] behind the tips; `live` plots follow the time.
+    """
     now = rrb.TimeRangeBoundary.cursor_relative
     axis = None
     state = None
@@ -210,8 +219,10 @@ def _plot(
     legend: rrb.PlotLegend,
     values: tuple[float, float] | None = None,
 ) -> rrb.View:
-    """A plot of the numbers at an origin; `values`: the least and the greatest that it opens with,
-    None: all."""
+    """Plot of the numbers at an origin.
+
+    `values`: the least and the greatest that it opens with, None: all.
+    """
     vertical = None if values is None else rrb.ScalarAxis(range=values)
     return rrb.TimeSeriesView(
         origin=origin, name=name, axis_x=axis, axis_y=vertical, plot_legend=legend

@@ -67,8 +67,10 @@ class RerunStream:
     live = False
 
     def __init__(self, name: str, where: str) -> None:
-        """`name`: of the recording, in the viewer, which keeps one layout per name; `where` it
-        goes, for messages."""
+        """Opens a recording of a name.
+
+        `name`: in the viewer, which keeps one layout per name; `where` it goes, for messages.
+        """
         self._where = where
         self._arms = dict[str, DrawnArm]()
         self._recording: rr.RecordingStream | None = rr.RecordingStream(name)
@@ -86,7 +88,10 @@ class RerunStream:
         raise TypeError(f"what is written to {self._where} cannot be copied: {text}")
 
     def close(self) -> None:
-        """Complete the recording. Nothing can be written afterwards."""
+        """Complete the recording.
+
+        Nothing can be written afterwards.
+        """
         if self._recording is not None:
             self._recording.disconnect()
             self._recording = None
@@ -97,8 +102,9 @@ class RerunStream:
         model: Model,
         place: Iterable[float] | None = None,
     ) -> None:
-        """Name an arm, to be drawn at a `place` (3,) [m], by default beside those before it;
-        positions are recorded as if at the origin.
+        """Names an arm, to be drawn at a `place` (3,) [m], by default beside those before it.
+
+        Positions are recorded as if at the origin.
 
         Raises ValueError if there is one of this name.
         """
@@ -116,8 +122,10 @@ class RerunStream:
         self._send_scenery(arm, new)
 
     def align(self) -> None:
-        """Let the next episodes of all arms begin at the same time, that of the arm which is
-        furthest."""
+        """Lets the next episodes of all arms begin at the same time.
+
+        It is that of the arm which is furthest.
+        """
         latest = max(((arm.time, arm.step) for arm in self._arms.values()), default=(0, 0))
         for arm in self._arms.values():
             arm.time, arm.step = latest
@@ -129,8 +137,9 @@ class RerunStream:
         *,
         continues: bool = False,
     ) -> None:
-        """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last
-        episode.
+        """Appends an episode of an arm.
+
+        If it `continues`, it is the next stretch of the arm's last episode.
 
         Raises ValueError if the arm has another scene, or the recording is closed.
         """
@@ -319,8 +328,10 @@ class RerunStream:
         rollout: Rollout,
         times: list[rr.TimeColumn],
     ) -> None:
-        """The obstacles where others than before are to be seen, and how they move: their surfaces
-        are where they are at time 0."""
+        """Sends the obstacles where others than before are to be seen, and how they move.
+
+        Their surfaces are where they are at time 0.
+        """
         effects = (rollout.scene or rollout.model.scene).effects
         obstacles = shapes.obstacles_of(effects)
         if not obstacles:
@@ -389,8 +400,7 @@ class RerunStream:
             self._lay_out()
 
     def _lay_out(self) -> None:
-        """Send the names and colours of all lines in plots, and what the viewer is to show of all
-        arms."""
+        """Sends the names and colours of all lines in plots, and the layout of the viewer."""
         for entity, style in line_styles(self._arms).items():
             self._send_static(entity, style)
         self._open_recording().send_blueprint(layout(self._arms, TRAIL, live=self.live))
@@ -425,9 +435,11 @@ def _times(
 
 
 def _steps(position: Array, before: Array | None) -> Array:
-    """Lines (samples, 2, 3) from where positions (samples, 3) were a sample before; the view shows
-    those of the last seconds together. before (1, 3): the last of the samples before, None: there
-    are none."""
+    """Lines (samples, 2, 3) from where positions (samples, 3) were a sample before.
+
+    The view shows those of the last seconds together. before (1, 3): the last of the samples
+    before, None: there are none.
+    """
     first = position[:1] if before is None else before
     start = np.concatenate([first, position[:-1]])
     return np.stack([start, position], axis=1)
@@ -482,8 +494,10 @@ def _moments(known: DrawnArm, rollout: Rollout) -> Array:
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:
-    """Curves (samples, m_i, 3) sample by sample. Made in Arrow: from lists of arrays Rerun takes
-    ten times as long."""
+    """Curves (samples, m_i, 3) sample by sample.
+
+    Made in Arrow: from lists of arrays Rerun takes ten times as long.
+    """
     kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
     samples = len(curves[0])
     points = np.concatenate(curves, axis=1, dtype=np.float32)

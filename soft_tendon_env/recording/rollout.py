@@ -1,5 +1,7 @@
-"""One episode as arrays, the buffer that collects them while an environment runs, and whole
-episodes. Knows nothing of files."""
+"""Episodes as arrays, and the buffer that collects them while an environment runs.
+
+The module knows nothing of files.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,8 +19,9 @@ from soft_tendon_env.tools.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """An episode, or a stretch of one: sample 0 of an episode is what its reset left, sample k what
-    its k-th step did.
+    """Episode as arrays, or a stretch of one.
+
+    Sample 0 of an episode is what its reset left, sample k what its k-th step did.
 
     period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples,
     n_a) [N] as applied; tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m],
@@ -40,11 +43,17 @@ class Rollout:
 
     @property
     def samples(self) -> int:
+        """Number of samples."""
         return len(self.strain)
 
 
 class RolloutBuffer:
-    """Collects samples of a row of running episodes."""
+    """Collects samples of a row of running episodes.
+
+    Args:
+        episodes: that run.
+        row: of the episodes.
+    """
 
     def __init__(self, episodes: Episodes, row: int = 0) -> None:
         self._episodes = episodes
@@ -55,7 +64,7 @@ class RolloutBuffer:
         return len(self._scalars)
 
     def take(self) -> None:
-        """Add where the row stands now, and the action that led there, NaN where none did."""
+        """Adds the present sample of the row, and the action that led there, NaN where none did."""
         episodes = self._episodes
         row = self._row
         arms = episodes.arms
@@ -78,12 +87,19 @@ class RolloutBuffer:
         self._scene = arms.model_of(row).scene
 
     def clear(self) -> None:
-        """Forget the samples."""
+        """Forgets the samples."""
         self._samples: list[list[Array]] = []
         self._scalars: list[dict[str, float]] = []
 
     def rollout(self, title: str = "") -> Rollout:
-        """The samples since the last `clear`, of which there is at least one."""
+        """Returns the samples since the last `clear`, of which there is at least one.
+
+        Args:
+            title: of the rollout.
+
+        Returns:
+            The episode, or the stretch of one.
+        """
         model = self._episodes.model
         xi, tension, tip_pose, target_pose, target_backbone, action = (
             np.array(column) for column in zip(*self._samples, strict=True)
@@ -111,7 +127,19 @@ def collect(
     policy: Callable[[Any], ArrayLike],
     seed: int | None = None,
 ) -> Rollout:
-    """One episode of an environment with actions policy(observation), until it ends."""
+    """Runs one episode of an environment until it ends, and returns its samples.
+
+    Args:
+        env: with one arm of this package.
+        policy: function of an observation that returns an action (n_a,).
+        seed: of the episode.
+
+    Returns:
+        The episode.
+
+    Raises:
+        TypeError: for environments of other packages.
+    """
     buffer = RolloutBuffer(episodes_of(env))
     ended = False
     observation, _ = env.reset(seed=seed)

@@ -1,5 +1,7 @@
-"""Wrappers that record the episodes of an environment to a Rerun file, as
-`gymnasium.wrappers.RecordVideo` does to videos."""
+"""Wrappers that record the episodes of an environment to a Rerun file.
+
+They do as `gymnasium.wrappers.RecordVideo` does to videos.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +21,10 @@ FLUSH_PERIOD = 2.0  # [s]
 
 
 class RowRecorder:
-    """Records the episodes of one row as an arm of a file, at their ends and, with `flush_period`,
-    whenever as many seconds have passed."""
+    """Records the episodes of one row as an arm of a file, at their ends.
+
+    With `flush_period` it also does whenever as many seconds have passed.
+    """
 
     def __init__(
         self,
@@ -43,8 +47,10 @@ class RowRecorder:
         self.rollout: Rollout | None = None  # the newest that was written
 
     def begin(self, seed: int | None = None) -> None:
-        """Take the state after a reset as the first sample of the next episode; one that has not
-        ended ends here."""
+        """Takes the state after a reset as the first sample of the next episode.
+
+        One that has not ended ends here.
+        """
         self.finish()
         self._episode += 1
         chosen = self._episodes.options.target
@@ -86,14 +92,24 @@ class RowRecorder:
 
 
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
-    """Records all episodes as the arm `name` of a Rerun file.
+    """Records all episodes of an environment as an arm of a Rerun file.
 
-    `file`: a path, or an open `RerunFile`, in which several environments can have arms and which
-    who opened it closes; `place` (3,) [m]: where this one is drawn, "beside" the others by default,
-    None for an arm that the file has already. What is at hand is written at the end of every
-    episode and, within one, every `flush_period` seconds of wall-clock time (None: not): what a
-    killed process leaves. Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError
-    for a second arm of one name.
+    Episodes are written when they end, and while they go on, which is what a killed process leaves.
+
+    Args:
+        env: with one arm.
+        file: a path, or an open `RerunFile`, in which several environments can have arms and which
+            who opened it closes.
+        flush_period: wall-clock time [s] after which an episode that goes on is written; None: not.
+        name: of the arm in the file.
+        place: (3,) [m] where this arm is drawn, "beside" the others by default, None for an arm
+            that the file has already.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: without Rerun.
+        TypeError: for environments of other packages.
+        ValueError: for a second arm of one name.
+        OSError: where the file cannot be written.
     """
 
     def __init__(
@@ -115,18 +131,38 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
 
     @property
     def rollout(self) -> Rollout | None:
-        """Newest stretch of an episode that was written: with `flush_period=None` the whole episode
-        that ended last. None: nothing was."""
+        """Newest stretch of an episode that was written; None: nothing was.
+
+        With `flush_period=None` it is the whole episode that ended last.
+        """
         return self._recorder.rollout
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
+        """Resets the environment, and writes an episode that has not ended.
+
+        Args:
+            seed: as of the environment.
+            options: as of the environment.
+
+        Returns:
+            The environment's observation and info.
+        """
         result = self.env.reset(seed=seed, options=options)
         self._recorder.begin(seed)
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Steps the environment, and writes an episode that ends.
+
+        Args:
+            action: as of the environment.
+
+        Returns:
+            The environment's observation, reward, whether the episode is terminated, whether it is
+            truncated, info.
+        """
         result = self.env.step(action)
         _, _, terminated, truncated, _ = result
         self._recorder.step()
@@ -135,6 +171,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def close(self) -> None:
+        """Writes what is left, and closes the environment, and the file if it was opened here."""
         self._recorder.finish()
         if self._closes:
             self._file.close()
@@ -142,12 +179,22 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class VectorRecordRollout(gym.vector.VectorWrapper):
-    """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm
-    `row_0`, `row_1`, ... with its own episodes.
+    """Records rows of a vector environment to a Rerun file.
 
-    The step in which an environment resets a row belongs to no episode: of
-    `AutoresetMode.SAME_STEP` episodes are recorded without their last step. Raises as
-    RecordRollout.
+    Each row is an arm `row_0`, `row_1`, ... with its own episodes. The step in which an environment
+    resets a row belongs to no episode: of `AutoresetMode.SAME_STEP` episodes are recorded without
+    their last step.
+
+    Args:
+        env: vector environment of this package.
+        path: of the file.
+        rows: those that are recorded.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: without Rerun.
+        TypeError: for environments of other packages.
+        ValueError: for rows that do not exist, or one that is named twice.
+        OSError: where the file cannot be written.
     """
 
     def __init__(
@@ -171,6 +218,15 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
+        """Resets rows of the environment, and writes episodes that have not ended.
+
+        Args:
+            seed: as of the environment.
+            options: as of the environment.
+
+        Returns:
+            The environment's observations and info.
+        """
         result = self.env.reset(seed=seed, options=options)
         mask = (options or {}).get("reset_mask")
         seeds = seed
@@ -182,6 +238,15 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         return result
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Steps the environment, and writes episodes that end.
+
+        Args:
+            actions: as of the environment.
+
+        Returns:
+            The environment's observations, rewards, which rows are terminated, which are truncated,
+            info.
+        """
         result = self.env.step(actions)
         _, _, terminated, truncated, _ = result
         for row, recorder in self._recorders.items():
@@ -195,6 +260,11 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         return result
 
     def close(self, **kwargs: Any) -> None:
+        """Writes what is left, and closes the file and the environment.
+
+        Args:
+            kwargs: of the environment's `close`.
+        """
         for recorder in self._recorders.values():
             recorder.finish()
         self._file.close()

@@ -1,5 +1,6 @@
-"""Robot behind the Gymnasium interface of a simulated arm, for policies and Stable-Baselines3 as
-they are, and runs of policies on it.
+"""Robot behind the Gymnasium interface of a simulated arm, and runs of policies on it.
+
+Policies and Stable-Baselines3 stay as they are.
 
 `env =
 RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3),
@@ -19,18 +20,17 @@ import scipy.fft
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.environments import TendonRodEnv
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.observation import HISTORY
-from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.mechanics.motion.scratch import Tape
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.model.step_control import RESOLVED, linear_rate
-from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.regimes import TARGET_GROUPS
+from soft_tendon_env.robots.clock import Pacer, Timing
 from soft_tendon_env.robots.log import RobotLog
-from soft_tendon_env.robots.protocol import Measurement, Robot, check_robot
-from soft_tendon_env.robots.safety import FINISHED, Pacer, RobotStopped, SafeRobot, Stop, Timing
+from soft_tendon_env.robots.misfit import misfit
+from soft_tendon_env.robots.protocol import Measurement, Robot, check_robot, read_fields
+from soft_tendon_env.robots.safety import FINISHED, ArmBounds, RobotStopped, SafeRobot
+from soft_tendon_env.robots.slack import Stop
+from soft_tendon_env.robots.top_speed import half_swing, top_speed
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import describe, first_line
@@ -53,7 +53,7 @@ STANDS_OUT = 33.0
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
+    """Robot in place of the simulated arm of an environment with one arm.
 
     `reset` brings the robot from slack tendons to the first command, the pretension, and waits
     until it is at rest. The measurement at rest is the zero of tendon lengths and strains. Commands
@@ -75,7 +75,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     Raises:
         ConfigurationError: where the robot does not fit the environment.
-        TypeError, ValueError: for other arguments of wrong type or range.
+        TypeError: for other arguments of wrong type.
+        ValueError: for other arguments of wrong range.
         OSError: where the log cannot be written.
     """
 
@@ -95,7 +96,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         episodes = checked_type(
             "env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')"
         ).episodes
-        reason = _misfit(robot, episodes)
+        reason = misfit(robot, episodes)
         if reason:
             problem = Problem(("robot",), f"is {type(robot).__name__}, {reason}")
             raise ConfigurationError([problem], "environment")
@@ -110,26 +111,27 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         actions = episodes.actuation.actions
         limits = np.stack([actions.least, actions.greatest], axis=1)
         sensors = episodes.sensors.size
-        # where the base moves, no tip is too far from where it was
-        reach = np.inf if model.scene.effects.moving_base else model.length
-        self._safe = SafeRobot(
-            robot,
-            limits,
-            sensors,
-            arm=(model.scene.base.position, reach),
-            period=episodes.period,
-            rate=fastest,
-            patience=checked_count("patience", patience, 1),
-        )
+        patience = checked_count("patience", patience, 1)
+        bounds = _bounds(episodes)
         self._log: RobotLog | None = None
         if log is not None:
             self._log = RobotLog(
                 Path(log),
                 robot.command_unit,
-                self._safe.senses,
+                read_fields(robot, sensors),
                 tendons=len(limits),
                 sensors=sensors,
             )
+        # last of what can fail: from here on it holds signals, until `close`
+        self._safe = SafeRobot(
+            robot,
+            limits,
+            sensors,
+            bounds,
+            period=episodes.period,
+            rate=fastest,
+            patience=patience,
+        )
         arm = MeasuredArm(
             episodes,
             self._safe,
@@ -146,15 +148,37 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """A new episode, which begins with the robot at rest. Raises RobotStopped if it does not
-        come to rest."""
+        """Begins a new episode, with the robot at rest.
+
+        Args:
+            seed: as of the environment.
+            options: as of the environment.
+
+        Returns:
+            The observation and the info.
+
+        Raises:
+            RobotStopped: if the robot does not come to rest.
+        """
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period, to its deadline; a robot that is stopped truncates the episode, with
-        the last observation and reward 0. Raises as the environment for actions of wrong shape or
-        with NaN, ResetNeeded."""
+        """Takes one control period, to its deadline.
+
+        A robot that is stopped truncates the episode, with the last observation and reward 0.
+
+        Args:
+            action: (n_a,) in [-1, 1]; larger ones are clipped.
+
+        Returns:
+            Observation, reward, whether the episode is terminated, whether it is truncated, info.
+
+        Raises:
+            TypeError: for an action of wrong type.
+            ValueError: for an action of wrong shape or with NaN.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
         if self._last is None:
             raise gym.error.ResetNeeded("step was called before reset")
         try:
@@ -171,7 +195,14 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         return self._safe.stopped
 
     def stop(self, cause: str) -> Stop:
-        """Lets the tendons go, from any thread, and waits until they are slack."""
+        """Lets the tendons go, from any thread, and waits until they are slack.
+
+        Args:
+            cause: of the stop, in words.
+
+        Returns:
+            The course of the stop; the first cause counts.
+        """
         return self._safe.stop(cause)
 
     def close(self) -> None:
@@ -184,47 +215,21 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             super().close()
 
 
-def _misfit(robot: Robot, episodes: Episodes) -> str:
-    """Reason why a robot cannot play an environment's episodes; "": it can."""
-    unit = episodes.model.command_unit
-    if robot.command_unit != unit:
-        return (
-            f"which takes {robot.command_unit!r}, and the scene's arm takes {unit!r}: see"
-            " [effects.tendon_elasticity]"
-        )
-    options = episodes.options
-    drawn = options.randomize
-    if drawn.numbers or drawn.of_actuators or drawn.latency != (0.0, 0.0):
-        return (
-            "as it is: the option randomize should have no more than the noise of its sensors, for"
-            " policies that know of it"
-        )
-    groups = episodes.layout.slices  # of what is observed
-    fields = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}  # of Measurement, by group
-    # fields that a robot has to sense, and what for
-    needed = {fields[name]: name for name in groups if name in fields}
-    needed["tip_pose"] = "the errors of the task"
-    if options.tip_speed_limit is not None:
-        needed["tip_twist"] = "the option tip_speed_limit"
-    missing = [f"{name} ({why})" for name, why in needed.items() if name not in robot.senses]
-    if missing:
-        return (
-            f"without {', '.join(missing)}, which is observed: take it out of the option"
-            " observation; controllers: filtered:NAME"
-        )
-    if episodes.task.shapes:
-        return "measured at its tip and by its sensors alone"
-    known = {*fields, *TARGET_GROUPS, HISTORY}
-    unknown = [name for name in groups if name not in known]
-    if unknown:
-        return f"measured at its tip and by its sensors alone: not {', '.join(unknown)}"
-    return ""
+def _bounds(episodes: Episodes) -> ArmBounds:
+    """Bounds of what can be measured of the arm of episodes."""
+    base = episodes.model.scene.base.position
+    if episodes.model.scene.effects.moving_base:
+        # no tip is too far from where the base was, nor too fast
+        return ArmBounds(base, length=np.inf, top_speed=np.inf)
+    return ArmBounds(base, episodes.model.length, top_speed(episodes))
 
 
 class MeasuredArm(Arms):
     """The robot as one row of arms, whose steps command it and whose reading is what it measures.
+
     still: greatest speed [m/s] at rest. The simulated arm goes on beside it under the commands that
-    were sent: it is what recordings show, and nothing of it is observed."""
+    were sent: it is what recordings show, and nothing of it is observed.
+    """
 
     def __init__(
         self,
@@ -251,15 +256,16 @@ class MeasuredArm(Arms):
         way = float(np.abs(self._command - robot.slack).max())
         self._rise = max(settle, way / robot.rate)
         # [s], at least half a swing, which stands still where it turns
-        half_swing = np.pi / (RESOLVED * linear_rate(episodes.model))
-        self._window = max(WINDOW, half_swing)
+        self._window = max(WINDOW, half_swing(episodes))
         self._is_there = settle == 0.0  # whether the robot rests under the first command
         self._has_zeros = settle == 0.0
         self.zero = dict[str, Array]()  # by field, added to what the robot measures
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Let the robot begin, from slack tendons. Raises RobotStopped, also where it does not come
-        to rest."""
+        """Let the robot begin, from slack tendons.
+
+        Raises RobotStopped, also where it does not come to rest.
+        """
         super().place(members, q, tension)
         self.robot.begin()
         self.pacer = Pacer(self.robot.clock, self.pacer.period)
@@ -289,8 +295,10 @@ class MeasuredArm(Arms):
         tape: Tape | None = None,
         begins: bool = True,
     ) -> None:
-        """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at
-        its end. Raises RobotStopped."""
+        """Sends the command of a period (1, parts, n_a), and measures at its end.
+
+        The command becomes what was sent. Raises RobotStopped.
+        """
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
@@ -313,8 +321,10 @@ class MeasuredArm(Arms):
             getattr(self.reading, name)[0] = getattr(measured, name) + self.zero.get(name, 0.0)
 
     def _wait_for_rest(self) -> list[Measurement]:
-        """The last readings of the arm at rest under the first command, which rises evenly from
-        slack. Raises RobotStopped."""
+        """Last readings of the arm at rest under the first command.
+
+        The command rises evenly from slack. Raises RobotStopped.
+        """
         period = self.pacer.period
         slack = self.robot.slack
         # in periods
@@ -328,7 +338,7 @@ class MeasuredArm(Arms):
             self.robot.write(slack + share * (self._command - slack))
             self.pacer.wait()
             measured = self.robot.read()
-            if k > 0 and (not last or measured.time != last[-1][1].time):
+            if k > 0 and (not last or measured.time_of_pose != last[-1][1].time_of_pose):
                 last.append((k, measured))
             if len(last) < window or k % between_looks:
                 continue
@@ -357,8 +367,10 @@ class MeasuredArm(Arms):
 
 
 def speed_of(position: Array, period: float) -> float:
-    """Speed of a point, root mean square, from noisy positions: of the cosine modes that stand out
-    of noise. Differences of samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s.
+    """Returns the speed of a point, root mean square, from noisy positions.
+
+    It is of the cosine modes that stand out of noise. Differences of samples are mostly noise: 1 mm
+    at 50 Hz makes 70 mm/s.
 
     Args:
         position: (m, 3) [m].
@@ -379,8 +391,10 @@ def speed_of(position: Array, period: float) -> float:
 
 
 class Report(NamedTuple):
-    """Report of a run: errors (m,) by name as measured in every period, timing, how it ended, and
-    whether it went on to its end."""
+    """Report of a run: errors, timing, how it ended, and whether it went on to its end.
+
+    Errors (m,) are by name, as measured in every period.
+    """
 
     errors: dict[str, Array]
     timing: Timing
@@ -389,8 +403,9 @@ class Report(NamedTuple):
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
-    """Runs a policy for a few periods on the simulated arm of an environment, so that nothing is
-    compiled while the robot waits.
+    """Runs a policy for a few periods on the simulated arm of an environment.
+
+    After that nothing is compiled while the robot waits.
 
     Args:
         policy: to run.
@@ -402,8 +417,7 @@ def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
-    """Runs a policy on a robot for a duration; in any case it slackens the tendons and closes the
-    robot.
+    """Runs a policy on a robot for a duration, then slackens the tendons and closes the robot.
 
     A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What
     the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with

@@ -45,8 +45,10 @@ def check_log(path: Path) -> None:
 
 
 class RobotLog:
-    """Writes a log, which has every row as soon as it is there. Without any there is no file in the
-    end. Raises as `check_log`, OSError."""
+    """Writes a log, which has every row as soon as it is there.
+
+    Without any there is no file in the end. Raises as `check_log`, OSError.
+    """
 
     def __init__(
         self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int
@@ -73,8 +75,10 @@ class RobotLog:
         self._writer.writerow(["hold", "time", "measured_time", *measured])
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
-        """Another motion begins, at time 0, from rest under a command (n_a,), with the reading
-        there; period: of control [s]."""
+        """Begins another motion, at time 0, from rest under a command (n_a,).
+
+        It has the reading there; period: of control [s].
+        """
         self._hold = self.path.stem
         if self._motions:
             self._hold = f"{self._hold}.{self._motions}"
@@ -84,8 +88,10 @@ class RobotLog:
     def append(
         self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array
     ) -> None:
-        """A period that begins at a time [s], with the reading then, and the commands (n_a,) that
-        followed. Raises OSError."""
+        """Appends a period that begins at a time [s].
+
+        It has the reading then, and the commands (n_a,) that followed. Raises OSError.
+        """
         self._motions += len(self._waiting)
         row = self._row(time, measured_time, reading, asked, sent)
         self._writer.writerows([*self._waiting, row])

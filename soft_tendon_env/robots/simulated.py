@@ -1,5 +1,7 @@
-"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors,
-in real or in simulated time."""
+"""Simulated arm behind the interface of a real one, in real or in simulated time.
+
+It has noise, latency, rate limits and model errors.
+"""
 
 from collections import deque
 from typing import Any
@@ -13,8 +15,8 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
+from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.protocol import Measurement, Unit
-from soft_tendon_env.robots.safety import Clock
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
@@ -26,11 +28,11 @@ EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are su
 
 
 class SimulatedRobot:
-    """Simulated arm as a robot. It rests under the tensions nearest to zero until the first call,
-    and each call simulates it up to the present. It measures every field of Measurement except
-    tensions.
+    """Simulated arm as a robot.
 
-    Rate limits and lag are those of the scene's [effects.actuators].
+    It rests under the tensions nearest to zero until the first call, and each call simulates it up
+    to the present. It measures every field of Measurement except tensions. Rate limits and lag are
+    those of the scene's [effects.actuators].
 
     Args:
         seed: of the arm, drawn once, and of noise.
@@ -39,7 +41,8 @@ class SimulatedRobot:
 
     Raises:
         ConfigurationError: for unknown keys and values that are not allowed.
-        TypeError, ValueError: for a seed that is none.
+        TypeError: for a seed that is no whole number.
+        ValueError: for a negative seed.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
@@ -87,7 +90,14 @@ class SimulatedRobot:
         self._sensors.begin(0, seed)
 
     def read(self) -> Measurement:
-        """The arm now. Raises SimulationDiverged where its simulation does not go on."""
+        """Simulates the arm up to now, and measures it.
+
+        Returns:
+            The measurement, with noise.
+
+        Raises:
+            SimulationDiverged: where the simulation does not go on.
+        """
         time = self._go_on()
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
@@ -95,8 +105,19 @@ class SimulatedRobot:
         return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
 
     def write(self, command: Array) -> Array:
-        """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`,
-        ValueError or TypeError for other shapes."""
+        """Sends a command that will arrive after the latency.
+
+        Args:
+            command: (n_a,) in the unit `command_unit`.
+
+        Returns:
+            The command as it was sent, (n_a,).
+
+        Raises:
+            TypeError: for what is no array of numbers.
+            ValueError: for other shapes.
+            SimulationDiverged: where the simulation does not go on.
+        """
         sent = checked_array("command", command, self._acting.shape)
         arrival = self._go_on() + self._latency
         self._coming.append((arrival, self._actuation.acting(sent, 0)))

@@ -14,7 +14,11 @@ SHIPPED = Path(__file__).parent / "library"
 
 
 def scene_names() -> tuple[str, ...]:
-    """The names of the scenes that ship, sorted."""
+    """Returns the names of the scenes that ship.
+
+    Returns:
+        Names, sorted.
+    """
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
 
 
@@ -56,7 +60,9 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Saves a scene as TOML that loads back equal. The file appears whole or not at all.
+    """Saves a scene as TOML that loads back equal.
+
+    The file appears whole or not at all.
 
     Args:
         scene: to save.

@@ -1,5 +1,7 @@
-"""Parameters of a scene: its numbers by dotted keys with wildcards, and ranges of them as domain
-randomisation draws them."""
+"""Parameters of a scene: its numbers by dotted keys with wildcards, and ranges of them.
+
+Domain randomisation draws from the ranges.
+"""
 
 import contextlib
 import itertools
@@ -32,8 +34,10 @@ NUMBER = "a number, or (least, greatest): the least should come first"
 
 
 class Parameter(NamedTuple):
-    """Named number of a scene, or several that change together: one value where all are alike,
-    otherwise a common factor."""
+    """Named number of a scene, or several that change together.
+
+    It is one value where all are alike, otherwise a common factor.
+    """
 
     name: str  # the key as it was given, "segments.*.young_modulus"
     keys: tuple[str, ...]  # those that it stands for
@@ -53,15 +57,24 @@ class Parameter(NamedTuple):
         return 1.0 if self.is_factor else self.values[0]
 
     def changes(self, value: float) -> dict[str, float]:
-        """Dotted keys and values that give the parameter a value, for `Scene.replace`."""
+        """Returns the changes of the scene that give the parameter a value.
+
+        Args:
+            value: in the unit of the keys, or a factor of the scene's values.
+
+        Returns:
+            Values by dotted keys, for `Scene.replace`.
+        """
         if not self.is_factor:
             return dict.fromkeys(self.keys, value)
         return {key: value * number for key, number in zip(self.keys, self.values, strict=True)}
 
 
 class Range(NamedTuple):
-    """Range of numbers that change together: of their value, or of a factor or an offset of what
-    the scene says."""
+    """Range of numbers that change together.
+
+    It is one of their value, or of a factor or an offset of what the scene says.
+    """
 
     name: str
     keys: tuple[str, ...]
@@ -80,8 +93,10 @@ class Range(NamedTuple):
         return {key: value + number for key, value in values}
 
     def share(self, numbers: Mapping[str, float]) -> float:
-        """How far from the least to the greatest number of the range a scene is, 0 to 1, with these
-        numbers by dotted keys."""
+        """Place of a scene with these numbers by dotted keys within the range, 0 to 1.
+
+        0 is the least number of the range, 1 the greatest.
+        """
         key = self.keys[0]
         least = self.changes(self.least)[key]
         greatest = self.changes(self.greatest)[key]
@@ -90,8 +105,10 @@ class Range(NamedTuple):
 
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
-    """Parameters of a scene by dotted keys, in which `*` stands for every entry, as
-    `"segments.*.young_modulus"`, and `0,2` for those that it lists.
+    """Returns the parameters of a scene by dotted keys.
+
+    In a key `*` stands for every entry, as `"segments.*.young_modulus"`, and `0,2` for those that
+    it lists.
 
     Any number of `[[segments]]`, `[[tendons]]`, `[base]` and `[effects]` can be one, but for
     lengths of segments, ends and limits of tendons, and the quaternion. An effect that does nothing
@@ -190,8 +207,10 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
 
 
 def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Keys and ranges, as they are written, of a number, or of the entries of a vector. Raises
-    ConfigurationError for a list of another length."""
+    """Keys and ranges, as they are written, of a number, or of the entries of a vector.
+
+    Raises ConfigurationError for a list of another length.
+    """
     children = _matching(f"{name}.*", entries)
     places = sorted({key.rpartition(".")[2] for key in children})
     is_vector = bool(places) and places[-1].isdecimal()
@@ -256,7 +275,10 @@ def _misfit(key: str, value: Any) -> str:
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
-    """Parameter that a name stands for. Raises ConfigurationError."""
+    """Parameter that a name stands for.
+
+    Raises ConfigurationError.
+    """
     keys = list[str]()
     # a part of a name may list several entries
     choices = [part.split(",") for part in name.split(".")]
@@ -323,7 +345,10 @@ def _is_relative(value: Any) -> bool:
 
 
 def _interval(key: str, value: Any) -> tuple[float, float]:
-    """Least and greatest of a number or a pair. Raises ConfigurationError."""
+    """Least and greatest of a number or a pair.
+
+    Raises ConfigurationError.
+    """
     pair = value if isinstance(value, list | tuple) else (value, value)
     if len(pair) == 2 and all(map(_is_number, pair)):
         least, greatest = pair

@@ -1,5 +1,4 @@
-"""Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those
-there are fit a scene.
+"""Passive fields from snapshots (proper orthogonal decomposition), their file and their choice.
 
 They are wrenches along the rod that its tendons cannot make, see
 accuracy/proper_orthogonal_fields.py. For another material or load than a file says they stay a
@@ -22,7 +21,7 @@ from numpy.polynomial import legendre
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
-from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
+from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.forks import cached_property
@@ -41,8 +40,10 @@ class FidelityWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class PassiveFields:
-    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper
-    orthogonal decomposition."""
+    """Wrench fields along a rod by proper orthogonal decomposition, the leading ones.
+
+    They are piecewise Legendre polynomials.
+    """
 
     arm: Mapping[str, Any]  # tables of segments and tendons that they were made for, see `arm_of`
     tension_limits: Array  # (n_a, 2) [N], within which tensions were drawn
@@ -63,7 +64,7 @@ class PassiveFields:
         return hashlib.sha256(numbers.encode()).hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
-        """The fewest fields whose errors are within a tolerance.
+        """Returns the fewest fields whose errors are within a tolerance.
 
         Args:
             tolerance: of the tip [m].
@@ -81,7 +82,7 @@ class PassiveFields:
         return None
 
     def at(self, points: Array, count: int | None = None) -> Array:
-        """Wrench fields along the rod.
+        """Computes the wrench fields along the rod.
 
         Args:
             points: arc lengths (...) [m].
@@ -101,12 +102,25 @@ class PassiveFields:
         return values
 
     def fits(self, scene: Scene) -> bool:
-        """Whether they are of an arm of this geometry."""
+        """Tells whether the fields are of an arm of this geometry.
+
+        Args:
+            scene: of the arm.
+
+        Returns:
+            True if segments and tendons have the same geometry.
+        """
         return _geometry(self.arm) == _geometry(arm_of(scene))
 
     def misfit(self, scene: Scene) -> str:
-        """Difference between the scene and that which they were made for, in words; empty where
-        they fit."""
+        """Describes how a scene differs from that which the fields were made for.
+
+        Args:
+            scene: of an arm of the same geometry.
+
+        Returns:
+            The first difference in words; empty where they fit.
+        """
         for i, segment in enumerate(scene.segments):
             for name in MATERIAL:
                 made_for = self.arm["segments"][i].get(name)
@@ -130,7 +144,16 @@ class PassiveFields:
         return ""
 
     def save(self, path: Path) -> None:
-        """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
+        """Saves the fields as JSON.
+
+        The file appears whole or not at all.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            OSError: if the file cannot be written.
+        """
         arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
         table = {
             "arm": self.arm,
@@ -197,13 +220,18 @@ def _read_at(path: Path, _changed: int) -> PassiveFields:
 
 
 def _read_once(path: Path) -> PassiveFields:
-    """Fields of a file, read again only where it changed. Raises OSError, ValueError."""
+    """Fields of a file, read again only where it changed.
+
+    Raises OSError, ValueError.
+    """
     return _read_at(path, path.stat().st_mtime_ns)
 
 
 def arm_of(scene: Scene) -> dict[str, Any]:
-    """Tables of the arm that fields are made for: segments, tendons, the strains that the rod has
-    and the borders of its pieces."""
+    """Tables of the arm that fields are made for.
+
+    They are segments, tendons, the strains that the rod has and the borders of its pieces.
+    """
     segments = [segment.model_dump(mode="json", exclude_none=True) for segment in scene.segments]
     tendons = [
         {"routing": tendon.routing.model_dump(mode="json"), "ends": [*tendon_ends(scene, tendon)]}
@@ -245,8 +273,9 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
 
 def fields_of(scene: Scene) -> PassiveFields:
-    """Passive fields that a scene with `Snapshots` names. Warns where they were made for other
-    loads.
+    """Passive fields that a scene with `Snapshots` names.
+
+    Warns where they were made for other loads.
 
     Args:
         scene: the arm.
@@ -257,7 +286,7 @@ def fields_of(scene: Scene) -> PassiveFields:
     Raises:
         ConfigurationError: where there are none, or not these.
     """
-    assert not isinstance(scene.strain, ExplicitStrain)
+    assert isinstance(scene.strain, StaticsBased)
     passive = scene.strain.passive
     assert isinstance(passive, Snapshots)
     fields = _named_fields(scene, passive)
@@ -284,7 +313,10 @@ def fields_of(scene: Scene) -> PassiveFields:
 
 
 def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
-    """Fields of the file that is named, or else of the arm. Raises ConfigurationError."""
+    """Fields of the file that is named, or else of the arm.
+
+    Raises ConfigurationError.
+    """
     try:
         if passive.file is not None:
             return _read_once(Path(passive.file))

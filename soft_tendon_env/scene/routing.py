@@ -1,18 +1,28 @@
-"""Geometry along the rod: tapers of a segment's sizes, and routings of a tendon, its offset d = (0,
-y, z) from the axis and d' = dd/dX.
+"""Geometry along the rod: tapers of a segment's sizes, and routings of tendons.
 
-To add one, write its class here and name it in `Size`, with its type as the tag, or in `Routing`.
+A routing is the offset d = (0, y, z) of a tendon from the axis, and d' = dd/dX.
+
+One is a class under `@register("taper", "name")` or `@register("routing", "name")`, here or in a
+user's own file as `examples/own_routing.py`.
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Discriminator, Field, Tag, field_validator
+from pydantic import (
+    AliasChoices,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    SerializeAsAny,
+    Tag,
+    field_validator,
+)
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.registry import TableRegistry, register
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
 
 Offset = tuple[Number, Number]
@@ -24,13 +34,17 @@ class AlongRod(Configuration):
     """Base of what varies along the rod: tapers of a segment's sizes and routings of a tendon."""
 
     def misfit(self, place: Any) -> str | None:
-        """Error message for what does not fit a segment's length, or a tendon's (first, last) arc
-        lengths [m]; None if it fits."""
+        """Error message for what does not fit the place along the rod; None if it fits.
+
+        The place is a segment's length, or a tendon's (first, last) arc lengths [m].
+        """
         return None
 
     def wavelength(self) -> float:
-        """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the
-        least distance of a table."""
+        """Shortest wavelength [m], which quadrature has to resolve.
+
+        It is infinite for a line, twice the least distance of a table.
+        """
         table = getattr(self, "arc_length", ())
         if not table:
             return float("inf")
@@ -58,10 +72,17 @@ class Taper(AlongRod):
 
     @abstractmethod
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Size [m] and its derivative along the rod [-] at `arc_length` [m] from the segment's
-        start, both of its shape."""
+        """Size [m] and its derivative along the rod [-], both of the shape of the arc lengths.
+
+        They are at `arc_length` [m] from the segment's start.
+        """
 
 
+TAPERS: TableRegistry[Taper] = TableRegistry("taper", Taper)
+"""Registered tapers, by the `type` that tables name."""
+
+
+@register("taper", "linear")
 class LinearTaper(Taper):
     """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
@@ -74,9 +95,11 @@ class LinearTaper(Taper):
         return self.base + slope * arc_length, np.full_like(arc_length, slope)
 
 
+@register("taper", "table")
 class TaperTable(Taper):
-    """Tabulated sizes [m] at arc lengths [m] from the segment's start to its end, interpolated by
-    PCHIP.
+    """Tabulated sizes at arc lengths, interpolated by PCHIP.
+
+    Both are in [m], the arc lengths from the segment's start to its end.
 
     PCHIP (Fritsch and Carlson 1980) never overshoots, so the size stays positive between positive
     values. Scenes may say `radius` for `size`.
@@ -105,23 +128,31 @@ class TaperTable(Taper):
 
 
 def _kind_of_size(value: Any) -> Any:
-    """Type of a size as it is written, or of a taper."""
-    if isinstance(value, Mapping):
-        return value.get("type")
-    return getattr(value, "type", "number")
+    """Tag of a size: whether it is a taper or a number."""
+    return "taper" if isinstance(value, Taper) else "number"
 
 
 Size = Annotated[
-    Annotated[Length, Tag("number")]
-    | Annotated[LinearTaper, Tag("linear")]
-    | Annotated[TaperTable, Tag("table")],
+    Annotated[Length, Tag("number")] | Annotated[SerializeAsAny[Taper], Tag("taper")],
     Discriminator(_kind_of_size),
+    BeforeValidator(TAPERS.parse),
 ]
+"""A length [m], or a taper, also as a table with its `type`."""
 
 
 class TendonRouting(AlongRod):
-    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the
-    section."""
+    """Base of the tendon routings.
+
+    Arc lengths are measured from the rod's base; y, z span the section.
+    """
+
+    @property
+    def direction(self) -> float | None:
+        """Direction [rad] from y towards z in which `radius` is that of the rod's outline.
+
+        By default there is none: `radius` is then that of the circle around the section.
+        """
+        return None
 
     @abstractmethod
     def offset_and_slope(
@@ -131,7 +162,7 @@ class TendonRouting(AlongRod):
 
         Args:
             arc_length: (m,) [m] from the rod's base.
-            radius: (m,) of the rod there [m].
+            radius: (m,) of the rod there [m], see `direction`.
             radius_slope: (m,) d radius/dX there [-].
             ends: the tendon's first and last arc length [m].
 
@@ -139,7 +170,16 @@ class TendonRouting(AlongRod):
             y and z [m], and their d/dX [-], each (m, 2).
         """
 
+    def turn_rate(self) -> float:
+        """Greatest angle per arc length [rad/m] by which the tendon winds around the axis."""
+        return 0.0
 
+
+ROUTINGS: TableRegistry[TendonRouting] = TableRegistry("routing", TendonRouting)
+"""Registered tendon routings, by the `type` that tables name."""
+
+
+@register("routing", "straight")
 class StraightRouting(TendonRouting):
     """Straight tendon, parallel to the axis at `offset` (y, z) [m]."""
 
@@ -153,9 +193,12 @@ class StraightRouting(TendonRouting):
         return offset, np.zeros_like(offset)
 
 
+@register("routing", "converging")
 class ConvergingRouting(TendonRouting):
-    """Converging tendon, along a line from `start_offset` (y, z) [m] at its start to `end_offset`
-    at its end."""
+    """Converging tendon, along a line between two offsets (y, z) [m].
+
+    It begins at `start_offset` and ends at `end_offset`.
+    """
 
     type: Literal["converging"] = "converging"
     start_offset: Offset
@@ -171,26 +214,34 @@ class ConvergingRouting(TendonRouting):
         return offset, np.tile(slope, (len(arc_length), 1))
 
 
+@register("routing", "surface")
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius, that of the circle around its section,
-    so that it follows a taper.
+    """Tendon at a fixed fraction of the way from the axis to the rod's outline.
 
-    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
+    It follows a taper, and stays inside of a flat section up to the fraction 1.
+
+    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z,
+    with the distance r of the outline in that direction.
     """
 
     type: Literal["surface"] = "surface"
     fraction: NotNegative = 1.0
     angle: Number
 
+    @property
+    def direction(self) -> float:
+        """Direction [rad] in which the outline's distance counts."""
+        return float(np.deg2rad(self.angle))
+
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        angle = np.deg2rad(self.angle)
-        unit = np.array([np.cos(angle), np.sin(angle)])
-        direction = self.fraction * unit
-        return np.outer(radius, direction), np.outer(radius_slope, direction)
+        unit = np.array([np.cos(self.direction), np.sin(self.direction)])
+        way = self.fraction * unit
+        return np.outer(radius, way), np.outer(radius_slope, way)
 
 
+@register("routing", "helix")
 class HelixRouting(TendonRouting):
     """Helical tendon around the axis at a fixed `radius` [m].
 
@@ -214,15 +265,20 @@ class HelixRouting(TendonRouting):
         slope = self.angular_rate * tangent
         return offset, slope
 
+    def turn_rate(self) -> float:
+        return abs(self.angular_rate)
+
     def wavelength(self) -> float:
         if not self.angular_rate:
             return float("inf")
         return 2 * np.pi / abs(self.angular_rate)
 
 
+@register("routing", "table")
 class TableRouting(TendonRouting):
-    """Tabulated tendon, through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by
-    not-a-knot cubic splines.
+    """Tabulated tendon through points, by not-a-knot cubic splines.
+
+    The points (`y`, `z`) [m] stand at `arc_length` [m], and are at least four.
 
     The table has to cover the tendon from end to end.
     """
@@ -254,7 +310,5 @@ class TableRouting(TendonRouting):
         )
 
 
-Routing = Annotated[
-    StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting,
-    Field(discriminator="type"),
-]
+Routing = Annotated[SerializeAsAny[TendonRouting], BeforeValidator(ROUTINGS.parse)]
+"""A tendon routing, also as a table with its `type`."""

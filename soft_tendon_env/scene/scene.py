@@ -1,5 +1,4 @@
-"""Scene: configuration of an arm, with its rod, tendons, strain parametrisation, quadrature,
-integrator and effects.
+"""Scene: configuration of an arm, its rod, tendons, solver settings and effects.
 
 SI units throughout. Every class raises `ConfigurationError` for unknown keys, wrong types and wrong
 ranges.
@@ -17,8 +16,8 @@ from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.routing import Ends, Routing, Size
-from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Stiffness, Tube
-from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, StaticsBased
+from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Tube
+from soft_tendon_env.scene.strain import STRAINS, AnyStrain, StaticsBased
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
@@ -72,8 +71,10 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 
 
 class Base(Configuration):
-    """Pose of the arm's base in the world, by default at its origin; the straight rod runs along
-    the base's x axis."""
+    """Pose of the arm's base in the world, by default at its origin.
+
+    The straight rod runs along the base's x axis.
+    """
 
     position: Triple = (0.0, 0.0, 0.0)  # [m]
     # from the base's axes to the world's, (w, x, y, z)
@@ -110,11 +111,12 @@ class Base(Configuration):
 
 
 class Segment(Configuration):
-    """Segment of the rod with one material and one kind of section; segments follow each other from
-    the base.
+    """Segment of the rod with one material and one kind of section.
 
-    It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, or
-    Stiffness, which needs no material.
+    Segments follow each other from the base.
+
+    It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, one of
+    the user's own, or Stiffness, which needs no material.
     """
 
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
@@ -141,9 +143,8 @@ class Segment(Configuration):
     def _said_once(cls, value: Any, info: ValidationInfo) -> Any:
         section: Any = info.data.get("section")
         is_radius = info.field_name == "radius"
-        # every section has its own size, Stiffness its own material
-        kind = Section if is_radius else Stiffness
-        takes_its_place = isinstance(section, kind)
+        # every section has its own size, and some their own material
+        takes_its_place = section is not None and (is_radius or not section.has_material)
         if takes_its_place and value is not None:
             raise ValueError(
                 f"should be left out: the section, of type {section.type!r}, takes its place"
@@ -191,7 +192,7 @@ class Segment(Configuration):
         return Tube.model_construct(radius=self.radius, inner_radius=0.0)  # type: ignore[arg-type]
 
     def screw_matrices(self, arc_length: Array) -> Array:
-        """Diagonals of stiffness, viscosity and inertia per length along the segment.
+        """Computes the diagonals of stiffness, viscosity and inertia per length along the segment.
 
         Args:
             arc_length: (m,) [m] from its start.
@@ -210,8 +211,10 @@ class Segment(Configuration):
 
 
 class Tendon(Configuration):
-    """Tendon (threadlike actuator) that acts between two arc lengths of the rod. Positive tension
-    pulls."""
+    """Tendon (threadlike actuator) that acts between two arc lengths of the rod.
+
+    Positive tension pulls.
+    """
 
     # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting,
     # ...
@@ -230,8 +233,11 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece
-    between neighbouring `breakpoints`."""
+    """Quadrature along the rod by Magnus intervals.
+
+    They are of fourth order, with two Gauss points each; their number counts per piece between
+    neighbouring `breakpoints`.
+    """
 
     # None: `least`, or as many as the scene needs for `tolerance`
     intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
@@ -277,13 +283,13 @@ class Scene(Configuration):
     segments: tuple[Segment, ...] = Field(min_length=1)
     tendons: tuple[Tendon, ...] = Field(min_length=1)
     base: Base = Base()
-    strain: Annotated[StaticsBased | ExplicitStrain, Field(discriminator="type")] = StaticsBased()
+    strain: AnyStrain = StaticsBased()
     quadrature: Quadrature = Quadrature()
     integrator: Integrator = Integrator()
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with other values, with the same checks.
+        """Returns a copy of the scene with other values, with the same checks.
 
         Args:
             changes: values by dotted keys, `{"segments.*.density": 5.0}`.
@@ -330,7 +336,7 @@ def _count(name: str, parts: Sequence[Any]) -> str:
 
 
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
-    """Scene as plain tables fit for JSON and TOML.
+    """Converts a scene to plain tables fit for JSON and TOML.
 
     Args:
         scene: to convert.
@@ -343,7 +349,14 @@ def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any
 
 
 def rod_length(scene: Scene) -> float:
-    """Length of the rod [m]."""
+    """Returns the length of the rod.
+
+    Args:
+        scene: of the arm.
+
+    Returns:
+        Length of its segments together [m].
+    """
     return float(segment_borders(scene)[-1])
 
 
@@ -353,8 +366,10 @@ def segment_borders(scene: Scene) -> Array:
 
 
 def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
-    """Index of the segment that each arc length [m] lies in. A border belongs to the segment that
-    begins there, the tip to the last."""
+    """Index of the segment that each arc length [m] lies in.
+
+    A border belongs to the segment that begins there, the tip to the last.
+    """
     inner_borders = segment_borders(scene)[1:-1]
     return np.searchsorted(inner_borders, arc_length, side="right")
 
@@ -365,8 +380,10 @@ def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
 
 
 def breakpoints(scene: Scene) -> Array:
-    """Sorted unique arc lengths [m] between which everything is smooth: base, tip, ends of tendons,
-    borders of segments and strain."""
+    """Sorted unique arc lengths [m] between which everything is smooth.
+
+    They are base, tip, ends of tendons, borders of segments and strain.
+    """
     length = rod_length(scene)
     apart = SAME_PLACE * length
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
@@ -408,8 +425,17 @@ def along_rod(
 
 
 def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Outer radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each
-    (m,). Borders: see `segment_index`."""
+    """Computes the outer radius of the rod and its slope at arc lengths.
+
+    Borders: see `segment_index`.
+
+    Args:
+        scene: of the arm.
+        arc_length: (m,) [m] from the rod's base.
+
+    Returns:
+        Radius [m], and its slope d radius/dX [-], each (m,).
+    """
     radius, slope = along_rod(
         scene,
         arc_length,
@@ -419,8 +445,10 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
 
 
 def disc_rows(scene: Scene) -> Array:
-    """Arc length [m], mass [kg], radius and thickness [m], 0 for thin ones, of every spacer disc:
-    (d, 4)."""
+    """Arc length [m], mass [kg], radius and thickness [m] of every spacer disc: (d, 4).
+
+    The thickness is 0 for thin ones.
+    """
     starts = segment_borders(scene)[:-1]
     rows = list[Array]()
     for segment, start in zip(scene.segments, starts, strict=True):
@@ -432,17 +460,34 @@ def disc_rows(scene: Scene) -> Array:
 
 
 def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Offset (y, z) of a tendon from the axis [m] and its slope d/dX [-] at arc lengths [m], each
-    (m, 2)."""
+    """Computes the offset of a tendon from the axis and its slope at arc lengths.
+
+    Args:
+        scene: of the arm.
+        tendon: of the scene.
+        arc_length: (m,) [m] from the rod's base.
+
+    Returns:
+        Offset (y, z) [m], and its slope d/dX [-], each (m, 2).
+    """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    radius, radius_slope = rod_radius(scene, arc_length)
+    direction = tendon.routing.direction
+    if direction is None:
+        radius, radius_slope = rod_radius(scene, arc_length)
+    else:
+        radius, radius_slope = along_rod(
+            scene,
+            arc_length,
+            lambda segment, places: segment.shape.outline_radius(direction, places, segment.length),
+        )
     ends = tendon_ends(scene, tendon)
     return tendon.routing.offset_and_slope(arc_length, radius, radius_slope, ends)
 
 
 def extrapolation_columns(scene: Scene) -> int:
-    """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the
-    scene's, or what its damping allows.
+    """Number of columns (order) of the extrapolated integrator, with a tolerance the most.
+
+    It is the scene's, or what its damping allows.
 
     On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability
     function). A damping ratio of 0.0029 at omega h = 0.64 outweighs that. Where every strain of

@@ -1,5 +1,6 @@
-"""Cross-sections of a segment: stiffness, damping and inertia per length, and the outer shape, at
-arc lengths; spacer discs.
+"""Cross-sections of a segment, their integrals and outer shape at arc lengths; spacer discs.
+
+Sections give stiffness, damping and inertia per length.
 
 y and z are principal axes, and the rod's axis runs through the centroid. With the area A, the
 second moments Iy = int z^2 dA and Iz = int y^2 dA, and Saint-Venant's torsion constant J (S. P.
@@ -10,7 +11,8 @@ Timoshenko and J. N. Goodier, Theory of Elasticity, 1970, chapter 10):
 - inertia per length rho diag(Iy + Iz, Iy, Iz, A, A, A).
 
 The shear correction factor k is 1 unless a section says otherwise: a solid circle has none, and a
-tube without a hole is one. To add a section, write its class here and name it in `AnySection`.
+tube without a hole is one. A section is a class under `@register("section", "name")`, here or in a
+user's own file as `examples/own_section.py`.
 """
 
 from abc import abstractmethod
@@ -18,11 +20,12 @@ from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.scene.routing import Size, Taper
 from soft_tendon_env.tools.configuration import Configuration, Problem
+from soft_tendon_env.tools.registry import TableRegistry, register
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
 # viscosity of the six strains in eta, (6, 1): 3 along the rod (Trouton's ratio)
@@ -36,17 +39,25 @@ PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what
 
 
 class Section(Configuration):
-    """Base of the cross-sections. Its `sizes` are numbers or tapers; round on the outside, with the
-    first of them as radius.
+    """Base of the cross-sections.
+
+    Its `sizes` are numbers or tapers; round on the outside, with the first of them as radius.
 
     Arc lengths (m,) [m] count from the start of the segment, which has a `length` [m].
+
+    Attributes:
+        sizes: names of the fields that are sizes.
+        has_material: whether it is of one material, whose numbers the segment has then.
+        has_corners: whether the outline is the rectangle of its widths, else it is their ellipse.
     """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
+    has_material: ClassVar[bool] = True
+    has_corners: ClassVar[bool] = False
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
-        """Diagonals of stiffness, viscosity and inertia per length.
+        """Computes the diagonals of stiffness, viscosity and inertia per length.
 
         Args:
             arc_length: (m,) [m].
@@ -59,12 +70,24 @@ class Section(Configuration):
         """
 
     def tapers(self) -> dict[str, Taper]:
-        """Those of the sizes that vary, by name."""
+        """Returns those of the sizes that vary.
+
+        Returns:
+            Tapers by name of the size.
+        """
         sizes = {name: getattr(self, name) for name in self.sizes}
         return {name: size for name, size in sizes.items() if isinstance(size, Taper)}
 
     def at(self, arc_length: Array, length: float) -> tuple[Array, Array]:
-        """Sizes [m] and their derivatives along the rod [-], each (sizes, m)."""
+        """Computes the sizes at arc lengths, and their derivatives along the rod.
+
+        Args:
+            arc_length: (m,) [m] from the start of the segment.
+            length: of the segment [m].
+
+        Returns:
+            Sizes [m] and derivatives [-], each (sizes, m).
+        """
         values = np.zeros((len(self.sizes), arc_length.size))
         slopes = np.zeros_like(values)
         for i, name in enumerate(self.sizes):
@@ -75,14 +98,57 @@ class Section(Configuration):
                 values[i] = size
         return values, slopes
 
+    def sizes_along(self, length: float) -> Array:
+        """Computes the sizes at many places of a segment, all extremes of tables among them.
+
+        Args:
+            length: of the segment [m].
+
+        Returns:
+            The sizes [m], (sizes, m).
+        """
+        # between the points of a table a size has no other extremes
+        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
+        places = np.concatenate([length * PLACES, *tables])
+        values, _ = self.at(places, length)
+        return values
+
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
-        """Radius [m] of the circle around the section, and its derivative along the rod [-], each
-        (m,)."""
+        """Computes the radius of the circle around the section, and its derivative along the rod.
+
+        Args:
+            arc_length: (m,) [m] from the start of the segment.
+            length: of the segment [m].
+
+        Returns:
+            Radius [m] and derivative [-], each (m,).
+        """
         values, slopes = self.at(arc_length, length)
         return values[0], slopes[0]
 
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Returns how far the outline is from the axis in a direction.
+
+        Args:
+            angle: From y towards z [rad].
+            arc_length: From the start of the segment (m,) [m].
+            length: Of the segment [m].
+
+        Returns:
+            Distance [m], and its derivative along the rod [-], each (m,).
+        """
+        return self.outer_radius(arc_length, length)
+
     def hull(self, arc_length: Array, length: float) -> Array:
-        """Widths along y and z [m], perimeter [m] and area [m^2] of the outline: (4, m)."""
+        """Computes widths, perimeter and area of the outline.
+
+        Args:
+            arc_length: (m,) [m] from the start of the segment.
+            length: of the segment [m].
+
+        Returns:
+            Widths along y and z [m], perimeter [m] and area [m^2], (4, m).
+        """
         radius, _ = self.outer_radius(arc_length, length)
         width = 2.0 * radius
         perimeter = 2.0 * np.pi * radius
@@ -90,16 +156,33 @@ class Section(Configuration):
         return np.stack([width, width, perimeter, area])
 
     def outline(self, circle: Array) -> Array:
-        """Points (2, k) of the outline in parts of half its widths, around points of the unit
-        circle (2, k)."""
+        """Returns points of the outline around points of the unit circle.
+
+        Args:
+            circle: points (2, k) of the unit circle.
+
+        Returns:
+            Points (2, k) in parts of half the outline's widths.
+        """
         return circle
 
     def misfits(self, length: float) -> Iterator[Problem]:
-        """Problems of sizes that do not fit the segment, or each other, by keys of the section."""
+        """Yields the problems of sizes that do not fit the segment, or each other.
+
+        Args:
+            length: of the segment [m].
+
+        Yields:
+            Problems by keys of the section.
+        """
         for name, taper in self.tapers().items():
             text = taper.misfit(length)
             if text:
                 yield Problem((name,), text)
+
+
+SECTIONS: TableRegistry[Section] = TableRegistry("section", Section)
+"""Registered cross-sections, by the `type` that tables name."""
 
 
 class Solid(Section):
@@ -110,9 +193,17 @@ class Solid(Section):
 
     @abstractmethod
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
-        """A [m^2], Iy, Iz and Saint-Venant's J [m^4], each (m,), of sizes (sizes, m)."""
+        """Computes the area and second moments of sections.
+
+        Args:
+            sizes: (sizes, m) [m].
+
+        Returns:
+            A [m^2], Iy, Iz and Saint-Venant's J [m^4], each (m,).
+        """
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
+        """Computes stiffness, viscosity and inertia of the material and the section's integrals."""
         E, nu, rho, eta = material
         G = E / (2 * (1 + nu))
         sizes, _ = self.at(arc_length, length)
@@ -127,9 +218,12 @@ class Solid(Section):
         return np.stack([elasticity, viscosity, inertia])
 
 
+@register("section", "tube")
 class Tube(Solid):
-    """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole
-    displaces fluid, and holds none."""
+    """Round tube; without a hole it is the solid circle.
+
+    In a fluid its ends are closed: its hole displaces fluid, and holds none.
+    """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius", "inner_radius")
 
@@ -138,6 +232,7 @@ class Tube(Solid):
     inner_radius: Size  # [m]
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
+        """Computes area and second moments of the annulus."""
         area_outer, area_inner = np.pi * sizes**2
         second_outer, second_inner = np.pi * sizes**4 / 4
         area = area_outer - area_inner
@@ -146,13 +241,11 @@ class Tube(Solid):
         return area, second, second, polar
 
     def misfits(self, length: float) -> Iterator[Problem]:
+        """Yields the problems of the sizes: the hole is smaller than the tube everywhere."""
         yield from super().misfits(length)
         if not self.inner_radius:
             return
-        # also the points of tables, between which a size has no other extremes
-        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
-        places = np.concatenate([length * PLACES, *tables])
-        (outer, inner), _ = self.at(places, length)
+        outer, inner = self.sizes_along(length)
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
             text = (
@@ -163,8 +256,7 @@ class Tube(Solid):
 
 
 class Flat(Solid):
-    """Base of the sections that are as wide along y as their `width`, and along z as their
-    `height`."""
+    """Base of the sections with a `width` along y and a `height` along z, their first sizes."""
 
     sizes: ClassVar[tuple[str, ...]] = ("width", "height")
 
@@ -172,12 +264,19 @@ class Flat(Solid):
     height: Size  # along z [m]
 
 
+@register("section", "rectangle")
 class Rectangle(Flat):
-    """Solid rectangle. Torsion is Timoshenko and Goodier's (170), summed to round-off."""
+    """Solid rectangle.
+
+    Torsion is Timoshenko and Goodier's (170), summed to round-off.
+    """
+
+    has_corners: ClassVar[bool] = True
 
     type: Literal["rectangle"] = "rectangle"
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
+        """Computes area and second moments of the rectangle."""
         width, height = sizes
         short, long = np.sort(sizes, axis=0)
         A = width * height
@@ -194,27 +293,46 @@ class Rectangle(Flat):
         return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes half the diagonal, and its derivative along the rod."""
         values, slopes = self.at(arc_length, length)
-        diagonal = np.hypot(*values)
-        slope = 0.5 * (values * slopes).sum(axis=0) / diagonal
+        sides = values[:2]
+        diagonal = np.hypot(*sides)
+        slope = 0.5 * (sides * slopes[:2]).sum(axis=0) / diagonal
         return 0.5 * diagonal, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
-        (width, height), _ = self.at(arc_length, length)
+        """Computes widths, perimeter and area of the rectangle."""
+        (width, height, *_), _ = self.at(arc_length, length)
         perimeter = 2.0 * (width + height)
         area = width * height
         return np.stack([width, height, perimeter, area])
 
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the way from the axis to the side that a direction meets."""
+        values, slopes = self.at(arc_length, length)
+        half_y, half_z = 0.5 * values[:2]
+        slope_y, slope_z = 0.5 * slopes[:2]
+        along_y = abs(np.cos(angle))
+        along_z = abs(np.sin(angle))
+        # the direction leaves through a side across y where its slope is below the diagonal's
+        meets_y = half_z * along_y >= half_y * along_z
+        radius = np.where(meets_y, half_y, half_z) / np.where(meets_y, along_y, along_z)
+        slope = np.where(meets_y, slope_y, slope_z) / np.where(meets_y, along_y, along_z)
+        return radius, slope
+
     def outline(self, circle: Array) -> Array:
+        """Returns points of the square that the outline is in parts of half its widths."""
         return np.clip(np.sqrt(2.0) * circle, -1.0, 1.0)
 
 
+@register("section", "ellipse")
 class Ellipse(Flat):
     """Solid ellipse."""
 
     type: Literal["ellipse"] = "ellipse"
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
+        """Computes area and second moments of the ellipse."""
         a, b = 0.5 * sizes  # half axes
         A = np.pi * a * b
         Iy = A * b**2 / 4
@@ -223,12 +341,14 @@ class Ellipse(Flat):
         return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the greater half axis, and its derivative along the rod."""
         (width, height), (width_slope, height_slope) = self.at(arc_length, length)
         radius = 0.5 * np.maximum(width, height)
         slope = 0.5 * np.where(width >= height, width_slope, height_slope)
         return radius, slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
+        """Computes widths, perimeter and area of the ellipse."""
         sizes, _ = self.at(arc_length, length)
         a, b = 0.5 * sizes
         # S. Ramanujan 1914
@@ -237,19 +357,35 @@ class Ellipse(Flat):
         area = np.pi * a * b
         return np.stack([2.0 * a, 2.0 * b, perimeter, area])
 
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the radius of the ellipse in a direction."""
+        values, slopes = self.at(arc_length, length)
+        a, b = 0.5 * values
+        a_slope, b_slope = 0.5 * slopes
+        # 1 / r^2 = (cos / a)^2 + (sin / b)^2
+        along_y = np.cos(angle) ** 2 / a**2
+        along_z = np.sin(angle) ** 2 / b**2
+        radius = 1.0 / np.sqrt(along_y + along_z)
+        slope = radius**3 * (along_y * a_slope / a + along_z * b_slope / b)
+        return radius, slope
+
 
 def _both(value: Any) -> Any:
     """A pair, also of one number for both."""
     return value if isinstance(value, list | tuple) else (value, value)
 
 
+@register("section", "stiffness")
 class Stiffness(Section):
-    """Stiffnesses themselves, as measured or from a finite element model, the same along the
-    segment.
+    """Stiffnesses themselves, as measured or from a finite element model.
+
+    They are the same along the segment.
 
     The segment then has no `young_modulus`, `poisson_ratio`, `density` and `damping`. Damping is
     Kelvin-Voigt with one time constant, Upsilon = `retardation_time` Sigma.
     """
+
+    has_material: ClassVar[bool] = False
 
     type: Literal["stiffness"] = "stiffness"
     bending: tuple[Positive, Positive]  # (E Iy, E Iz) [N m^2]
@@ -265,6 +401,7 @@ class Stiffness(Section):
     rotary_inertia: tuple[Positive, Positive, Positive] | None = None
 
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
+        """Returns the stiffnesses of the table, with viscosity and inertia of its other entries."""
         ones = np.ones_like(arc_length)
         stiffnesses = [self.torsion, *self.bending, self.stretch, *self.shear]
         sigma = np.outer(stiffnesses, ones)
@@ -281,12 +418,14 @@ class Stiffness(Section):
         return np.stack([sigma, self.retardation_time * sigma, inertia])
 
 
-AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
+AnySection = Annotated[SerializeAsAny[Section], BeforeValidator(SECTIONS.parse)]
+"""A cross-section, also as a table with its `type`."""
 
 
 class Discs(Configuration):
-    """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid.
-    They add no stiffness.
+    """Spacer discs of a segment, all alike: they have inertia, weight and drag.
+
+    Drag acts where there is a fluid. They add no stiffness.
 
     Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly,
     the last one at its end.
@@ -314,8 +453,15 @@ class Discs(Configuration):
         return places
 
     def rows(self, length: float) -> Array:
-        """Arc length from the start of a segment of this length [m], mass [kg], radius and
-        thickness [m] of each: (d, 4)."""
+        """Returns place and size of each disc.
+
+        Args:
+            length: of the segment [m].
+
+        Returns:
+            Arc length from the start of the segment [m], mass [kg], radius and thickness [m] of
+            each: (d, 4).
+        """
         if self.number is not None:
             order = np.arange(1, self.number + 1)
             places = length * order / self.number

@@ -1,13 +1,31 @@
-"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and
-which of the six strains exist."""
+"""Strain parametrisations of the rod: statics-based (implicit) and explicit bases.
 
+They also say which of the six strains exist.
+
+A parametrisation is a class under `@register("strain", "name")`, here or in a user's own file as
+`examples/own_strain.py`, which has an explicit basis of its own.
+"""
+
+from abc import abstractmethod
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator
+import numpy as np
+from numpy.polynomial import legendre
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    SerializeAsAny,
+    Tag,
+    field_validator,
+)
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.types import Positive
+from soft_tendon_env.tools.registry import TableRegistry, register
+from soft_tendon_env.tools.types import Array, Positive
 
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
@@ -37,8 +55,9 @@ Strains = Annotated[tuple[Strain, ...], Field(min_length=1), AfterValidator(_che
 
 
 class Modes(Configuration):
-    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each
-    of its pieces.
+    """Legendre basis of order 0 to `order` for each of `strains`.
+
+    It spans the whole rod or each of its pieces.
 
     A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the
     strain's `borders`.
@@ -49,9 +68,56 @@ class Modes(Configuration):
     span: Literal["rod", "piece"]
 
 
+def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Array:
+    """Computes Legendre fields of modes at points along the rod.
+
+    They are in the order of pieces, then strains, then orders.
+
+    Args:
+        modes: the groups of strains.
+        points: arc lengths (intervals, 2) [m].
+        borders: arc lengths (pieces + 1,) [m] of the rod's pieces, from base to tip.
+
+    Returns:
+        The fields (fields, intervals, 2, 6).
+    """
+    whole_rod = [(0.0, borders[-1])]
+    pieces = list(pairwise(borders))
+    fields = list[Array]()
+    for group in modes:
+        spans = whole_rod if group.span == "rod" else pieces
+        for a, b in spans:
+            polynomials = _legendre_polynomials(points, a, b, group.order)
+            for strain in group.strains:
+                component = STRAINS.index(strain)
+                block = np.zeros((*polynomials.shape, 6))
+                block[..., component] = polynomials
+                fields.extend(block)
+    count = len(fields)
+    return np.array(fields).reshape(count, *points.shape, 6)
+
+
+def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
+    """Legendre polynomials on [a, b] at points (intervals, 2), and 0 beside it.
+
+    They are of shape (order + 1, intervals, 2).
+    """
+    length = b - a
+    from_start = points - a
+    on_unit = 2 * from_start / length - 1
+    is_behind_start = points > a
+    is_before_end = points < b
+    is_inside = is_behind_start & is_before_end
+    polynomials = legendre.legvander(on_unit, order)
+    values = polynomials * is_inside[..., None]
+    return np.asarray(np.moveaxis(values, -1, 0))
+
+
 class Snapshots(Configuration):
-    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions:
-    `soft-tendon fields SCENE` makes them."""
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions.
+
+    `soft-tendon fields SCENE` makes them.
+    """
 
     type: Literal["snapshots"] = "snapshots"
     fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
@@ -67,9 +133,52 @@ PassiveStrain = Annotated[
 ]
 
 
-class StaticsBased(Configuration):
-    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to
-    `passive` moments and forces.
+class RodStrain(Configuration):
+    """Base of the strain parametrisations, which say the strains that the rod has.
+
+    `borders` are arc lengths [m] that cut it into further pieces.
+    """
+
+    borders: tuple[Positive, ...] = ()
+
+    @property
+    @abstractmethod
+    def free(self) -> tuple[Strain, ...]:
+        """Strains that the rod has; the others are rigid."""
+
+    @property
+    @abstractmethod
+    def highest_order(self) -> int:
+        """Highest Legendre order of the fields, or that of polynomials as wavy as they are.
+
+        Quadrature has to resolve them.
+        """
+
+
+class ExplicitBasis(RodStrain):
+    """Base of explicit strain parametrisations xi = xi* + Phi q, whose fields Phi are constant.
+
+    A field may jump at borders of pieces: `borders`, and the ends of tendons and segments.
+    """
+
+    @abstractmethod
+    def fields(self, points: Array, borders: Array) -> Array:
+        """Computes the strain fields Phi, linearly independent of each other.
+
+        Args:
+            points: arc lengths (intervals, 2) [m] from the base, inside of the pieces.
+            borders: arc lengths (pieces + 1,) [m] of all pieces, from base to tip.
+
+        Returns:
+            The fields (n, intervals, 2, 6), each with the strains in the order of STRAINS:
+            curvatures [1/m] per unit of its coordinate, then stretch and shear.
+        """
+
+
+class StaticsBased(RodStrain):
+    """Statics-based strain parametrisation (30).
+
+    The strain is the static answer to tensions and to `passive` moments and forces.
 
     The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the
     strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the
@@ -86,7 +195,6 @@ class StaticsBased(Configuration):
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     # combinations of fields below this relative size get no coordinate
     rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
-    borders: tuple[Positive, ...] = ()  # arc lengths [m] that cut the rod into further pieces
     include_loads: bool = False
 
     @property
@@ -96,8 +204,7 @@ class StaticsBased(Configuration):
 
     @property
     def highest_order(self) -> int:
-        """Highest Legendre order of the fields that have coordinates of their own, 0 without
-        any."""
+        """Highest Legendre order of the fields that have coordinates of their own, else 0."""
         if isinstance(self.passive, Snapshots):
             return SNAPSHOT_ORDER
         return max((modes.order for modes in self.passive), default=0)
@@ -119,17 +226,17 @@ class StaticsBased(Configuration):
         return passive
 
 
-class ExplicitStrain(Configuration):
-    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode
-    names are rigid.
+class ExplicitStrain(ExplicitBasis):
+    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`.
 
-    Order 0 per piece is piecewise constant strain (PCS). `borders` are arc lengths [m] that cut the
-    rod into further pieces.
+    Strains that no mode names are rigid. Order 0 per piece is piecewise constant strain (PCS).
     """
 
     type: Literal["explicit"] = "explicit"
     modes: tuple[Modes, ...] = Field(min_length=1)
-    borders: tuple[Positive, ...] = ()
+
+    def fields(self, points: Array, borders: Array) -> Array:
+        return mode_fields(self.modes, points, borders)
 
     @property
     def free(self) -> tuple[Strain, ...]:
@@ -148,3 +255,13 @@ class ExplicitStrain(Configuration):
         # always overlap
         _check_each_once(tuple(strain for group in modes for strain in group.strains))
         return modes
+
+
+PARAMETRISATIONS: TableRegistry[RodStrain] = TableRegistry("strain", StaticsBased, ExplicitBasis)
+"""Registered strain parametrisations, by the `type` that tables name."""
+
+register("strain", "statics_based", StaticsBased)
+register("strain", "explicit", ExplicitStrain)
+
+AnyStrain = Annotated[SerializeAsAny[RodStrain], BeforeValidator(PARAMETRISATIONS.parse)]
+"""A strain parametrisation, also as a table with its `type`."""

@@ -1,5 +1,7 @@
-"""Plausibility of a scene: a word where a number is one that no arm has, most likely because it is
-in another unit than SI's."""
+"""Plausibility of a scene: a warning where a number is one that no arm has.
+
+Most likely such a number is in another unit than SI's.
+"""
 
 import math
 import warnings
@@ -8,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.scene.plausibility import implausible
 from soft_tendon_env.scene.scene import (
     Scene,
     Segment,
@@ -63,6 +66,8 @@ def warn_of_units(scene: Scene) -> None:
         scene: that a model is built of.
     """
     numbers = [*_unlikely(scene)]
+    if not numbers:  # shares of the arm say something only where its own sizes are plausible
+        numbers = [*implausible(scene)]
     if numbers:
         text = (
             f"{scene.name!r} has numbers that look as if they were not in SI units (m, kg, s, N,"
@@ -72,8 +77,10 @@ def warn_of_units(scene: Scene) -> None:
 
 
 def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
-    """The question after the unit that brings a value nearest to a usual one; none where it has a
-    usual size already."""
+    """The question after the unit that brings a value nearest to a usual one.
+
+    There is none where it has a usual size already.
+    """
     factors = {"": 1.0, **units}  # "": as it is
 
     def decades_off(unit: str) -> float:
@@ -84,8 +91,10 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
 
 
 def _stiffness(segment: Segment, places: Array) -> Array:
-    """Bending [N m^2], about the softer axis, and stretch [N] at arc lengths (m,) [m] of a segment:
-    (2, m)."""
+    """Bending [N m^2] and stretch stiffness [N] at arc lengths of a segment: (2, m).
+
+    Bending is about the softer axis; the arc lengths (m,) are in [m].
+    """
     elasticity = segment.screw_matrices(places)[0]
     bending = elasticity[1:3].min(axis=0)
     stretch = elasticity[3]
@@ -190,8 +199,10 @@ class _Path(NamedTuple):
 
 
 def _unlikely_radius(scene: Scene, path: _Path) -> str:
-    """The radius of a rod, or of discs, that is as large as the rod is long, in words; empty where
-    there is none."""
+    """The radius of a rod, or of discs, that is as large as the rod is long, in words.
+
+    It is empty where there is none.
+    """
     length = path.rod_length
     widest = path.radius.max()
     disc = disc_rows(scene)[:, 2].max(initial=0.0)

@@ -1,2 +1,4 @@
-"""Tools of the whole package that know nothing of arms: argument validation, configuration,
-files."""
+"""Tools of the whole package that know nothing of arms.
+
+They are argument validation, configuration and files.
+"""

@@ -1,5 +1,7 @@
-"""Argument validation of the public API: shape, type, finiteness and range, with errors that say
-what was given and what is allowed."""
+"""Argument validation of the public API: shape, type, finiteness and range.
+
+Errors say what was passed and what is allowed.
+"""
 
 from typing import TypeVar
 
@@ -12,8 +14,10 @@ Kind = TypeVar("Kind")
 def checked_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...]
 ) -> NDArray[np.float64]:
-    """A new contiguous float64 array of this shape (None: any length). Raises TypeError or
-    ValueError naming `name`."""
+    """A new contiguous float64 array of this shape (None: any length).
+
+    Raises TypeError or ValueError naming `name`.
+    """
     try:
         array = np.asarray(value)
     except ValueError as error:  # NumPy's own does not say which argument
@@ -50,8 +54,10 @@ def _shown_shape(shape: tuple[int | None, ...]) -> str:
 
 
 def checked_number(name: str, value: float, least: float, allowed: str) -> float:
-    """A finite number of at least `least`; `allowed` says so in the error. Raises TypeError or
-    ValueError."""
+    """A finite number of at least `least`; `allowed` says so in the error.
+
+    Raises TypeError or ValueError.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
     if not (np.isfinite(value) and value >= least):
@@ -60,7 +66,10 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
 
 
 def checked_count(name: str, value: int, least: int) -> int:
-    """A whole number of at least `least`. Raises TypeError or ValueError."""
+    """A whole number of at least `least`.
+
+    Raises TypeError or ValueError.
+    """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise TypeError(
             f"{name} should be a whole number of at least {least}, not {type(value).__name__}"
@@ -72,7 +81,9 @@ def checked_count(name: str, value: int, least: int) -> int:
 
 def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
     """The value, if it is an instance of `kind`; `hint` says in the error where one comes from.
-    Raises TypeError."""
+
+    Raises TypeError.
+    """
     if not isinstance(value, kind):
         raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
     return value

@@ -1,5 +1,6 @@
-"""Configuration classes: strict validation, one readable error for all mistakes, overrides by
-dotted keys.
+"""Configuration classes: strict validation, overrides by dotted keys.
+
+All mistakes are in one readable error.
 
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by
 pydantic; this module only translates its report into a `ConfigurationError` that names the file,
@@ -32,10 +33,18 @@ POSITION = re.compile(r"\[(\d+|\*)\]")
 DOT = re.compile(r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)')
 """A dot that is not in double quotes: an even number of quotes follows it."""
 
+DEEPEST = 64
+"""Levels of tables and arrays that a file may nest, ten times what any configuration has."""
+
+TOO_DEEP = "nests arrays or tables too deep to be read"
+"""End of the message on values whose parser would exceed Python's depth of calls."""
+
 
 class Problem(NamedTuple):
-    """One mistake: the key it is at, from the table at hand, and the rest of the sentence that
-    begins with the key."""
+    """One mistake in a configuration: its key and the rest of the sentence.
+
+    The key counts from the table at hand, and begins the sentence.
+    """
 
     key: Key
     text: str
@@ -45,6 +54,10 @@ class ConfigurationError(ValueError):
     """Invalid configuration: one line per mistake, `source: key is value: what is allowed`.
 
     Attributes: `problems`, every `Problem`; `source`, the file, or what was being built.
+
+    Args:
+        problems: every mistake, its key and what is allowed.
+        source: name of the file, or of what was being built.
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "scene"):
@@ -60,8 +73,9 @@ class ConfigurationError(ValueError):
 
 
 class Configuration(BaseModel):
-    """Base of every configuration class: frozen, strict, finite numbers only. Raises
-    `ConfigurationError`.
+    """Base of every configuration class: frozen, strict, finite numbers only.
+
+    Raises `ConfigurationError`.
 
     Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as
     tuples, paths as strings.
@@ -104,8 +118,10 @@ class Configuration(BaseModel):
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """The configuration of a plain table; `source` is the file to name in errors. Raises
-        `ConfigurationError`."""
+        """The configuration of a plain table; `source` is the file to name in errors.
+
+        Raises `ConfigurationError`.
+        """
         try:
             return cls(**values)
         except ConfigurationError as error:
@@ -119,8 +135,10 @@ def _freeze(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The value as plain JSON types: NumPy's, paths and configurations become plain, alone or
-    nested in tables and lists."""
+    """Value as plain JSON types.
+
+    NumPy's, paths and configurations become plain, alone or nested in tables and lists.
+    """
     if isinstance(value, Configuration):
         return value.model_dump(mode="json", exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
@@ -157,8 +175,10 @@ def not_among(name: str, valid: Iterable[str]) -> str:
 
 
 def not_registered(name: str, valid: Iterable[str]) -> str:
-    """The end of a message about an unknown name of what users can register: as `not_among`, and
-    what to do about one of their own."""
+    """End of a message about an unknown name of what users can register.
+
+    It is that of `not_among`, and what to do about one of their own.
+    """
     return (
         f"{not_among(name, valid)}; to use one of your own, import its module first (on the command"
         " line: --import MODULE)"
@@ -166,16 +186,42 @@ def not_registered(name: str, valid: Iterable[str]) -> str:
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not
-    TOML."""
+    """The tables of a TOML file.
+
+    Raises ConfigurationError where it cannot be read or is not TOML.
+    """
     try:
-        return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
+        tables = tomllib.loads(read_bytes(path).decode("utf-8-sig"))
+        _check_depth(tables)
     except OSError as error:
         problem = Problem((), f"cannot be read: {error.strerror}")
         raise ConfigurationError([problem], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
         problem = Problem((), f"is not valid TOML: {error}")
         raise ConfigurationError([problem], os.fspath(path)) from error
+    except RecursionError:
+        # its traceback would be as deep as the tables
+        raise ConfigurationError([Problem((), TOO_DEEP)], os.fspath(path)) from None
+    return tables
+
+
+def _check_depth(value: Any) -> None:
+    """Raises RecursionError for tables in tables, or arrays in arrays, beyond DEEPEST.
+
+    Keys with dots nest them without a call of the parser.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        below = list[Any]()
+        for part in level:
+            if isinstance(part, dict):
+                below += part.values()
+            elif isinstance(part, list):
+                below += part
+        if not below:
+            return
+        level = below
+    raise RecursionError
 
 
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -210,8 +256,10 @@ def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
 
 
 def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
-    """Keys or positions of a table or an array that a part of a path means. Raises
-    ConfigurationError, which names the path."""
+    """Keys or positions of a table or an array that a part of a path means.
+
+    Raises ConfigurationError, which names the path.
+    """
     problem = None
     places: Sequence[Any] = ()
     if isinstance(node, dict):
@@ -235,8 +283,10 @@ def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
-    """Values by key of texts "dotted.key=value", as in TOML or else the text itself. Raises
-    ValueError, also for a key given twice."""
+    """Values by key of texts "dotted.key=value", as in TOML or else the text itself.
+
+    Raises ValueError, also for a key given twice.
+    """
     values: dict[str, Any] = {}
     for change in changes:
         key, equals, text = map(str.strip, change.partition("="))
@@ -248,8 +298,11 @@ def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
             raise ValueError(f"--set has {key}, which is given twice")
         try:
             values[key] = tomllib.loads(f"value = {text}")["value"]
+            _check_depth(values[key])
         except tomllib.TOMLDecodeError:  # a text without quotes
             values[key] = text
+        except RecursionError:
+            raise ValueError(f"--set {key} {TOO_DEEP}") from None
     return values
 
 

@@ -1,5 +1,8 @@
-"""Modules of a user's own, which register effects, tasks, controllers, metrics or commands when
-they are imported: those of installed packages, and those that `--import` names."""
+"""Modules of a user's own, which register effects, tasks and more when imported.
+
+They also register controllers, metrics or commands. They are those of installed packages, and those
+that `--import` names.
+"""
 
 import importlib
 import os
@@ -17,8 +20,7 @@ _imported: list[str] = []
 
 
 def load_extensions() -> None:
-    """Imports the modules that installed packages name as entry points of the group
-    `soft_tendon_env`.
+    """Imports the modules that installed packages name as entry points `soft_tendon_env`.
 
     An entry point that cannot be loaded is left out, with a warning that names its package.
     """
@@ -98,7 +100,9 @@ def imported_modules() -> tuple[str, ...]:
 
 
 def look_in_this_folder() -> None:
-    """Lets modules of the current folder be imported, after all others: scripts that pip installs
-    do not see it."""
+    """Lets modules of the current folder be imported, after all others.
+
+    Scripts that pip installs do not see it.
+    """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

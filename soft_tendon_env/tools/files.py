@@ -1,6 +1,9 @@
-"""Reading of files, one function per kind; a file that is missing, cut or of something else is an
-error that names it. Files are replaced whole, and checked by their digests. What is made once is
-kept in folders of the user's cache."""
+"""Reading of files, one function per kind.
+
+A file that is missing, cut or of something else is an error that names it. Files are replaced
+whole, and checked by their digests. Files that are made once are kept in folders of the user's
+cache.
+"""
 
 import codecs
 import contextlib
@@ -25,16 +28,20 @@ PACKAGE = Path(__file__).parents[1]
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """All of a regular file: what is read from a device, a pipe or a socket may never end. Raises
-    OSError."""
+    """All of a regular file: what is read from a device, a pipe or a socket may never end.
+
+    Raises OSError.
+    """
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
-    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises
-    ValueError, FileNotFoundError."""
+    """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`.
+
+    Raises ValueError, FileNotFoundError.
+    """
     try:
         content = read_bytes(path)
         errors = (
@@ -48,19 +55,26 @@ def read_text(path: Path, errors: str = "strict") -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object. Raises ValueError, FileNotFoundError."""
+    """A JSON object.
+
+    Raises ValueError, FileNotFoundError.
+    """
     try:
         value = json.loads(text := read_text(path))
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is no JSON, or was cut off: {error}") from error
+    except RecursionError:
+        raise ValueError(f"{path} nests lists or tables too deep to be read") from None
     if not isinstance(value, dict):
         raise ValueError(f"{path} should be a JSON object, {{...}}, not {text[:80]}")
     return value
 
 
 def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the
-    error. Raises OSError or ValueError."""
+    """Arrays of an .npz file, none of them unpickled.
+
+    `what` it should hold goes into the error. Raises OSError or ValueError.
+    """
     content = read_bytes(path)
     try:
         with (
@@ -84,8 +98,10 @@ def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, whose file takes the place of `path` at the end: that appears whole or
-    not at all. Raises OSError."""
+    """Path to write to, whose file takes the place of `path` at the end.
+
+    That appears whole or not at all. Raises OSError.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -95,13 +111,18 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file. Raises OSError."""
+    """SHA-256 of a file.
+
+    Raises OSError.
+    """
     return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def sources_digest(*patterns: str) -> str:
     """16 hex digits that change with the files of the package that match one of the patterns.
-    Raises OSError."""
+
+    Raises OSError.
+    """
     files = sorted(file for pattern in patterns for file in PACKAGE.glob(pattern))
     return hashlib.sha256(
         "".join(f"{file.relative_to(PACKAGE)} {digest(file)}\n" for file in files).encode()
@@ -109,8 +130,10 @@ def sources_digest(*patterns: str) -> str:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a folder and those in it, by its name from there on. Raises
-    OSError."""
+    """SHA-256 of every file of a folder and those in it, by its name from there on.
+
+    Raises OSError.
+    """
     return {
         path.relative_to(folder).as_posix(): digest(path)
         for path in sorted(folder.rglob("*"))
@@ -119,8 +142,10 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
-    """Whether the files that `source` names are those that it was written with. Raises ValueError,
-    FileNotFoundError."""
+    """Whether the files that `source` names are those that it was written with.
+
+    Raises ValueError, FileNotFoundError.
+    """
     for path, expected in ((folder / name, expected) for name, expected in files.items()):
         if not path.is_file():
             raise FileNotFoundError(
@@ -134,8 +159,10 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
 
 
 def shipped_folder(inside: str, beside: str) -> Path:
-    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml),
-    `beside` it in a clone."""
+    """Folder of files that ship, in a wheel or in a clone.
+
+    It is `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone.
+    """
     return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
 
 
@@ -143,8 +170,10 @@ CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations th
 
 
 def cache_parents() -> list[Path]:
-    """Candidate parents of the cache folder, best first: what the user has chosen, then the usual
-    places."""
+    """Candidate parents of the cache folder, best first.
+
+    They are what the user has chosen, then the usual places.
+    """
     user = getattr(os, "getuid", int)()
     temporary = Path(tempfile.gettempdir(), f"soft_tendon_env-{user}")
     named = (
@@ -159,8 +188,10 @@ def cache_parents() -> list[Path]:
 
 
 def data_folders(name: str) -> list[Path]:
-    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see
-    `cache_parents`."""
+    """Folders `<user's cache>/soft_tendon_env/<name>` that exist, best first.
+
+    See `cache_parents`.
+    """
     return [
         folder
         for parent in cache_parents()
@@ -169,8 +200,10 @@ def data_folders(name: str) -> list[Path]:
 
 
 def new_data_folder(name: str) -> Path:
-    """The first of these folders that can be written, created when missing. Raises OSError where
-    there is none."""
+    """The first of these folders that can be written, created when missing.
+
+    Raises OSError where there is none.
+    """
     refused = ""
     for parent in cache_parents():
         try:
@@ -181,7 +214,10 @@ def new_data_folder(name: str) -> Path:
 
 
 def make_writable(folder: Path) -> Path:
-    """The folder, created when missing. Raises OSError where no file can be written in it."""
+    """The folder, created when missing.
+
+    Raises OSError where no file can be written in it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
     return folder

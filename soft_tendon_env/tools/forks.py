@@ -1,5 +1,6 @@
-"""Forks of a process that has other threads: they wait until no other thread holds a lock that the
-child needs.
+"""Forks of a process that has other threads.
+
+They wait until no other thread holds a lock that the child needs.
 
 A child has the thread that forked, alone. What another thread had locked at that moment stays
 locked in the child, which then waits forever, without a word. Of the locks that somebody who loads
@@ -54,8 +55,10 @@ Value = TypeVar("Value")
 
 
 def cached_property(function: Callable[[Any], Value]) -> functools.cached_property[Value]:
-    """`functools.cached_property` as it is from Python 3.12 on: without the lock of Python 3.11,
-    which a thread would hold while it builds a model."""
+    """Cached property without a lock: `functools.cached_property` of Python 3.12 on.
+
+    A thread would hold the lock of Python 3.11 while it builds a model.
+    """
     attribute = functools.cached_property(function)
     attribute.lock = contextlib.nullcontext()  # type: ignore[attr-defined, unused-ignore]
     return attribute
@@ -66,8 +69,10 @@ _thread = threading.local()
 
 
 def hold_over_forks(lock: contextlib.AbstractContextManager[Any]) -> None:
-    """Registers a reentrant lock that a thread which forks takes before, and that parent and child
-    release after. Locks are taken in the order in which they were registered."""
+    """Registers a reentrant lock that a thread takes before it forks.
+
+    Parent and child release it after. Locks are taken in the order in which they were registered.
+    """
     _locks.append(lock)
 
 

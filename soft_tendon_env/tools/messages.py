@@ -1,5 +1,7 @@
-"""Messages to a user: errors of all kinds in words, and lines on stderr about what is compiled,
-kept or left out."""
+"""Messages to a user: errors of all kinds in words, and lines on stderr.
+
+The lines say what is compiled, kept or left out.
+"""
 
 import contextlib
 import functools
@@ -13,13 +15,17 @@ QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in (
 
 
 class UserError(Exception):
-    """Ends a program that has begun, for a reason that its user can do something about: exit status
-    1 after one line, no traceback."""
+    """Ends a program for a reason that its user can do something about.
+
+    The program has begun; its exit status is 1 after one line, without a traceback.
+    """
 
 
 def describe(error: BaseException) -> str:
-    """An error in words: of an OSError the file comes first, without the number; its notes come
-    last."""
+    """Error in words: of an OSError the file comes first, without the number.
+
+    Its notes come last.
+    """
     if isinstance(error, OSError) and error.strerror:
         names = ", ".join(
             str(name) for name in (error.filename, error.filename2) if name is not None
@@ -53,7 +59,9 @@ def warn_once(line: str) -> None:
 
 @functools.cache
 def say_once(line: str) -> None:
-    """Prints a line of progress to stderr the first time that it is given, unless
-    SOFT_TENDON_ENV_QUIET=1."""
+    """Prints a line of progress to stderr the first time that it is passed.
+
+    SOFT_TENDON_ENV_QUIET=1 silences it.
+    """
     if not QUIET:
         say(line)

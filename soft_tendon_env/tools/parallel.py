@@ -1,5 +1,6 @@
-"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray
-cluster.
+"""Independent runs side by side: in processes of this machine, or on a Ray cluster.
+
+joblib starts the processes.
 
 Cells of an experiment, trainings of a sweep, trials of a search and motions of a reference all go
 through `run_all`. In each process come first the user's own modules that register effects, tasks,
@@ -36,24 +37,30 @@ def run_all(
     threads: bool = False,
     done: Callable[[int, Result], None] | None = None,
 ) -> list[Result]:
-    """Results of `call` for every run, in their order.
+    """Runs a function side by side and returns its results in the order of the runs.
 
     Args:
         call: a function of a module, as other processes have to find it, of values that can be
             pickled.
+        runs: arguments of the function, one for each run.
         workers: processes of one thread each, which first import what --import names, and run the
-            script that was started, for what it registers (but not below its
-            `if __name__ == "__main__"`); 1: this process alone, with one thread too.
-        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the
-            label None.
+            script that was started, for what it registers (but not below its `if __name__ ==
+            "__main__"`); 1: this process alone, with one thread too.
+        label: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out, as does the label
+            None.
+        unit: name of a run in the progress bar.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None:
             this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend
             their time in kernels or wait.
         done: is told in this process of every result as soon as it is there, with its run's place.
 
-    Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a
-    cluster cannot be reached.
+    Returns:
+        The results.
+
+    Raises:
+        ValueError: where a cluster cannot be reached. What `call` raises stops the other runs, as
+            does Ctrl-C, and goes on to the caller.
     """
     # tqdm is not for everyone who imports an environment
     from soft_tendon_env.tools.progress import progress_bar
@@ -94,8 +101,10 @@ def _run(
     place: int,
     run: Run,
 ) -> tuple[int, Result]:
-    """The run's place and its result, in a process that has what a user's own modules and script
-    register."""
+    """Place and result of a run.
+
+    Its process has what a user's own modules and script register.
+    """
     process, names, script = origin
     if os.getpid() != process:
         import_modules(names)
@@ -114,8 +123,10 @@ _SCRIPTS = set[Path]()
 def _on_this_machine(
     jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool
 ) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. Linear algebra has one thread, here
-    too: sums of several have other digits."""
+    """Results of `_run`, each with its place, as they come.
+
+    Linear algebra has one thread, here too: sums of several have other digits.
+    """
     import joblib
     from threadpoolctl import threadpool_limits
 
@@ -132,8 +143,10 @@ def _on_this_machine(
 def _on_cluster(
     jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str
 ) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops
-    those that still run."""
+    """Results of `_run`, each with its place, as they come.
+
+    The end of the connection to Ray stops those that still run.
+    """
     with ray_cluster(cluster, workers, "runs side by side"):
         import ray
 
@@ -153,8 +166,9 @@ def _on_cluster(
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
-    """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this
-    process's own, which ends with it.
+    """Ray while it is used: the cluster at an address, or one of this process's own.
+
+    The address "auto" is this machine's; a cluster of its own ends with it.
 
     processors: that are needed by `what`, which errors name. Raises ValueError where there is no
     Ray, or too little room.

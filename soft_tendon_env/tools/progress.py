@@ -22,7 +22,10 @@ class ProgressLines(tqdm):
     """Progress as lines of text, for streams in which a bar cannot be drawn anew."""
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
-        """Print the state as a line. False: nothing is left on the stream to be cleared."""
+        """Print the state as a line.
+
+        False: nothing is left on the stream to be cleared.
+        """
         if msg is None:
             print(self, file=self.fp, flush=True)
         return False
@@ -31,11 +34,12 @@ class ProgressLines(tqdm):
 def progress_bar(
     total: float, label: str | None, unit: str, layout: str | None = None
 ) -> "tqdm[Any]":
-    """Progress bar on stderr, to be closed by its user, who calls `update`.
+    """Makes a progress bar on stderr, to be closed by its user, who calls `update`.
 
     Args:
         total: number of units that are to be done.
-        label, unit: names of what is done, and of a part of it; without a label there is no bar.
+        label: name of what is done; None: there is no bar.
+        unit: name of a part of it.
         layout: tqdm's `bar_format` on a terminal, by default its usual one.
 
     Returns:

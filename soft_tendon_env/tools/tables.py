@@ -27,16 +27,21 @@ PREAMBLE = 100
 
 
 class Table(NamedTuple):
-    """Table of text. where: the header stands, with the separator that was recognised; rows: where
-    each stands, and its cells."""
+    """Table of text.
+
+    where: the header stands, with the separator that was recognised; rows: where each stands, and
+    its cells.
+    """
 
     where: str
     header: list[str]
     rows: list[tuple[str, list[str]]]
 
     def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
-        """Numbers (rows, columns) of columns by name, times their factors; NaN where there are
-        none. Raises ValueError for other text."""
+        """Numbers (rows, columns) of columns by name, times their factors.
+
+        They are NaN where there are none. Raises ValueError for other text.
+        """
         columns = list(columns)
         places = [self.header.index(name) for name, _ in columns]
         values = np.empty((len(self.rows), len(columns)))
@@ -48,8 +53,10 @@ class Table(NamedTuple):
 
 
 def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
-    """A cell as a number, NaN where there is none. Raises ValueError for other text and
-    infinity."""
+    """A cell as a number, NaN where there is none.
+
+    Raises ValueError for other text and infinity.
+    """
     if text.casefold() in ABSENT:
         return math.nan
     value = math.nan
@@ -101,8 +108,10 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises
-    csv.Error."""
+    """Cells of a line; where spaces separate, any number of them does, and tabs.
+
+    Raises csv.Error.
+    """
     if separator == " ":
         line = " ".join(line.split())
     reader = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
@@ -139,8 +148,10 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:
-    """Lines of a table, without a last one that was cut off when the writer was killed, or power
-    was lost; a warning says so."""
+    """Lines of a table, without a last one that was cut off.
+
+    The writer was killed, or power was lost; a warning says so.
+    """
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
     if len(lines) < 2 or text.endswith("\n"):
@@ -162,8 +173,10 @@ def _separator_count(line: str) -> int:
 
 
 def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float]]:
-    """The rows of a CSV file of numbers; NaN for what is empty. `needed`: columns. Raises
-    ValueError, FileNotFoundError."""
+    """The rows of a CSV file of numbers; NaN for what is empty.
+
+    `needed`: columns. Raises ValueError, FileNotFoundError.
+    """
     if not read_text(path).endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
     table = read_table(path)

@@ -1,5 +1,6 @@
-"""Types of arrays and of physical quantities, with bounds within which products, powers and ratios
-neither overflow nor vanish.
+"""Types of arrays and of physical quantities, with bounds.
+
+Within these, products, powers and ratios neither overflow nor vanish.
 
 Lengths with a unit, such as "1mm", are read and written here too.
 """
@@ -32,8 +33,10 @@ FASTEST = 1e5
 
 
 def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
-    """Refuses a number, but zero, whose size is not between these; that of zero is for the type to
-    judge."""
+    """Refuses a number, but zero, whose size is not between these.
+
+    Zero is for the type to judge.
+    """
 
     def check(value: float) -> float:
         if value and not least <= abs(value) <= greatest:
@@ -96,7 +99,10 @@ def is_length(text: str) -> bool:
 
 
 def read_length(text: object) -> float:
-    """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
+    """Metres of a text such as "1mm" or "0.05 cm".
+
+    Raises ValueError.
+    """
     metres = math.nan
     match = LENGTH.fullmatch(str(text))
     if match is not None:

@@ -1,2 +1,4 @@
-"""Tuning: hyperparameter optimisation of trainings and controllers with Optuna (TPE sampler,
-pruning, studies that machines share)."""
+"""Tuning: hyperparameter optimisation of trainings and controllers with Optuna.
+
+It has the TPE sampler, pruning, and studies that machines share.
+"""

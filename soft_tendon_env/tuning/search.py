@@ -1,5 +1,6 @@
-"""Searches: parameters of a controller or keys of a training, as a file such as
-configs/tune_predictive.toml says.
+"""Searches: parameters of a controller or keys of a training.
+
+A file such as configs/tune_predictive.toml says them.
 
 Either way a trial makes a policy, and its cost [m] is `tracking_cost` on the tuning seeds.
 """
@@ -97,14 +98,31 @@ class Search(Configuration, ABC):
 
     @abstractmethod
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
-        """Mean cost [m] of values over the tuning seeds.
+        """Computes the cost of values: the mean over the tuning seeds.
 
-        folder: for what is learned. Raises ValueError, UserError.
+        Args:
+            values: of the parameters, by name.
+            folder: for files that a trial makes.
+            report: is called with the cost so far [m], and may end the trial.
+
+        Returns:
+            Mean cost [m].
+
+        Raises:
+            ValueError: for values that cannot be used.
+            UserError: for a training that failed.
         """
 
     @abstractmethod
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of a file that uses these values."""
+        """Returns the tables of a file that uses values.
+
+        Args:
+            values: of the parameters, by name.
+
+        Returns:
+            Tables as of TOML.
+        """
 
     def play(
         self,
@@ -163,6 +181,7 @@ class ControllerSearch(Search):
         return name.with_parameters({**name.parameters, **values})
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
+        """Computes the geometric mean of the costs over all settings and regimes."""
         name = self._controller(values)
         scene = self.options.get("scene", "paper")
         changes = scene if isinstance(scene, Mapping) else {"scene": scene}
@@ -187,6 +206,7 @@ class ControllerSearch(Search):
         return {**name.options(self.options, regime), "randomize": randomize}
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the tables of a tuned controller."""
         parameters = self._controller(values).parameters
         return {"policy": self.policy, "parameters": dict(parameters)}
 
@@ -211,6 +231,7 @@ class TrainingSearch(Search):
         return self
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
+        """Computes the cost of the best agent of a short training."""
         from soft_tendon_env.learning import train
 
         training = Training.parse(self.file(values), self.training)
@@ -232,6 +253,7 @@ class TrainingSearch(Search):
         )
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the tables of the training with these values."""
         table = read_toml(find_config(self.training))
         override(table, {**self.set, **values})
         return table
@@ -240,9 +262,19 @@ class TrainingSearch(Search):
 def read_search(
     path: Path, changes: tuple[str, ...] = (), **more: Any
 ) -> ControllerSearch | TrainingSearch:
-    """The search of a file, with `changes` "key=value" and `more` keys.
+    """Reads a search from a file, with changes.
 
-    Raises ConfigurationError, ValueError.
+    Args:
+        path: of the TOML file.
+        changes: "key=value" with dotted keys, as of `--set`.
+        more: values of keys of the file's top, by name.
+
+    Returns:
+        A search for a training where the file has the key, else one for a controller.
+
+    Raises:
+        ConfigurationError: for keys and values that are not allowed.
+        ValueError: for changes that cannot be read.
     """
     table = read_toml(path)
     override(table, parsed_changes(changes))

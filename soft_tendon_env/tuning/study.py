@@ -1,5 +1,7 @@
-"""Studies of Optuna: trials side by side and on several machines that share a folder, and what they
-found."""
+"""Studies of Optuna: trials side by side and on several machines that share a folder.
+
+It also tells what they found.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -84,7 +86,7 @@ def run_trial(search: Search, folder: Path, _: int = 0) -> None:
 
 
 def tune(search: Search, folder: Path, workers: int, cluster: str | None = None) -> FrozenTrial:
-    """The best trial, once those that are missing have been run.
+    """Runs the missing trials of a study and returns the best of all.
 
     It is printed, and trials.csv and best.toml are written into the folder.
 
@@ -93,6 +95,9 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
         folder: of the study.
         workers: trials side by side.
         cluster: address of a Ray cluster that runs them; None: this machine does.
+
+    Returns:
+        The best trial.
 
     Raises:
         ValueError: the cluster cannot be reached.

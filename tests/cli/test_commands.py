@@ -7,9 +7,10 @@ import sys
 import gymnasium as gym
 import pytest
 
+from soft_tendon_env import register
 from soft_tendon_env.accuracy import proper_orthogonal_fields
 from soft_tendon_env.cli import doctor
-from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
+from soft_tendon_env.cli.main import COMMANDS, shipped_command
 from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.file import SHIPPED
@@ -200,8 +201,8 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
 
 
 def test_names_of_commands_are_kept():
-    with pytest.raises(ValueError, match="there is a command 'train' already"):
-        register_command("train", "another")
+    with pytest.raises(ValueError, match="the name 'train' of the command of .* is taken"):
+        register("command", "train", print, description="another")
 
 
 @pytest.mark.slow  # a process

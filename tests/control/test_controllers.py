@@ -11,11 +11,7 @@ from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
 PERIOD = 0.02
-ENTRIES = [
-    pytest.param(entry, id=f"{task}-{name}")
-    for task, entries in CONTROLLERS.items()
-    for name, entry in entries.items()
-]
+ENTRIES = [pytest.param(entry, id=key.replace("/", "-")) for key, entry in CONTROLLERS.items()]
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 from soft_tendon_env import static_equilibrium, tension_for_tip_pose
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
+from soft_tendon_env.control import ControllerInput, Reference, controllers_of
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
@@ -27,7 +27,7 @@ FAR = np.array([2.0, 1.0, 0.5])
 CASES = [
     pytest.param(task, entry, id=f"{task}-{name}")
     for task in ("TipPose", "Reach")
-    for name, entry in CONTROLLERS[task].items()
+    for name, entry in controllers_of(task).items()
     if entry.make is not PaperTipPose  # unstable at this period
 ]
 LONG = [

@@ -1,5 +1,5 @@
-"""The language of the documentation: plain sentences, the field's words, measured numbers that link
-to where they come from, and refusals that are tried.
+"""Prose of the documentation: short sentences, measured numbers that link to where they come from,
+and refusals that are tried.
 
 A refusal that a page documents has a comment behind its sentence, which is run and has to be
 refused in one line, or names the test:
@@ -30,26 +30,8 @@ WRITTEN += [
     for folder in (*GUIDES, "reference")
     for page in sorted((ROOT / "docs" / folder).glob("*.md"))
 ]
-GLOSSARY = "docs/reference/symbols.md"
-LONGEST = 25  # words of a sentence
-AVOIDED = {
-    r"whirl\w*": "oscillate",
-    r"students?": "policy",
-    r"teachers?": "expert",
-    r"belie(?:f|ve|ves|ved)": "model, or assume",
-    r"untold|nobody (?:told|was told)": "unknown",
-    r"met in training|drawn anew": "domain randomisation",
-    r"full physics": "converged reference",
-    r"own errors?": "time-discretisation error",
-    r"order that follows": "adaptive order",
-    r"redrawn": "piecewise-constant random",
-    r"wanted": "desired",
-    r"standing errors?|what is left": "steady-state error",
-    r"entrants?": "method",
-    r"as the model says": "nominal",
-    r"made usable": "sampled",
-}
-"""Words that a roboticist does not search for, and what stands in their place."""
+LONGEST = 25
+"""Words of a sentence."""
 MARKED = re.compile(r"^<!-- ([^/\n]+) -->$.*?^<!-- /\1 -->$", re.MULTILINE | re.DOTALL)
 FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
 REFUSED = re.compile(r"<!-- refused: (.+?) -->", re.DOTALL)
@@ -95,18 +77,6 @@ def lengths(page: Path, text: str) -> list[str]:
     ]
 
 
-def words(page: Path, text: str) -> list[str]:
-    """Words that are avoided, with what to say."""
-    if name(page) == GLOSSARY:
-        return []
-    said = " ".join(map(prose, paragraphs(text)))
-    return [
-        f"{found[0]}: {instead}"
-        for avoided, instead in AVOIDED.items()
-        for found in re.finditer(rf"\b(?:{avoided})\b", said)
-    ]
-
-
 def sentences(page: Path, text: str) -> list[str]:
     """Sentences that are too long, outside of tables."""
     parts = [
@@ -133,18 +103,14 @@ def name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("check", [lengths, words, sentences, refusals])
+@pytest.mark.parametrize("check", [lengths, sentences, refusals])
 def test_pages_are_written_plainly(check):
-    wrong = {
-        name(page): found
-        for page in WRITTEN
-        if (found := check(page, page.read_text(encoding="utf-8")))
-    }
-    assert wrong == {}, check.__doc__
+    faults = {name(page): check(page, page.read_text(encoding="utf-8")) for page in WRITTEN}
+    assert {page: texts for page, texts in faults.items() if texts} == {}, check.__doc__
 
 
 @pytest.mark.parametrize(
-    ("check", "text", "wrong"),
+    ("check", "text", "count"),
     [
         (lengths, "It is 3 mm off.", 1),
         (
@@ -153,13 +119,12 @@ def test_pages_are_written_plainly(check):
             0,
         ),
         (lengths, "It is 3 mm off, see [symbols](../reference/symbols.md).", 1),
-        (words, "The student whirls. `student` and\n```\nstudent\n```\n", 2),
         (sentences, f"{'word ' * 24}word. {'word ' * 25}word.", 1),
         (refusals, "This is refused.\n\nThat is refused. <!-- refused: 1 / 0 -->", 1),
     ],
 )
-def test_what_is_wrong_is_found(check, text, wrong):
-    assert len(check(ROOT / "docs" / "how_to" / "own.md", text)) == wrong
+def test_faults_of_a_page_are_found(check, text, count):
+    assert len(check(ROOT / "docs" / "how_to" / "own.md", text)) == count
 
 
 TRIED = [
@@ -197,20 +162,3 @@ def refused(tried: str, capsys: pytest.CaptureFixture[str]) -> bool:
     with pytest.raises((ValueError, TypeError)) as error:
         exec(tried, {"gym": gym, "np": np, "ste": ste})
     return "\n" not in str(error.value)
-
-
-def test_no_docstring_needs_the_name_above_it():
-    """Docstrings, and texts below constants, make sense with the name above them removed, as the
-    pages of the API show them."""
-    riddle, sources = (
-        re.compile(r'^ *"""(What|Of|Where|The same|Likewise|See)\b', re.MULTILINE),
-        (ROOT / "soft_tendon_env").rglob("*.py"),
-    )
-    texts = {path: path.read_text(encoding="utf-8") for path in sources}
-    found = [
-        f"{path}: {match[0].strip()}"
-        for path, text in texts.items()
-        for match in riddle.finditer(text)
-    ]
-    assert texts, found
-    assert not found, found

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from soft_tendon_env import ConfigurationError, Simulation, State, load_scene, simulate
-from soft_tendon_env.effects import EFFECTS, Effect, register_effect
+from soft_tendon_env import ConfigurationError, Simulation, State, load_scene, register, simulate
+from soft_tendon_env.effects import EFFECTS, Effect, Struct
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
@@ -277,10 +277,8 @@ def test_what_has_no_potential_energy_says_so(build, name, table, message):
         ({"delay": 1}, r"delay = 1: .* delay \(float\)"),
     ],
 )
-def test_what_no_kernel_reads_of_a_transmission_is_refused(monkeypatch, numbers, message):
-    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
-
-    @register_effect("gear")
+def test_what_no_kernel_reads_of_a_transmission_is_refused(forgotten, numbers, message):
+    @register("effect", "gear")
     class Gear(Effect):
         is_actuation: ClassVar[bool] = True
 
@@ -291,14 +289,15 @@ def test_what_no_kernel_reads_of_a_transmission_is_refused(monkeypatch, numbers,
         build_model(load_scene("three_tendon").replace({"effects.gear": {}}))
 
 
-def test_an_effect_says_itself_how_strong_it_is(monkeypatch):
-    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
-
-    @register_effect("wind")
+def test_an_effect_says_itself_how_strong_it_is(forgotten):
+    @register("effect", "wind")
     class Wind(Effect):
         strengths: ClassVar[tuple[str, ...]] = ("speed",)
 
         speed: float
+
+        def parameters(self, rod):
+            return Struct()
 
     effects = load_scene("three_tendon").replace({"effects.wind.speed": 2.0}).effects
     weaker = effects.sample_smaller(np.random.default_rng(0))

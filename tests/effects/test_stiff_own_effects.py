@@ -6,8 +6,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
-from soft_tendon_env.effects.base import EFFECTS
+from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel
 
 RATE = 1e5  # [1/s]
 STIFFNESS = 1e5  # [N/m]
@@ -46,12 +45,11 @@ def spring(parameters, nodes):
 
 
 @pytest.fixture
-def stiff(monkeypatch):
+def stiff(forgotten):
     """stiff(parameters): a model of a bare arm with a stiff effect."""
-    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
 
     def make(parameters):
-        @register_effect("stiff")
+        @ste.register("effect", "stiff")
         class Stiff(Effect):
             def parameters(self, rod):
                 return parameters

@@ -11,10 +11,11 @@ import pytest
 
 from soft_tendon_env.envs import IDS, TASKS, TipPoseEnv, environments
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.targets import Course, Target, register_target
+from soft_tendon_env.envs.targets import Course, Target
 from soft_tendon_env.envs.targets.shipped import FixedPose
-from soft_tendon_env.envs.tasks import TIP_POSE, register_task
+from soft_tendon_env.envs.tasks import TIP_POSE
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registry import register
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
@@ -45,9 +46,8 @@ def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
 
 
 def test_a_task_from_outside_is_an_environment(forgotten):
-    register_task(
-        replace(TIP_POSE, name="Hover", target="hold", description="Stay."), max_episode_steps=7
-    )
+    hover = replace(TIP_POSE, target="hold", description="Stay.")
+    register("task", "Hover", hover, max_episode_steps=7)
     env, envs = (
         gym.make("TendonRod-Hover-v0", **SMALL),
         gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL),
@@ -66,10 +66,9 @@ def test_a_task_from_outside_is_an_environment(forgotten):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"name": "hover"},
-            "a task's name should be one word in capitals such as 'TipPose', not 'hover'",
-        ),
+        ({"errors": ()}, "the task New lacks errors"),
+        ({"observations": {"all": ("rates",)}}, "the task New lacks the choice 'full'"),
+        ({"reward": {"positoin": 1.0}}, "the task New names 'positoin': did you mean 'position'"),
         ({"target": "hld"}, "the task New names 'hld': did you mean 'hold'"),
         (
             {"observations": {"full": ("ratse",)}},
@@ -81,8 +80,21 @@ def test_a_task_from_outside_is_an_environment(forgotten):
 )
 def test_a_task_that_names_what_does_not_exist_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        register_task(replace(TIP_POSE, **{"name": "New", **changes}))
+        register("task", "New", replace(TIP_POSE, **changes))
     assert "New" not in TASKS
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("hover", "one word in capitals such as 'TipPose', not 'hover'"),
+        ("TendonRod", "'TendonRod' is taken, by the class TendonRodEnv"),
+        ("TipPose", "'TipPose' of the task of .* is taken, by soft_tendon_env.envs.tasks"),
+    ],
+)
+def test_names_that_no_task_may_have(name, message):
+    with pytest.raises(ValueError, match=message):
+        register("task", name, TIP_POSE)
 
 
 class Near(Target):
@@ -103,8 +115,8 @@ def test_a_target_from_outside_is_an_option(forgotten):
         ),
     ):
         Options(target="near")
-    assert register_target(Near) is Near
-    assert register_target(Near) is Near
+    assert register("target", "near")(Near) is Near
+    assert register("target", "near")(Near) is Near
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):
         options = Options(target=given)
         assert options.target == Near(distance=0.2)
@@ -127,6 +139,6 @@ def test_a_target_needs_a_name_of_its_own():
 
     with pytest.raises(
         ValueError,
-        match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.shipped",
+        match="'hold' of the target of .* is taken, by soft_tendon_env.envs.targets.shipped",
     ):
-        register_target(Other)
+        register("target", "hold")(Other)

@@ -10,11 +10,11 @@ from soft_tendon_env.envs import (
     ShapeEnv,
     TipPoseEnv,
     TipPoseVectorEnv,
-    register_reward_term,
 )
 from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.envs.tracking import goal_reward
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registry import register
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 WEIGHTS = {
@@ -141,7 +141,7 @@ def test_compute_reward_gives_the_rewards_of_the_steps(kind):
 def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
     """Single and rows alike, beside others and alone."""
 
-    @register_reward_term
+    @register("reward_term", "straightness")
     def straightness(tracking):
         """Strains that are small."""
         return 1.0 / (1.0 + np.abs(tracking.reading.strain[..., :3]).max(axis=(1, 2)))
@@ -178,8 +178,7 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
     ],
 )
 def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
-    value.__name__ = "wrong"
-    register_reward_term(value)
+    register("reward_term", "wrong", value)
     env = TipPoseEnv(**SMALL, reward={"wrong": 1.0})
     with pytest.raises(
         ValueError, match=r"'wrong' should have values of shape \(1,\) between 0 and 1, not"
@@ -188,7 +187,7 @@ def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
 
 
 def test_a_term_of_a_users_own_knows_the_time(forgotten):
-    @register_reward_term
+    @register("reward_term", "late")
     def late(tracking):
         """From the third period on."""
         assert np.array_equal(tracking.time, 0.02 * tracking.step_count)
@@ -209,7 +208,7 @@ def test_a_term_of_a_users_own_knows_the_time(forgotten):
     [("effort", 2.0, "2.0"), ("smoothness", [1.0, 2.0], "1.0, 2.0"), ("own", 0.1, "0.1")],
 )
 def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, shown):
-    @register_reward_term
+    @register("reward_term", "own")
     def own(tracking):
         return np.ones(len(tracking.distance))
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from soft_tendon_env import register
 from soft_tendon_env.evaluation import summaries
 from soft_tendon_env.evaluation.metrics import (
-    METRICS,
     Episode,
     EpisodeScore,
     ErrorScore,
@@ -256,7 +256,7 @@ def test_a_run_without_a_number_is_the_worst():
     assert math.isnan(high)
 
 
-def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(monkeypatch, tmp_path):
+def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(forgotten, tmp_path):
     """How far the target was from the tip at most, of episodes that know it; chatter is infinite
     where one diverged."""
 
@@ -267,7 +267,7 @@ def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(mon
             else math.nan
         )
 
-    monkeypatch.setitem(METRICS, "farthest", Metric("farthest [mm]", far, 1e3))
+    register("metric", "farthest", Metric("farthest [mm]", far, 1e3))
     known, none = ([score(episode(seed=seed, period=0.02), skip=0.0)] for seed in (7, 0))
     assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
     assert math.isnan(Standing([known * 3 + none]).mean("farthest").high)

@@ -16,9 +16,7 @@ from soft_tendon_env.effects import (
     allow_turning,
     kernel,
     limits_step,
-    register_effect,
 )
-from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.model.step_control import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]
@@ -176,21 +174,20 @@ def shake(shaking, nodes):
 
 
 @pytest.fixture
-def shaker(monkeypatch):
+def shaker(forgotten):
     """Registers an effect of a user's own, with the parameters of a class."""
-    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
 
-    def register(kind):
+    def add_shaker(kind):
         adds_wrench(kind)(shake)
 
-        @register_effect("shaker")
+        @ste.register("effect", "shaker")
         class Shaker(Effect):
             frequency: float
 
             def parameters(self, rod):
                 return kind(self.frequency)
 
-    return register
+    return add_shaker
 
 
 def test_an_effect_of_a_users_own_that_reads_the_time(shaker, measured):

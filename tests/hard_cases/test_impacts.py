@@ -8,8 +8,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
-from soft_tendon_env.effects.base import EFFECTS
+from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.contact_forces import contact_forces
 
@@ -385,13 +384,12 @@ def hold(holding, nodes):
 
 
 @pytest.mark.parametrize("fidelity", ["scene", "standard"])
-def test_an_obstacle_out_of_reach_beside_another_stiff_load(monkeypatch, measured, fidelity):
+def test_an_obstacle_out_of_reach_beside_another_stiff_load(forgotten, measured, fidelity):
     """A wrench of a user's own is stiff, as contact is: a step that meets it for the first time is
     no impact. Expected: the same steps and the same motion, bit for bit, as without the
     obstacle."""
-    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
 
-    @register_effect("held")
+    @ste.register("effect", "held")
     class Held(Effect):
         stiffness: float
 

@@ -8,7 +8,9 @@ import pytest
 
 from soft_tendon_env import Simulation, load_scene, simulate, static_equilibrium
 from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
-from soft_tendon_env.identification.readings import NoHoldError
+from soft_tendon_env.identification.markers import Column
+from soft_tendon_env.identification.misread import command_factors
+from soft_tendon_env.identification.readings import NoHoldError, Plants
 from soft_tendon_env.model.build import build_model
 
 E = "segments.*.young_modulus"
@@ -115,6 +117,24 @@ def test_data_that_are_misread_get_a_finding_that_names_it(tmp_path, scene, case
         )  # where the arm has no such holds
         assert text in found[0]
         assert "known weight" not in " ".join(found)
+
+
+@pytest.mark.parametrize(
+    ("columns", "grams"),
+    [
+        ({}, 9.80665e-3),
+        ({"tension_gauge_*": Column(unit="mm")}, 9.80665e-3),
+        ({"tension_*": Column(unit="kg")}, 1e-3),
+        ({"tension_1": Column(unit="mN")}, 9.80665),
+    ],
+)
+def test_the_unit_of_commands_is_that_of_their_own_columns(columns, grams):
+    """Also where a marker's name begins like that of commands."""
+    scene = load_scene("three_tendon")
+    markers = MarkerSet(markers={"tension_gauge": Marker(arc_length=0.3)}, columns=columns)
+    factors = command_factors(Plants(scene, build_model(scene), markers, []))
+    assert factors["commands in g"] == pytest.approx(grams, rel=1e-12)
+    assert factors["commands of the other sign"] == -1.0
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,12 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
+from soft_tendon_env import register  # noqa: E402
 from soft_tendon_env.learning.hyperparameters import training_class  # noqa: E402
 from soft_tendon_env.learning.networks import new_network  # noqa: E402
-from soft_tendon_env.policies import register_algorithm, save_agent  # noqa: E402
+from soft_tendon_env.policies import save_agent  # noqa: E402
 from soft_tendon_env.policies.activations import ACTIVATIONS  # noqa: E402
-from soft_tendon_env.policies.algorithms import ALGORITHMS, network_kind  # noqa: E402
+from soft_tendon_env.policies.algorithms import ALGORITHMS, network_kind, policy_name  # noqa: E402
 from soft_tendon_env.policies.architecture import (  # noqa: E402
     ACTING,
     EXTRACTOR,
@@ -49,6 +50,12 @@ CASES = [
     ("APG", {}),
     ("APG", {"memory": 8, "net_arch": {"pi": [32], "vf": []}, "activation_fn": "ELU"}),
     ("APG", {"memory": 8, "fine": 10.0, "posture": 6, "net_arch": [32, 32]}),
+    ("RecurrentPPO", {"lstm_hidden_size": 12}),
+    ("RecurrentPPO", {"lstm_hidden_size": 8, "n_lstm_layers": 2, "net_arch": []}),
+    (
+        "RecurrentPPO",
+        {"lstm_hidden_size": 8, "shared_lstm": True, "enable_critic_lstm": False},
+    ),
 ]
 
 
@@ -88,6 +95,7 @@ def one_row(rows, number):
     return rows[number]
 
 
+@pytest.mark.usefixtures("recurrent_ppo")
 @pytest.mark.parametrize("space", [OBSERVED, GOALS], ids=["Box", "Dict"])
 @pytest.mark.parametrize(("algorithm", "arguments"), CASES)
 def test_actions_are_those_of_the_trained_network(tmp_path, algorithm, arguments, space):
@@ -128,25 +136,27 @@ def test_activation_functions_are_those_of_pytorch(name):
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("algorithm", [*ALGORITHMS, "APG", "DAgger"])
-def test_every_argument_of_policies_is_known(algorithm):
+@pytest.mark.parametrize("algorithm", [*ALGORITHMS, "RecurrentPPO"])
+def test_every_argument_of_policies_is_known(algorithm, recurrent_ppo):
     kind = network_kind(algorithm)
-    policy = training_class(algorithm).policy_aliases["MlpPolicy"]
+    learner = training_class(algorithm)
+    policy = learner.policy_aliases[policy_name(learner, has_goals=False)]
     names = {*inspect.signature(policy.__init__).parameters}
     made_here = {"self", "observation_space", "action_space", "lr_schedule"}
     assert names - made_here <= {*ACTING[kind], *OF_TRAINING, EXTRACTOR}
     assert {*ACTING[kind]} <= names
 
 
-def test_a_registered_algorithm_acts_by_the_policies_that_it_has(monkeypatch):
+def test_a_registered_algorithm_acts_by_the_policies_that_it_has(forgotten):
     from stable_baselines3 import PPO, TD3
 
-    monkeypatch.setattr("soft_tendon_env.policies.algorithms.ALGORITHMS", {})
-    monkeypatch.setitem(ALGORITHMS, "Mine", None)
-    register_algorithm(type("Mine", (PPO,), {}))
+    register("algorithm", "Mine", type("Mine", (PPO,), {}))
     assert network_kind("Mine") == "PPO"
-    register_algorithm(TD3)
     with pytest.raises(ValueError, match="policies of TD3 are of the class .*TD3Policy, which"):
+        register("algorithm", "TD3", TD3)
+    with pytest.raises(TypeError, match="'Net' should be a subclass of .*BaseAlgorithm"):
+        register("algorithm", "Net", torch.nn.Linear)
+    with pytest.raises(ValueError, match="algorithm is 'TD3': valid: APG, .*--import"):
         network_kind("TD3")
 
 

@@ -34,6 +34,15 @@ RUNS = {
         "algorithm": "DAgger",
         "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16},
     },
+    "RecurrentPPO": {
+        "algorithm": "RecurrentPPO",
+        "hyperparameters": {
+            "n_steps": 16,
+            "batch_size": 32,
+            "n_epochs": 1,
+            "policy_kwargs": {"lstm_hidden_size": 8},
+        },
+    },
     "running": {"task": "Reach", "normalise": {"observations": True}, "learning_rate": (1e-3, 0.0)},
 }
 
@@ -43,6 +52,7 @@ def curve(folder):
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
+@pytest.mark.usefixtures("recurrent_ppo")
 @pytest.mark.parametrize(
     "run",
     [pytest.param(run, marks=[pytest.mark.slow] * (run in ("TQC", "CrossQ"))) for run in RUNS],
@@ -61,7 +71,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
             "which a training goes on from"
         )
         assert ("replay_buffer.pkl" in files) == (
-            name == "last" and chosen.algorithm not in ("APG", "PPO")
+            name == "last" and chosen.algorithm not in ("APG", "PPO", "RecurrentPPO")
         ), "or what a teacher said"
         found = json.loads((tmp_path / name / "config.json").read_text())
         assert name == "last" or found["evaluated"]["steps"] == found["steps_done"]
@@ -104,10 +114,12 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
     )  # row after row
 
 
+@pytest.mark.usefixtures("recurrent_ppo")
 @pytest.mark.parametrize(
     "run",
     [
         "PPO",
+        "RecurrentPPO",
         *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running")),
     ],
 )

@@ -9,7 +9,6 @@ from soft_tendon_env.model.coordinates import (
     coordinate_count,
     independent_tensions,
     make_strain,
-    mode_fields,
 )
 from soft_tendon_env.model.grid import (
     LARGEST_PANEL,
@@ -23,7 +22,7 @@ from soft_tendon_env.model.grid import (
 )
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.scene.strain import Modes
+from soft_tendon_env.scene.strain import Modes, mode_fields
 
 ANGULAR = ("torsion", "bend_y", "bend_z")
 
@@ -144,13 +143,19 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
 
 def test_mode_fields_are_legendre_polynomials_on_their_span():
     scene, grid = scene_and_grid("paper")
-    over_rod = mode_fields((Modes(strains=("stretch",), order=2, span="rod"),), grid)
+    over_rod = mode_fields(
+        (Modes(strains=("stretch",), order=2, span="rod"),), grid.points, grid.breakpoints
+    )
     x = 2 * grid.points - 1
     np.testing.assert_allclose(
         over_rod[:, ..., 3], [np.ones_like(x), x, (3 * x**2 - 1) / 2], atol=1e-15
     )
     assert not over_rod[..., [0, 1, 2, 4, 5]].any()
-    by_piece = mode_fields((Modes(strains=("bend_y", "torsion"), order=1, span="piece"),), grid)
+    by_piece = mode_fields(
+        (Modes(strains=("bend_y", "torsion"), order=1, span="piece"),),
+        grid.points,
+        grid.breakpoints,
+    )
     assert len(by_piece) == 8  # piece, then strain, then order
     second_half = grid.points > 0.5
     np.testing.assert_allclose(

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects import Effect, register_effect
+from soft_tendon_env.effects import Effect
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import SHIPPED, load_scene, save_scene, scene_names
 from soft_tendon_env.scene.routing import LinearTaper, StraightRouting
@@ -23,6 +23,7 @@ from soft_tendon_env.scene.scene import (
 )
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registry import register
 
 
 def segment(**changes):
@@ -185,8 +186,8 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
         match="^scene: effects.wind is an unknown key .*valid: .*gravity, .*tip_load",
     ):
         load_scene("paper").replace({"effects.wind.speed": 1.0})
-    assert register_effect("wind")(Wind) is Wind
-    assert register_effect("wind")(Wind) is Wind
+    assert register("effect", "wind")(Wind) is Wind
+    assert register("effect", "wind")(Wind) is Wind
     scene = load_scene("paper").replace(
         {"effects.wind.speed": 1, "effects.gravity.acceleration": [0, 0, 1]}
     )

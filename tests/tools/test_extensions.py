@@ -14,17 +14,16 @@ from soft_tendon_env.tools.parallel import run_all
 
 ROOT = Path(__file__).parents[2]
 TASK = """
-import dataclasses
+from soft_tendon_env import register
+from soft_tendon_env.envs import TASKS
 
-from soft_tendon_env.envs import TIP_POSE, register_task
-
-register_task(dataclasses.replace(TIP_POSE, name="OfPackage"))
+register("task", "OfPackage", TASKS["TipPose"])
 """
 COMMAND = """
-from soft_tendon_env.cli.main import register_command
+from soft_tendon_env import register
 
 
-@register_command("of-package", "a command of a package")
+@register("command", "of-package", description="a command of a package")
 def command(arguments):
     print("printed by of-package:", *arguments)
 """
@@ -78,7 +77,7 @@ def test_importing_the_package_loads_the_entry_points_and_names_those_that_fail(
         from soft_tendon_env.cli.main import COMMANDS
 
         assert "TendonRod-OfPackage-v0" in gymnasium.registry
-        assert COMMANDS["of-package"] == "a command of a package"
+        assert COMMANDS["of-package"].description == "a command of a package"
     """
     (warning,) = warnings_of(python("-c", textwrap.dedent(code)))
     assert warning.endswith(

@@ -1,8 +1,10 @@
-"""Contact of the arm with obstacles: its configuration, forces between samples of the arm and
-obstacles, and the collision check.
+"""Contact of the arm with obstacles: configuration, forces, and the collision check.
+
+Forces act between samples of the arm and obstacles.
 
 By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the
-node before it, and likewise on the one behind. With d = radius - signed distance of a sample's
+node before it, and likewise on the one behind; where the section is flat, with the lever arm of its
+nearest point too (outline.py). With d = radius - signed distance of a sample's
 middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot), p = k d^2 / 2 e up
 to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
 
@@ -21,7 +23,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Configured, Discretisation, Effect
 from soft_tendon_env.effects.contact.obstacles import (
     AMPLITUDE,
     OMEGA,
@@ -32,7 +34,9 @@ from soft_tendon_env.effects.contact.obstacles import (
     read_distances,
     triple,
 )
+from soft_tendon_env.effects.contact.outline import ROUND, nearest
 from soft_tendon_env.effects.contact.samples import (
+    axes_of,
     ends_of,
     make_samples,
     motion_at,
@@ -48,7 +52,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
     dot,
     minus,
     plus,
-    rotate,
     rotate_back,
     times,
 )
@@ -56,6 +59,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, index_of_node
 from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
@@ -80,10 +84,11 @@ MOST_HERMITE = 4.0 / 27.0  # the largest value of the Hermite polynomials of tan
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@register_effect("contact")
+@register("effect", "contact")
 class Contact(Effect):
-    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which
-    the whole arm cannot enter.
+    """`[effects.contact]`: contact of the whole arm with obstacles, fixed or moving.
+
+    They are the tables `[[effects.contact.obstacles]]`, and the arm cannot enter them.
 
     Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v
     returns it times about 1 - 2/3 c v where c v is small, with c the `dissipation`.
@@ -126,9 +131,26 @@ class Contact(Effect):
         force = np.empty((*gap.shape, 3))
         return float(read_contacts(parameters, nodes, gap, position, force))
 
+    def gaps(self, rod: Discretisation, poses: Array, time: float = 0.0) -> Array:
+        """Gaps (obstacles, samples) [m] between the surfaces of obstacles and of samples.
+
+        They are negative where the surfaces overlap.
+
+        Args:
+            rod: The discretised rod.
+            poses: Poses (samples, 4, 4) of the samples.
+            time: Time [s], at which obstacles that move are looked at.
+        """
+        parameters = self.parameters(rod)
+        out = np.empty((len(self.obstacles), len(poses)))
+        read_gaps(parameters, np.ascontiguousarray(poses), time, out)
+        return out
+
     def distances(self, positions: Array, time: float = 0.0) -> Array:
-        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m]
-        at a time [s], negative inside."""
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces, negative inside.
+
+        They are those of positions (m, 3) [m] at a time [s].
+        """
         out = np.empty((len(self.obstacles), len(positions)))
         nearest = np.empty((*out.shape, 3))
         read_distances(self.rows(), positions, time, out, nearest)
@@ -136,8 +158,10 @@ class Contact(Effect):
 
 
 class ContactParameters(Struct):
-    """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at
-    the end without samples."""
+    """Numbers of samples and obstacles, as kernels read them.
+
+    Intervals are in order from base to tip, the empty ones at the end without samples.
+    """
 
     # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
     intervals: Array
@@ -156,6 +180,9 @@ class Touch(NamedTuple):
     damping: float  # [N s/m] along the normal
     drag: float  # [N s/m] of friction, across the normal
     energy: float  # [J] that the normal force has stored
+    place: Triple  # [m] of the point about which the surface is a ball, in the section's frame
+    ball: float  # [m] radius of that
+    moves: tuple[float, float]  # [m/rad] by which that point moves where the section turns
 
 
 @kernel(inline=True)
@@ -166,8 +193,10 @@ def size(x):
 
 @kernel(inline=True)
 def reach_of(intervals, ends):
-    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's
-    Bezier points holds it."""
+    """Distance [m] from its end that no point of an interval's samples exceeds.
+
+    The polygon of the curve's Bezier points holds it.
+    """
     chord = size(minus(ends.r_b, ends.r_a))
     length = intervals[ends.interval, 0]
     radius = intervals[ends.interval, 3]
@@ -176,9 +205,12 @@ def reach_of(intervals, ends):
 
 @kernel(inline=True)
 def normal_law(body, sample, depth, approach):
-    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy
-    [J] stored: the penalty, and a wall S x^3 / width that stops what would go through, each damped;
-    x is 0 at FREE and 1 at WALL, less deep in what is thin."""
+    """Force [N] of a sample along the normal, its derivatives, and the energy [J] stored.
+
+    The derivatives are by depth and approach. The force is the penalty, and a wall S x^3 / width
+    that stops what would go through, each damped; x is 0 at FREE and 1 at WALL, less deep in what
+    is thin.
+    """
     k = sample.stiffness
     e = sample.smoothing
     # penalty p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond, and its energy
@@ -208,32 +240,55 @@ def normal_law(body, sample, depth, approach):
 
 @kernel(inline=True)
 def touch_of(body, sample, ends, nodes):
-    """The contact of a sample between two nodes with an obstacle, without forces where they do not
-    touch."""
+    """Contact of a sample between two nodes with an obstacle.
+
+    It has no forces where they do not touch.
+    """
     position = position_of(sample, ends)
-    _, away, out = place_in(body, position)
-    gap = away - sample.radius
-    normal = rotate(body.R, out)
+    y_axis, z_axis = axes_of(sample, ends)
+    point = nearest(body, sample, position, y_axis, z_axis)
+    normal = point.normal
+    ball = ball_of(sample)
     # relative velocity of the surfaces, along the normal and across
     velocity, turning = motion_at(sample, ends, nodes)
-    lever = times(-sample.radius, normal)
+    lever = plus(point.offset, times(-ball, normal))
     surface = plus(velocity, cross(turning, lever))
     relative = minus(surface, body.velocity)
     approach = -dot(relative, normal)
     slip = plus(relative, times(approach, normal))
     # pressure and friction
-    depth = max(-gap, 0.0)
+    depth = max(-point.gap, 0.0)
     pressure, stiffness, damping, energy = normal_law(body, sample, depth, approach)
     speed = math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
     drag = body.friction * pressure / speed
     force = minus(times(pressure, normal), times(drag, slip))
-    return Touch(position, gap, normal, force, stiffness, damping, drag, energy)
+    return Touch(
+        position,
+        point.gap,
+        normal,
+        force,
+        stiffness,
+        damping,
+        drag,
+        energy,
+        point.place,
+        ball,
+        point.moves,
+    )
+
+
+@kernel(inline=True)
+def ball_of(sample):
+    """Radius [m] of the ball about a sample's nearest point: a flat section has none."""
+    return sample.radius if sample.shape == ROUND else 0.0
 
 
 @kernel(inline=True)
 def add_along(field, node, lever, share, n, k):
-    """k w w^T, w = (lever x n, share n), added to the block of a node: of what resists motion along
-    n."""
+    """Adds k w w^T, w = (lever x n, share n), to the block of a node.
+
+    It is that of what resists motion along n.
+    """
     begin = (node // LANES) * 21 * LANES + node % LANES
     w = cross(lever, n) + times(share, n)
     for i in range(6):
@@ -243,21 +298,41 @@ def add_along(field, node, lever, share, n, k):
 
 
 @kernel(inline=True)
-def add_to_node(nodes, node, R, weights, radius, touch):
-    """The wrench of a sample's force on one node, with the derivatives as if the other node of the
-    interval stood still.
+def add_turning(field, node, w, k):
+    """Adds k w w^T of a rotation w to the block of a node."""
+    begin = (node // LANES) * 21 * LANES + node % LANES
+    for i in range(3):
+        for j in range(i + 1):
+            entry = i * (i + 1) // 2 + j
+            field[begin + entry * LANES] += k * w[i] * w[j]
+
+
+@kernel(inline=True)
+def add_to_node(nodes, node, R, weights, touch):
+    """Adds the wrench of a sample's force on one node, with its derivatives.
+
+    They are as if the other node of the interval stood still.
 
     weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x
-    (reach e_x - turn radius n) in the node's frame. Each node gets 1 / part times its block, with
-    parts that add up to 1: no motion then meets less stiffness than there is.
+    (reach e_x + turn (p - ball n)) in the node's frame, with the place p of the nearest point.
+    Each node gets 1 / part times its block, with parts that add up to 1: no motion then meets less
+    stiffness than there is.
     """
     share, reach, turn, part = weights
     n = rotate_back(R, touch.normal)
     force = rotate_back(R, touch.force)
-    lever = minus((reach, 0.0, 0.0), times(turn * radius, n))
+    middle = plus((reach, 0.0, 0.0), times(turn, touch.place))
+    lever = minus(middle, times(turn * touch.ball, n))
     wrench = (cross(lever, force), times(share, force))
     add_at(nodes.wrench, index_of_node(node), wrench)
     add_along(nodes.stiffness, node, lever, share, n, touch.stiffness / part)
+    # a flat section that turns brings its nearest point, and with it the force, to another place
+    pressure = dot(touch.force, touch.normal)
+    for i in range(2):
+        move = touch.moves[i]
+        if move > 0.0 and pressure > 0.0:
+            turned = times(turn, cross(AXES[1 + i], n))
+            add_turning(nodes.stiffness, node, turned, pressure * move / part)
     # friction resists motion along all axes, and so the normal one is counted less it
     add_along(nodes.damping, node, lever, share, n, (touch.damping - touch.drag) / part)
     if touch.drag > 0.0:
@@ -292,24 +367,27 @@ def samples_of(intervals, i):
 
 @kernel(inline=True)
 def add_to_nodes(nodes, sample, ends, touch):
-    """The wrenches of a sample's force on both nodes of its interval; the base takes what it
-    gets."""
+    """Adds the wrenches of a sample's force on both nodes of its interval.
+
+    The base takes what it gets.
+    """
     i = ends.interval
     t = sample.t
-    radius = sample.radius
     part = t if i > 0 else 1.0  # of the blocks
-    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, part), radius, touch)
+    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, part), touch)
     if i > 0 and t < 1.0:
         rest = 1.0 - t
         weights = (sample.h_a, sample.reach_a, rest, rest)
-        add_to_node(nodes, i - 1, ends.R_a, weights, radius, touch)
+        add_to_node(nodes, i - 1, ends.R_a, weights, touch)
 
 
 @kernel
 def read_contacts(contact, nodes, gap, position, force):
-    """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples)
-    [m] and its force (obstacles, samples, 3) [N] in the world frame. Returns the potential energy
-    [J] of the normal forces."""
+    """Writes the positions of samples, their gaps and their forces; returns an energy [J].
+
+    Positions are (samples, 3) [m], gaps (obstacles, samples) [m], and forces (obstacles, samples,
+    3) [N] in the world frame. The energy is the potential energy of the normal forces.
+    """
     energy = 0.0
     for j in range(gap.shape[0]):
         body = body_at(contact.obstacles, j, nodes.time)
@@ -325,12 +403,28 @@ def read_contacts(contact, nodes, gap, position, force):
     return energy
 
 
+@kernel
+def read_gaps(contact, poses, time, out):
+    """Gaps out (obstacles, samples) [m] of samples at poses (samples, 4, 4) at a time [s]."""
+    for j in range(out.shape[0]):
+        body = body_at(contact.obstacles, j, time)
+        for m in range(out.shape[1]):
+            pose = poses[m]
+            r = (pose[0, 3], pose[1, 3], pose[2, 3])
+            y_axis = (pose[0, 1], pose[1, 1], pose[2, 1])
+            z_axis = (pose[0, 2], pose[1, 2], pose[2, 2])
+            out[j, m] = nearest(body, sample_at(contact, m), r, y_axis, z_axis).gap
+
+
 @limits_step(ContactParameters)
 @kernel
 def limit_contact(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing, and the next one ends where
-    something is met. The last one was too long if a sample went through something, or if all that
-    met something came to store more than a share of the arm's energy."""
+    """Limits steps so that they end where something is met.
+
+    They are short beside the periods of obstacles that swing. The last one was too long if a sample
+    went through something, or if all that met something came to store more than a share of the
+    arm's energy.
+    """
     intervals = contact.intervals
     obstacles = contact.obstacles
     fastest = 0.0
@@ -356,8 +450,10 @@ def limit_contact(contact, nodes, longest):
 
 @kernel
 def landing_energy(nodes, intervals, fastest):
-    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at
-    most at a speed [m/s]."""
+    """Energy [J] that a sample may store where a step ends in what it comes upon.
+
+    Obstacles move at most at a speed [m/s].
+    """
     kinetic = 0.0
     mass = 0.0
     length = 0.0
@@ -373,9 +469,11 @@ def landing_energy(nodes, intervals, fastest):
 
 @kernel(inline=True)
 def is_far(bodies, ends, intervals, nodes, longest):
-    """Whether no sample of an interval can have met an obstacle in the last step, nor does in the
-    next one: the Hermite polynomials of tangents stay below 4/27, and the signed distance changes
-    no faster than a point moves. Bodies and ends: before the step and now."""
+    """Tells whether no sample of an interval meets an obstacle, in the last step or the next.
+
+    The Hermite polynomials of tangents stay below 4/27, and the signed distance changes no faster
+    than a point moves. Bodies and ends: before the step and now.
+    """
     body_before, body = bodies
     before, now = ends
     # the most by which a sample moves in the next step, as seen by the obstacle
@@ -395,33 +493,42 @@ def is_far(bodies, ends, intervals, nodes, longest):
 
 @kernel(inline=True)
 def check_sample(sample, bodies, ends, nodes, energy, longest):
-    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies
-    and ends: before the step and now. The energy [J] that it has come to store in the step, if it
-    met the obstacle there."""
+    """Checks a sample and an obstacle for `limit_contact`; returns an energy [J].
+
+    The sample moves straight ahead as seen by the obstacle; bodies and ends: before the step and
+    now. The energy is what it has come to store in the step, if it met the obstacle there.
+    """
     body_before, body = bodies
     before, now = ends
-    radius = sample.radius
     flags = nodes.contact
-    start, away_before, _ = place_in(body_before, position_of(sample, before))
-    end, away, out = place_in(body, position_of(sample, now))
-    gap = away - radius
-    velocity, _ = motion_at(sample, now, nodes)
-    relative = minus(velocity, body.velocity)
-    approach = -dot(relative, rotate(body.R, out))
-    # in the last step
-    allowed = min(away_before - radius, 0.0) + (1.0 - THROUGH) * radius
+    axis_before = position_of(sample, before)
+    axis = position_of(sample, now)
+    y_before, z_before = axes_of(sample, before)
+    y_axis, z_axis = axes_of(sample, now)
+    point_before = nearest(body_before, sample, axis_before, y_before, z_before)
+    point = nearest(body, sample, axis, y_axis, z_axis)
+    gap = point.gap
+    start, _, _ = place_in(body_before, axis_before)
+    end, away, _ = place_in(body, axis)
+    velocity, turning = motion_at(sample, now, nodes)
+    surface = plus(velocity, cross(turning, point.offset))
+    relative = minus(surface, body.velocity)
+    approach = -dot(relative, point.normal)
+    # in the last step: the axis comes no nearer than the surface may be deep
+    thickness = away - gap
+    allowed = min(point_before.gap, 0.0) + thickness - THROUGH * sample.radius
     if goes_through(body, start, end, allowed):
         flags.tunnelled[0] = YES
     # in the next one: up to where the energy k d^3 / 6 e is stored
     smoothing = sample.smoothing
     landing = min(smoothing, (6.0 * smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
-    room = gap + landing if gap > 0.0 else OVERRUN * radius
+    room = gap + landing if gap > 0.0 else OVERRUN * sample.radius
     is_met = approach * longest[0] > room
     if gap < 0.0 or is_met:
         flags.active[0] = YES
     if is_met:
         longest[0] = room / approach
-    has_landed = away_before > radius and gap < 0.0 and approach > 0.0
+    has_landed = point_before.gap > 0.0 and gap < 0.0 and approach > 0.0
     if not has_landed:
         return 0.0
     _, _, _, stored = normal_law(body, sample, -gap, 0.0)
@@ -430,8 +537,10 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
 
 @kernel
 def goes_through(body, start, end, allowed):
-    """Whether the distance from a body falls below `allowed` [m] on the straight way between two
-    points in its frame: it falls no faster than the way goes on."""
+    """Tells whether the distance from a body falls below `allowed` [m] on the straight way.
+
+    The way lies between two points in its frame; the distance falls no faster than the way goes on.
+    """
     way = minus(end, start)
     length = size(way)
     away_at_end, _ = distance(body, end)

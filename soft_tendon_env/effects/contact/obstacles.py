@@ -41,8 +41,10 @@ AMPLITUDE = 25  # to 27 [m]
 
 @kernel(inline=True)
 def from_box(sizes, x):
-    """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius,
-    `sizes`: from spheres and capsules too."""
+    """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius.
+
+    All are `sizes`; it serves spheres and capsules too.
+    """
     # in the octant where all coordinates are positive
     a = abs(x[0]) - sizes[0]
     b = abs(x[1]) - sizes[1]
@@ -68,8 +70,10 @@ def from_box(sizes, x):
 
 @kernel(inline=True)
 def from_cylinder(sizes, x):
-    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius,
-    radius, half length)."""
+    """Distance from the cylinder about z of a radius and a half length.
+
+    Along its radius it is the box of half sizes (radius, radius, half length).
+    """
     radius = math.sqrt(x[0] * x[0] + x[1] * x[1])
     out_x = 1.0
     out_y = 0.0
@@ -126,8 +130,10 @@ def body_at(obstacles, j, time):
 
 @kernel(inline=True)
 def distance(body, x):
-    """Signed distance [m] from a body's surface to x in its frame, negative inside, and its
-    gradient: outwards, of length 1."""
+    """Signed distance [m] from a body's surface to x in its frame, and its gradient.
+
+    The distance is negative inside; the gradient points outwards and has length 1.
+    """
     if body.shape == PLANE:
         return x[2], (0.0, 0.0, 1.0)
     if body.shape == BOX:
@@ -137,8 +143,7 @@ def distance(body, x):
 
 @kernel(inline=True)
 def place_in(body, x):
-    """A position [m] in the frame of a body, the signed distance [m] from it, and the gradient of
-    that."""
+    """Position [m] in the frame of a body, the signed distance [m] from it, and its gradient."""
     place = rotate_back(body.R, minus(x, body.r))
     away, out = distance(body, place)
     return place, away, out
@@ -146,8 +151,10 @@ def place_in(body, x):
 
 @kernel
 def read_distances(obstacles, positions, time, out, nearest):
-    """Signed distances out (obstacles, m) of positions (m, 3) at a time, and the nearest points
-    (obstacles, m, 3) of the surfaces."""
+    """Writes signed distances and nearest points of the surfaces to positions at a time.
+
+    Distances out are (obstacles, m), positions (m, 3), nearest points (obstacles, m, 3).
+    """
     for j in range(obstacles.shape[0]):
         body = body_at(obstacles, j, time)
         for m in range(positions.shape[0]):
@@ -174,8 +181,10 @@ class Obstacle(Configuration):
     phase: Number = Field(0.0, description="phase of that motion [deg]")
 
     def sizes(self) -> tuple[float, float, float, float]:
-        """Half sizes [m] along the axes of its frame, without the radius [m] of its edges, and
-        that."""
+        """Half sizes [m] along the axes of its frame, and the radius [m] of its edges.
+
+        The half sizes are without that radius.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs a method sizes")
 
     @property
@@ -256,8 +265,10 @@ class Sphere(Obstacle):
 
 
 class Box(Obstacle):
-    """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z):
-    angle [deg] times axis."""
+    """Box about `position` with edges of `size` (x, y, z) [m].
+
+    It is turned by `rotation` (x, y, z): angle [deg] times axis.
+    """
 
     type: Literal["box"] = "box"
     size: tuple[Length, Length, Length] = Field(description="edges along the axes of its frame [m]")
@@ -275,8 +286,10 @@ class Box(Obstacle):
 
 
 class Capsule(Directed):
-    """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along
-    `axis`."""
+    """Capsule about `position`: points up to `radius` [m] from a line.
+
+    The line has this `length` [m] along `axis`.
+    """
 
     type: Literal["capsule"] = "capsule"
     radius: Length = Field(description="radius [m]")

@@ -1,14 +1,14 @@
 """Target trajectories: a configuration class per kind, and its drawn course over time.
 
 A target is one file, in this package or a user's own: a configuration class under
-`@register_target` whose `draw` returns the motion as a function of time, the same whatever other
-times are asked for with it. `examples/own_target.py` is one from outside.
+`@register("target", "name")` whose `draw` returns the motion as a function of time, the same
+whatever other times are asked for with it. `examples/own_target.py` is one from outside.
 """
 
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
@@ -18,13 +18,8 @@ from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import (
-    Configuration,
-    ConfigurationError,
-    Problem,
-    not_registered,
-    shown,
-)
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.registry import TableRegistry
 from soft_tendon_env.tools.types import Array
 
 FARTHEST = 1e6
@@ -160,7 +155,7 @@ class Target(Configuration):
         return 1
 
     def check(self, scene: Scene) -> None:
-        """Raise an error where the target does not fit the scene.
+        """Raises an error where the target does not fit the scene.
 
         Args:
             scene: of an environment.
@@ -169,8 +164,9 @@ class Target(Configuration):
             ConfigurationError: with keys from `target` on.
         """
 
+    @abstractmethod
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """Motion of one episode.
+        """Draws the motion of one episode.
 
         Args:
             generator: of the episode.
@@ -182,7 +178,6 @@ class Target(Configuration):
         Raises:
             ConfigurationError: where the arm can hold none.
         """
-        raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
 def drawn(value: float | tuple[float, float], generator: np.random.Generator) -> float:
@@ -250,48 +245,13 @@ class GivenShapes(DrawnShapes):
             raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
 
 
-Class = TypeVar("Class", bound=type[Target])
-
-TARGETS: dict[str, type[Target]] = {}
+TARGETS: TableRegistry[Target] = TableRegistry("target", Target)
 """Every registered target's configuration class, by its name."""
-
-
-def register_target(target: Class) -> Class:
-    """Class decorator: make a `Target` available to options, by name or as a table of that `type`.
-
-    A second class of the same module and name replaces the first.
-
-    Args:
-        target: the class.
-
-    Returns:
-        The class itself.
-
-    Raises:
-        ValueError: for a name that is taken.
-    """
-    kind = target.__pydantic_fields__["type"].default
-    present = TARGETS.get(kind, target)
-    is_same = (present.__module__, present.__qualname__) == (target.__module__, target.__qualname__)
-    if not is_same:
-        raise ValueError(
-            f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}"
-        )
-    TARGETS[kind] = target
-    return target
 
 
 def _by_name(target: Any) -> Any:
     """The target of a name or a table; else itself. Raises ConfigurationError."""
-    settings = {"type": target} if isinstance(target, str) else target
-    if not isinstance(settings, dict):
-        return target
-    named = settings.get("type")
-    kind = str(named)
-    if kind not in TARGETS:
-        text = f"is {shown(named)}: {not_registered(kind, TARGETS)}"
-        raise ConfigurationError([Problem(("type",), text)])
-    return TARGETS[kind](**settings)
+    return TARGETS.parse({"type": target} if isinstance(target, str) else target)
 
 
 NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_by_name)]

@@ -23,10 +23,10 @@ from soft_tendon_env.envs.targets import (
     TargetSamples,
     drawn,
     pose_samples,
-    register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import Array, Positive
 
 Angle = Annotated[float, Field(ge=-90, le=90)]
@@ -37,7 +37,7 @@ MOST_KNOTS = 10_000
 Row = tuple[float, float, float, float]
 
 
-@register_target
+@register("target", "hold")
 class Hold(GivenShapes):
     """One pose to reach and hold, by default one from random tensions within `fraction` of limits.
 
@@ -135,7 +135,7 @@ def _drawn_shape(
     return q[0]
 
 
-@register_target
+@register("target", "out_of_reach")
 class OutOfReach(DrawnShapes):
     """A pose to hold that the arm cannot reach.
 
@@ -160,7 +160,7 @@ class OutOfReach(DrawnShapes):
         return FixedPose(pose)
 
 
-@register_target
+@register("target", "steps")
 class Steps(DrawnShapes):
     """`count` set points, each for `duration` [s], over and over.
 
@@ -190,7 +190,7 @@ class Stepped(ShapeCourse):
         return q, np.zeros_like(q)
 
 
-@register_target
+@register("target", "circle")
 class Circle(Target):
     """The tip runs along a circle across the base's x axis, its own x axis leaning outward.
 
@@ -287,7 +287,7 @@ class CircleCourse(PoseCourse):
         return np.stack([first, second, third], axis=-1)
 
 
-@register_target
+@register("target", "circles")
 class Circles(Target):
     """A circle that every episode draws, see `Circle`.
 
@@ -330,7 +330,7 @@ class Circles(Target):
         return CircleCourse(circle, length, base)
 
 
-@register_target
+@register("target", "either")
 class Either(Target):
     """One of several targets, `of`, that every episode draws, each as often."""
 
@@ -359,7 +359,7 @@ class Either(Target):
         return self.of[number].draw(generator, setting)
 
 
-@register_target
+@register("target", "ramp")
 class Ramp(GivenShapes):
     """From rest to static tensions within `duration` [s], then held.
 
@@ -403,7 +403,7 @@ class Rise(Tensions):
         return self.start + part * self.change, rate * self.change
 
 
-@register_target
+@register("target", "random")
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline.
 

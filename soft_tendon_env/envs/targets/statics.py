@@ -146,7 +146,10 @@ def _given_course(
     setting: Setting,
     motion: Callable[[Array], Tensions],
 ) -> "StaticCourse":
-    """Course of given tensions (1, n_a). Raises ConfigurationError where the arm holds none."""
+    """Course of given tensions (1, n_a).
+
+    Raises ConfigurationError where the arm holds none.
+    """
     tension = points[0]
     warn_beyond_limits(setting.limits.tolist(), tension)
     with_obstacles = setting._replace(model=setting.arms.model)

@@ -42,6 +42,8 @@ wide = Pack(WIDE)
 
 @register_model(Pack)
 class PackModel(models.PrimitiveModel):
+    """Data model of packs: the vector type of LLVM."""
+
     def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, fe_type.vector)
 
@@ -110,8 +112,10 @@ def _negate(context, builder, sig, args):
 
 
 def aligned_zeros(*shape, dtype=np.float64):
-    """Zeros, of eight bytes each, that begin where a cache line does: packs that lie across two
-    lines take twice as long."""
+    """Zeros, of eight bytes each, that begin where a cache line does.
+
+    Packs that lie across two lines take twice as long.
+    """
     size = math.prod(shape)
     room = np.zeros(size + LINE // 8, dtype=dtype)
     start = -room.ctypes.data % LINE // 8
@@ -188,8 +192,10 @@ def with_lane(value, index, number):
 
 
 def _emits(function, typed):
-    """Decorator: the machine code of a function in kernels, where `typed` makes a signature of the
-    types of its arguments, or None."""
+    """Registers the machine code of a function in kernels: a decorator.
+
+    `typed` makes a signature of the types of its arguments, or None.
+    """
 
     def register(emit):
         type_callable(function)(lambda context: typed)
@@ -295,8 +301,10 @@ def _sum_of_halves(builder, vector):
 
 
 def _blocks_in_turn(size):
-    """Lanes of two packs: every other block of `size` lanes of the first one and of the second one,
-    in turn; and the blocks in between."""
+    """Lanes of two packs, block by block in turn, and the blocks in between.
+
+    They are every other block of `size` lanes of the first one and of the second one.
+    """
     even = []
     for start in range(0, LANES, 2 * size):
         for offset in (0, LANES):

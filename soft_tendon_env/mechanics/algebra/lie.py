@@ -1,5 +1,6 @@
-"""Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers
-or on packs.
+"""Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form.
+
+They work on numbers or on packs.
 
 Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`,
 angular first, of two 3-tuples; a wrench is `(moment, force)`; a rotation is the 9-tuple of its
@@ -26,8 +27,10 @@ SERIES_TERMS = 11  # the last one is below 1e-20 of the first at the limit
 
 
 class Coefficients(NamedTuple):
-    """The functions of theta^2 in exp and T: a = (1 - cos)/theta^2, b = (theta - sin)/theta^3, and
-    f1 = 2 df/d(theta^2)."""
+    """Coefficients of exp and T, functions of theta^2.
+
+    a = (1 - cos)/theta^2, b = (theta - sin)/theta^3, and f1 = 2 df/d(theta^2).
+    """
 
     a: float
     b: float
@@ -87,8 +90,10 @@ def _series(x):
 
 @kernel
 def _closed(x):
-    """Closed forms, each from the last: f1 = (g - n f) / theta^2, with g the next function of the
-    same family."""
+    """Closed forms, each from the last: f1 = (g - n f) / theta^2.
+
+    g is the next function of the same family.
+    """
     theta = math.sqrt(x)
     s = math.sin(theta) / theta
     a = 2.0 * math.sin(0.5 * theta) ** 2 / x
@@ -101,8 +106,10 @@ def _closed(x):
 
 
 def coefficients(x):
-    """Coefficients at x = theta^2 (float or pack), to 1e-12 relative at any angle (b2 just above
-    the switch is the worst, 3e-13)."""
+    """Coefficients at x = theta^2 (float or pack), to 1e-12 relative at any angle.
+
+    b2 just above the switch is the worst, 3e-13.
+    """
     if np.max(x) < SERIES_LIMIT:
         return _series(x)
     if np.ndim(x):
@@ -146,11 +153,13 @@ def _coefficients_overload(x):
 
 @kernel(inline=True)
 def dot(x, y):
+    """Dot product of two vectors."""
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
 
 @kernel(inline=True)
 def cross(x, y):
+    """Cross product of two vectors."""
     first = x[1] * y[2] - x[2] * y[1]
     second = x[2] * y[0] - x[0] * y[2]
     third = x[0] * y[1] - x[1] * y[0]
@@ -159,26 +168,31 @@ def cross(x, y):
 
 @kernel(inline=True)
 def plus(x, y):
+    """Sum of two vectors."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
 
 
 @kernel(inline=True)
 def minus(x, y):
+    """Difference of two vectors."""
     return x[0] - y[0], x[1] - y[1], x[2] - y[2]
 
 
 @kernel(inline=True)
 def times(s, x):
+    """Product of a number and a vector."""
     return s * x[0], s * x[1], s * x[2]
 
 
 @kernel(inline=True)
 def rotate(R, x):
+    """Product R x of a matrix and a vector."""
     return dot(R[0:3], x), dot(R[3:6], x), dot(R[6:9], x)
 
 
 @kernel(inline=True)
 def rotate_back(R, x):
+    """Product R^T x of a transposed matrix and a vector."""
     return dot(R[0::3], x), dot(R[1::3], x), dot(R[2::3], x)
 
 
@@ -196,6 +210,7 @@ def matrix_of(x, y, z):
 
 @kernel(inline=True)
 def matmul(A, B):
+    """Product A B of two matrices."""
     x, y, z = columns_of(B)
     return matrix_of(rotate(A, x), rotate(A, y), rotate(A, z))
 
@@ -220,6 +235,7 @@ def times_skew(A, k):
 
 @kernel(inline=True)
 def matrix_sum(A, B):
+    """Sum of two matrices."""
     first = plus(A[0:3], B[0:3])
     second = plus(A[3:6], B[3:6])
     third = plus(A[6:9], B[6:9])
@@ -228,6 +244,7 @@ def matrix_sum(A, B):
 
 @kernel(inline=True)
 def scale_matrix(s, A):
+    """Product of a number and a matrix."""
     return times(s, A[0:3]) + times(s, A[3:6]) + times(s, A[6:9])
 
 
@@ -260,11 +277,13 @@ def rodrigues(f, g, k):
 
 @kernel(inline=True)
 def twist_sum(x, y):
+    """Sum of two twists or wrenches."""
     return plus(x[0], y[0]), plus(x[1], y[1])
 
 
 @kernel(inline=True)
 def scale_twist(s, x):
+    """Product of a number and a twist or wrench."""
     return times(s, x[0]), times(s, x[1])
 
 
@@ -389,8 +408,10 @@ def dexp_operator(Omega, c):
 
 @kernel(inline=True)
 def dexp_dot_apply(Omega, Omega_dot, c, x):
-    """Derivative T_dot x of the tangent operator, along Omega_dot with x held (Appendix B,
-    corrected)."""
+    """Derivative T_dot x of the tangent operator, along Omega_dot with x held.
+
+    Appendix B, corrected.
+    """
     # T = I + a ad + b ad^2, so T_dot = a_dot ad + b_dot ad^2 + a ad' + b (ad' ad + ad ad'),
     # where ad' is that of Omega_dot
     once = ad_apply(Omega, x)
@@ -419,8 +440,10 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
 
 @kernel(inline=True)
 def coad_polynomial(Omega, psi, a, b):
-    """Wrench psi + a ad* psi + b ad* ad* psi of a wrench psi, where ad* is that of Omega and a, b
-    are dual numbers (real, dual)."""
+    """Wrench psi + a ad* psi + b ad* ad* psi of a wrench psi.
+
+    ad* is that of Omega, and a, b are dual numbers (real, dual).
+    """
     once = coad_apply(Omega, psi)
     twice = coad_apply(Omega, once)
     powers = twist_sum(scale_twist(a[0], once), scale_twist(b[0], twice))
@@ -441,8 +464,10 @@ def dexp_transposed_apply(Omega, c, psi):
 
 @kernel(inline=True)
 def dexp_inverse_transposed_apply(Omega, c, sign, psi):
-    """Transposed inverse T^-T psi of the tangent operator of sign Omega, T^-1 = I - ad/2 + e ad^2;
-    exact near 0, finite at an angle of pi."""
+    """Transposed inverse T^-T psi of the tangent operator of sign Omega.
+
+    T^-1 = I - ad/2 + e ad^2, exact near 0, finite at an angle of pi.
+    """
     kp = dot(Omega[0], Omega[1])
     # e = -a1 / (2 a), and its derivative by theta^2 / 2 times the dual part
     e_slope = 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a
@@ -452,8 +477,11 @@ def dexp_inverse_transposed_apply(Omega, c, sign, psi):
 
 @kernel
 def quaternion_of(R):
-    """Quaternion (w, x, y, z) of R (9-tuple of floats), of any length: the row of 4 w (w, x, y, z)
-    to 4 z (w, x, y, z) whose square is largest, so that nothing cancels; w is not negative."""
+    """Quaternion (w, x, y, z) of R (9-tuple of floats), of any length.
+
+    It is the row of 4 w (w, x, y, z) to 4 z (w, x, y, z) whose square is largest, so that nothing
+    cancels; w is not negative.
+    """
     trace = R[0] + R[4] + R[8]
     # 4 times products of its components
     wx = R[7] - R[5]
@@ -481,8 +509,10 @@ def quaternion_of(R):
 
 @kernel
 def rotation_log(R):
-    """Rotation vector of R (9-tuple of floats), by the largest quaternion component: exact near 0
-    and near pi."""
+    """Rotation vector of R (9-tuple of floats), by the largest quaternion component.
+
+    It is exact near 0 and near pi.
+    """
     w, x, y, z = quaternion_of(R)
     sine = sqrt(x * x + y * y + z * z)
     if sine > 0.0:
@@ -494,8 +524,10 @@ def rotation_log(R):
 
 @kernel
 def log_se3(R, r):
-    """Twist Omega with exp(Omega^) = (R, r) (floats), |k| <= pi: the robust logarithm that replaces
-    Appendix B's closed form."""
+    """Twist Omega with exp(Omega^) = (R, r) (floats), |k| <= pi: the robust logarithm.
+
+    It replaces Appendix B's closed form.
+    """
     k = rotation_log(R)
     c = coefficients(dot(k, k))
     # the inverse of T on SO(3) is I - k~/2 + e k~^2

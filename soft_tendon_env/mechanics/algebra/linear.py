@@ -1,5 +1,7 @@
-"""Copies of vectors and matrices, and solution of small systems: symmetric ones, and those whose
-unknowns stay within bounds."""
+"""Copies of vectors and matrices, and solution of small systems.
+
+Systems are symmetric, or have unknowns that stay within bounds.
+"""
 
 import math
 
@@ -17,8 +19,11 @@ AT_GREATEST = 1
 
 @kernel
 def copy(source, out):
-    """Copy a vector; an assignment of slices would look for overlaps and broadcasts, at a tenth of
-    a second of compilation for each."""
+    """Copies a vector.
+
+    An assignment of slices would look for overlaps and broadcasts, at a tenth of a second of
+    compilation for each.
+    """
     for i in range(out.size):
         out[i] = source[i]
 
@@ -33,8 +38,10 @@ def copy_matrix(source, out):
 
 @kernel
 def total(x):
-    """Sum of a vector; numba's own brings SciPy's linear algebra with it, a tenth of a warm
-    start."""
+    """Sum of a vector.
+
+    numba's own brings SciPy's linear algebra with it, a tenth of a warm start.
+    """
     result = 0.0
     for i in range(x.size):
         result += x[i]
@@ -43,7 +50,10 @@ def total(x):
 
 @kernel(inline=True)
 def product(x, y):
-    """Scalar product x . y of two vectors, in four sums that do not wait for each other."""
+    """Scalar product x .
+
+    y of two vectors, in four sums that do not wait for each other.
+    """
     first = 0.0
     second = 0.0
     third = 0.0
@@ -67,8 +77,9 @@ def row_stride(n):
 
 @kernel
 def solve_positive_definite(a, n, x):
-    """Solution x (n) of a symmetric positive definite system by L D L^T elimination; False if it is
-    not positive definite.
+    """Solution x (n) of a symmetric positive definite system by L D L^T elimination.
+
+    False if it is not positive definite.
 
     a: row i from i * row_stride(n + 1), of which the coefficients from the diagonal on are read,
     and the right-hand side after the last; overwritten.
@@ -96,8 +107,10 @@ def solve_positive_definite(a, n, x):
 
 @kernel
 def solve_again(a, n, x):
-    """Overwrite a further right-hand side x (n) by its solution, of the system that
-    solve_positive_definite() has eliminated."""
+    """Overwrites a further right-hand side x (n) by its solution.
+
+    The system is the one that solve_positive_definite() has eliminated.
+    """
     stride = row_stride(n + 1)
     for j in range(n):
         row = j * stride
@@ -130,9 +143,11 @@ def add_product(a, b, out):
 
 @kernel
 def solve_symmetric(a, x):
-    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), of which the
-    upper triangle is read: by L D L^T elimination, in place too. Of a system that is singular they
-    are not finite."""
+    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n).
+
+    Its upper triangle is read: by L D L^T elimination, in place too. Of a system that is singular
+    they are not finite.
+    """
     n, m = x.shape
     # elimination: 1 / D on the diagonal, D L^T above it, and L^-1 x
     for j in range(n):
@@ -164,8 +179,9 @@ def place_between(x, least, greatest):
 
 @kernel
 def solve_bounded(a, b, least, greatest, x, part, system):
-    """Solution x (m) of a x = b, but a x > b where x is at its least and a x < b where it is at its
-    greatest: linear complementarity.
+    """Solution x (m) of a x = b within bounds: linear complementarity.
+
+    But a x > b where x is at its least and a x < b where it is at its greatest.
 
     a (m, m): a matrix whose principal minors are positive. By Newton's method on which unknowns are
     at a bound, from where the x that is given is, and where that goes in circles one at a time,
@@ -192,8 +208,11 @@ def solve_bounded(a, b, least, greatest, x, part, system):
 
 @kernel
 def _change_of_part(a, b, least, greatest, x, part, i):
-    """Change of part[i] that the solution x of solve_part() calls for: to the bound that an unknown
-    between them has passed, or off the bound that its row pushes it away from."""
+    """Change of part[i] that the solution x of solve_part() calls for.
+
+    It is to the bound that an unknown between them has passed, or off the bound that its row pushes
+    it away from.
+    """
     if part[i] == BETWEEN:
         if x[i] > greatest[i]:
             return 1
@@ -210,7 +229,10 @@ def _change_of_part(a, b, least, greatest, x, part, i):
 
 @kernel
 def solve_part(a, b, least, greatest, x, part, system):
-    """x (m) with those at a bound there, and the rows of the others solved by elimination."""
+    """Solution x (m) with unknowns at a bound there, and the others by elimination.
+
+    Elimination solves the rows of the others.
+    """
     m = x.size
     # rows of the system: a x = b of unknowns between their bounds, x = bound of the others
     for i in range(m):

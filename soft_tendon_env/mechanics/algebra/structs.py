@@ -1,5 +1,6 @@
-"""Structs that kernels get by reference: one address in place of the fields of a named tuple, with
-size and strides of every array.
+"""Structs that kernels get by reference, in place of named tuples.
+
+One address stands for the fields of a tuple, with size and strides of every array.
 
 A named tuple of thirty arrays is two hundred machine words, copied at every call from kernel to
 kernel; a `Struct` is one word. Compiled code reads its fields by name, `work.xi`. Without the
@@ -37,15 +38,22 @@ _INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
 
 
 class Struct:
-    """Fields by the names that a subclass annotates: numbers (bool, int, float), tuples of int or
-    of float, contiguous arrays of float64 or int64, and structs.
+    """Struct of named fields that compiled code reads at an address.
 
-    Arrays are filled, fields never replaced; `replaced` makes another struct.
+    A subclass annotates the fields: numbers (bool, int, float), tuples of int or of float,
+    contiguous arrays of float64 or int64, and structs. Arrays are filled, fields never replaced;
+    `replaced` makes another struct.
+
+    Args:
+        values: fields in their order.
+        fields: fields by name.
+
+    Raises:
+        TypeError: where names or values are not as they should be.
     """
 
     def __init__(self, *values: Any, **fields: Any) -> None:
-        """Fields in their order or by name. Raises TypeError where names or values are not as they
-        should be."""
+        """Lays out the fields."""
         names = self.names()
         given = {**dict(zip(names, values, strict=False)), **fields}
         if len(values) + len(fields) != len(names) or sorted(given) != sorted(names):
@@ -58,8 +66,13 @@ class Struct:
     @classmethod
     @functools.cache
     def names(cls) -> tuple[str, ...]:
-        """Names of the fields, those of base classes first; a property takes the place of a base's
-        field."""
+        """Returns the names of the fields, those of base classes first.
+
+        A property takes the place of a base's field.
+
+        Returns:
+            Names in the order of the fields.
+        """
         annotated = dict.fromkeys(
             name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ())
         )
@@ -110,14 +123,25 @@ class Struct:
         return int(self.__dict__["_address"])
 
     def fields(self) -> dict[str, Any]:
-        """The fields by name."""
+        """Returns the fields by name.
+
+        Returns:
+            Values as they were given.
+        """
         return {name: self.__dict__[name] for name in self.names()}
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self.fields().values())
 
     def replaced(self, **changes: Any) -> Self:
-        """A struct with some fields changed, and the others shared."""
+        """Returns a struct with some fields changed, and the others shared.
+
+        Args:
+            changes: values by name of the field.
+
+        Returns:
+            The new struct.
+        """
         return type(self)(**{**self.fields(), **changes})
 
     def __getstate__(self) -> dict[str, Any]:
@@ -140,8 +164,10 @@ def _described(value: Any) -> str:
 
 
 class StructType(types.Type):
-    """Numba's type of structs of one class whose fields have these types; attributes as those of
-    its named tuples."""
+    """Type of numba of structs of one class whose fields have these types.
+
+    Attributes are as those of its named tuples.
+    """
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
         described = f"{kind.__module__}.{kind.__qualname__}{fields}"
@@ -237,8 +263,10 @@ def _field_of_struct(context, builder, kind, table, name):
 
 
 def array_value(context, builder, field, numbers, shape):
-    """Compiled code's array of this type, whose numbers are at an address; nobody counts references
-    to it."""
+    """Compiled code's array of this type, whose numbers are at an address.
+
+    Nobody counts references to it.
+    """
     item_size = ir.Constant(_WORD, 8)
     strides = [item_size]
     count = shape[0]

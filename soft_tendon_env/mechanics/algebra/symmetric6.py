@@ -1,5 +1,6 @@
-"""L D L^T factorisation and solution of the symmetric 6x6 matrix of a section, on numbers or packs,
-every entry in a register.
+"""L D L^T factorisation and solution of the symmetric 6x6 matrix of a section.
+
+It works on numbers or packs, every entry in a register.
 
 A symmetric matrix is the 21-tuple of its lower triangle by rows; a factor is L below the diagonal
 by rows (15), then 1/D (6).
@@ -16,6 +17,7 @@ from soft_tendon_env.mechanics.algebra.lie import dot
 
 @kernel(inline=True)
 def load3(field, at):
+    """Three packs of a field, from a place on."""
     return load(field, at), load(field, at + LANES), load(field, at + 2 * LANES)
 
 
@@ -28,6 +30,7 @@ def load6(field, block):
 
 @kernel(inline=True)
 def store3(field, at, x):
+    """Stores three packs in a field, from a place on."""
     store(field, at, x[0])
     store(field, at + LANES, x[1])
     store(field, at + 2 * LANES, x[2])
@@ -35,6 +38,7 @@ def store3(field, at, x):
 
 @kernel(inline=True)
 def store6(field, block, x):
+    """Stores twist-shaped packs in a block of a field."""
     at = block * 6 * LANES
     store3(field, at, x[0])
     store3(field, at + 3 * LANES, x[1])
@@ -42,8 +46,10 @@ def store6(field, block, x):
 
 @kernel(inline=True)
 def factorise(h, free):
-    """L D L^T of a 21-tuple, without pivoting: a pivot that is not positive shows as a 1/D that is
-    not."""
+    """L D L^T of a 21-tuple, without pivoting.
+
+    A pivot that is not positive shows as a 1/D that is not.
+    """
     # row i, of the rows before it, where h_ij is overwritten by (L D)_ij:
     # (L D)_ij = h_ij - sum_k<j l_ik (L D)_jk,    l_ij = (L D)_ij / D_j,
     # D_i = h_ii - sum_k<i l_ik (L D)_ik
@@ -172,11 +178,13 @@ def solve(f, b, free):
 
 @kernel(inline=True)
 def squared_norm(x):
+    """Sum of the squares of a twist's or wrench's components."""
     return dot(x[0], x[0]) + dot(x[1], x[1])
 
 
 @kernel(inline=True)
 def store_factor(field, block, f):
+    """Stores a factor in a block of a field."""
     at = block * 21 * LANES
     for i in range(21):
         store(field, at + i * LANES, f[i])
