@@ -23,6 +23,7 @@ from soft_tendon_env.effects.contact.forces import (
     read_contacts,
 )
 from soft_tendon_env.effects.contact.obstacles import body_at, distance, read_distances
+from soft_tendon_env.effects.contact.outline import ROUND
 from soft_tendon_env.effects.contact.samples import (
     SMOOTHING,
     WALL_MASS,
@@ -129,7 +130,8 @@ def body_of(obstacle, friction=MU, dissipation=DISSIPATION, time=0.0):
 
 def sample_of(wall=0.5):
     """A ball in the middle of an interval."""
-    return Sample(0.5, 0.0125, 0.5, -0.0125, 0.5, RADIUS, K, E, wall)
+    curve = (0.5, 0.0125, 0.5, -0.0125, 0.5)
+    return Sample(*curve, RADIUS, K, E, wall, ROUND, RADIUS, RADIUS)
 
 
 def law(body, depth, approach=0.0, wall=0.5):
