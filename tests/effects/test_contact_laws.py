@@ -43,12 +43,16 @@ from soft_tendon_env.mechanics.types import node_field
 
 pytestmark = pytest.mark.no_jit
 
-LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
+LENGTH = 0.3
+RADIUS = 0.01
+YOUNG = 5e5
+DENSITY = 1070.0
 PLACE = np.array([0.1, 0.2, 0.3])
 AXIS = np.array([1.0, -2.0, 0.5]) / np.sqrt(5.25)
 TURNED = {"position": PLACE.tolist(), "axis": [1.0, -2.0, 0.5]}
 ROTATION = [20.0, -30.0, 40.0]
-MU, DISSIPATION = 0.4, 0.7
+MU = 0.4
+DISSIPATION = 0.7
 
 
 def along_and_beside(x):
@@ -120,7 +124,8 @@ def test_distances_are_those_of_the_shapes(obstacle, expected):
 
 THIN = {"type": "box", "position": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1e-3]}
 THICK = {"type": "plane", "position": [0.0, 0.0, 0.0]}
-K, E = 2000.0, SMOOTHING * RADIUS
+K = 2000.0  # [N/m] of a sample
+E = SMOOTHING * RADIUS
 
 
 def body_of(obstacle, friction=MU, dissipation=DISSIPATION, time=0.0):
@@ -146,12 +151,18 @@ def test_pressure_has_its_derivatives_and_its_energy(obstacle, approach):
     for depth in (0.4 * E, 3.0 * E, 0.3 * RADIUS, 0.9 * RADIUS, 1.6 * RADIUS):
         force, stiffness, damping, _ = law(body, depth, approach)
         assert force >= 0.0, "what leaves fast is not pulled back"
-        deeper, shallower = law(body, depth + h, approach), law(body, depth - h, approach)
-        faster, slower = law(body, depth, approach + h), law(body, depth, approach - h)
-        assert stiffness == pytest.approx((deeper[0] - shallower[0]) / (2 * h), rel=1e-6, abs=1e-6)
-        assert damping == pytest.approx((faster[0] - slower[0]) / (2 * h), rel=1e-6, abs=1e-5)
-        stored = (deeper[3] - shallower[3]) / (2 * h)
-        assert law(body, depth)[0] == pytest.approx(stored, rel=1e-6)
+        deeper, _, _, more_energy = law(body, depth + h, approach)
+        shallower, _, _, less_energy = law(body, depth - h, approach)
+        by_depth = (deeper - shallower) / (2 * h)
+        assert stiffness == pytest.approx(by_depth, rel=1e-6, abs=1e-6)
+        faster, _, _, _ = law(body, depth, approach + h)
+        slower, _, _, _ = law(body, depth, approach - h)
+        by_approach = (faster - slower) / (2 * h)
+        assert damping == pytest.approx(by_approach, rel=1e-6, abs=1e-5)
+        # the energy is that of the force at no speed
+        stored = (more_energy - less_energy) / (2 * h)
+        at_rest, _, _, _ = law(body, depth)
+        assert at_rest == pytest.approx(stored, rel=1e-6)
 
 
 def test_pressure_is_hunt_and_crossleys_up_to_the_wall():
@@ -264,13 +275,21 @@ def moved(poses, twists, time):
 def surface_velocities(parameters, poses, twists, normal):
     """Velocities (samples, 3) of the points of the samples' surfaces that touch a plane, by
     differences of their middles and the angular velocities between the nodes."""
+    # velocities of the middles
     h = 1e-6
-    after, before = (read(parameters, nodes_at(moved(poses, twists, s)))[1] for s in (h, -h))
-    turning = np.vstack([np.zeros(3), np.einsum("nij,nj->ni", poses[:, :3, :3], twists[:, :3])])
-    t, radius = parameters.samples[:, 4], parameters.samples[:, 5]
-    behind = np.repeat([1, 2], np.diff(parameters.intervals[:2, 1:3], axis=1).ravel().astype(int))
-    w = t[:, None] * turning[behind] + (1.0 - t)[:, None] * turning[behind - 1]
-    return (after - before) / (2 * h) + np.cross(w, -radius[:, None] * normal)
+    _, after, _, _ = read(parameters, nodes_at(moved(poses, twists, h)))
+    _, before, _, _ = read(parameters, nodes_at(moved(poses, twists, -h)))
+    velocity = (after - before) / (2 * h)
+    # angular velocities of base and nodes, in the world frame, and between them
+    rotation = poses[:, :3, :3]
+    of_nodes = np.einsum("nij,nj->ni", rotation, twists[:, :3])
+    turning = np.vstack([np.zeros(3), of_nodes])
+    first, last = parameters.intervals[:2, 1:3].astype(int).T
+    behind = np.repeat([1, 2], last - first)
+    t = parameters.samples[:, 4:5]
+    w = t * turning[behind] + (1.0 - t) * turning[behind - 1]
+    radius = parameters.samples[:, 5:6]
+    return velocity + np.cross(w, -radius * normal)
 
 
 @pytest.fixture(params=[0.0, 0.3], ids=["still", "belt"])

@@ -25,9 +25,13 @@ ANGULAR = {
         "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}],
     }
 }
-Q, STILL = np.array([1.0, 4.0, -3.0]), np.zeros(3)
-FORCE, MOMENT = np.array([0.1, -0.2, 0.3]), np.array([0.01, 0.02, -0.03])
-LENGTH, RADIUS, DENSITY = 0.3, 0.01, 1070.0
+Q = np.array([1.0, 4.0, -3.0])
+STILL = np.zeros(3)
+FORCE = np.array([0.1, -0.2, 0.3])
+MOMENT = np.array([0.01, 0.02, -0.03])
+LENGTH = 0.3
+RADIUS = 0.01
+DENSITY = 1070.0
 
 
 def arm_with(changes, intervals=6):

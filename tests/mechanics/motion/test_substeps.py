@@ -41,7 +41,8 @@ pytestmark = pytest.mark.no_jit
 
 H = 0.004
 TENSION = np.array([2.0, 0.5, 1.0])
-Q, RATES = np.array([1.0, 0.8, 0.3]), np.array([20.0, -10.0, 5.0])
+Q = np.array([1.0, 0.8, 0.3])
+RATES = np.array([20.0, -10.0, 5.0])
 BENDING = {
     "strain": {
         "type": "explicit",

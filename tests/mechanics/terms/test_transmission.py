@@ -24,7 +24,10 @@ from soft_tendon_env.scene.file import load_scene
 
 pytestmark = pytest.mark.no_jit
 
-MU, SPEED, STIFFNESS, STRENGTH = 0.3, 0.02, 800.0, 6.0
+MU = 0.3
+SPEED = 0.02  # [m/s] below which friction falls
+STIFFNESS = 800.0  # [N/m]
+STRENGTH = 6.0  # [N]
 FRICTION = {"effects.tendon_friction": {"coefficient": MU, "stiction_speed": SPEED}}
 SPRINGS = {
     "effects.tendon_elasticity": {
@@ -40,7 +43,8 @@ BENDING = {
         "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}],
     }
 }
-RADIUS, RATE = 0.008, 20.0
+RADIUS = 0.008  # [m] of a helix
+RATE = 20.0  # [rad/m] of its turning
 HELIX = {
     "tendons.0.routing": {"type": "helix", "radius": RADIUS, "angular_rate": RATE, "phase": 0.0},
 }
