@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
+from soft_tendon_env.effects.material import lag_weights
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, remember
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -100,3 +102,31 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
             end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled
         )
         np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("x", [0.0, 1e-5, 0.999e-3, 1.001e-3, 0.3, 5.0, 50.0])
+def test_lags_after_a_time_are_integrals(x):
+    """Of s_dot = (e - s) / tau, for a strain that changes by a + b t in x relaxation times: with e
+    = a t + b t^2 / 2 the lag is what exponentials leave of each rate."""
+    kept, changed, rated = lag_weights(x)
+    assert kept == pytest.approx(np.exp(-x))
+    a, b = 1.3, -0.7
+    left, _ = quad(lambda t: (a + b * t) * np.exp(t - x), 0.0, x, epsabs=1e-14)
+    change, rate = a * x + 0.5 * b * x**2, a + b * x
+    assert changed * change + rated * x * rate == pytest.approx(left, rel=1e-6, abs=1e-12)
+    assert lag_weights(np.inf) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.no_jit
+def test_springs_of_the_branches_store_their_share_of_the_elastic_energy(uniform):
+    """m_k of it where all dampers stand still, less where they have followed."""
+    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    states = np.zeros(model.arm.effects.state.size)
+    energy = model.energy(q, 0 * q, states)
+    assert energy.load == pytest.approx(2.5 * energy.elastic)
+    first, second = np.split(states, 2)
+    first[:] = 0.5 * (model.packed_strain(q) - model.arm.rod.reference_strain)
+    second[:] = 2.0 * first
+    assert model.energy(q, 0 * q, states).load == pytest.approx(0.5 * 0.25 * energy.elastic)
+    assert model.energy(q, 0 * q).load == pytest.approx(0.0, abs=1e-15)
