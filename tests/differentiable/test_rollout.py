@@ -270,6 +270,7 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
     ("underwater", {}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_friction": {"coefficient": 0.2}}, 0.05, 0.99),
+    ("helical", {"effects.tendon_friction": {"coefficient": 0.7}}, 0.05, 0.98),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
     (
         "underwater",

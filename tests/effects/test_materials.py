@@ -75,7 +75,7 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
     work.inputs.before[:] = work.strain.xi
     work.inputs.since[0] = step
     for i in range(1, 4):
-        external_force(model.arm, False, work)
+        external_force(model.arm, work)
         time = i * step
         left = 0.5 * np.exp(-time / 0.1) + 2.0 * np.exp(-time / 0.01)
         np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)

@@ -10,7 +10,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.transmission import find_share
+from soft_tendon_env.mechanics.terms.tendon_friction import find_turns
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -225,17 +225,16 @@ def turning_angles(model, q, points):
     return np.interp(points, middles, angle)
 
 
-def shares(model, q, coefficient, direction):
+def shares(model, q, direction):
     """What is left of the first tendon's tension at the points where it slides in a direction."""
     work = make_workspace(model.arm)
     tension = np.ones(model.tendon_count)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
     assert evaluate(model.arm, tension, q, 0.0 * q, 1e-12, work) == -1
-    find_share(model.arm, 0, coefficient, direction, work.strain, work.friction)
-    packed = work.friction.share.reshape(model.tendon_count, -1)
-    first_tendon = model.grid.at_points(packed, 1)[0, ..., 0]
+    find_turns(model.arm, 0, work.strain, work.friction.turn)
     count = model.grid.points[model.grid.real].size
-    return first_tendon.ravel()[:count]
+    turns = work.friction.turn[:count]
+    return np.exp(-direction * np.cumsum(turns))
 
 
 ROUTINGS = {
@@ -273,8 +272,8 @@ def test_friction_of_any_angle(measured):
                 model, q, model.grid.points[model.grid.real].ravel()
             )
             pulled, let_out = (
-                shares(model, q, coefficient, 1.0),
-                shares(model, q, coefficient, -1.0),
+                shares(model, q, 1.0),
+                shares(model, q, -1.0),
             )
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = (
