@@ -2,8 +2,6 @@
 
 The same compiled code takes them one after another.
 
-The same compiled code takes them one after another.
-
 What a row does depends on nothing but that row, so it is the same bit for bit whatever other rows
 there are, and any row may be stepped on any thread with any scratch.
 """
@@ -62,8 +60,6 @@ class Places(Struct):
     """Places along the rod at which poses and strains are read.
 
     They are an interval and the distance [m] from its start.
-
-    They are an interval and the distance [m] from its start.
     """
 
     station: IntVector
@@ -119,8 +115,6 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
     """Batch of so many rows of one arm in one motion, read at these places.
 
     step: [s] to try next.
-
-    step: [s] to try next.
     """
     fields = {
         name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()
@@ -134,8 +128,6 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
 @kernel
 def read(arm, places, q_dot, work, row, reading):
     """Measures a row into `reading` at the time of work.inputs, but for the tension.
-
-    strain_from_guess() or strain_from_rest() has just left the strain.
 
     strain_from_guess() or strain_from_rest() has just left the strain.
     """
@@ -169,8 +161,6 @@ def read_tension(arm, command, motion, scratch, tension):
     """Tensions (n_a) at the actuators in a motion whose strain is in the workspace.
 
     They are under the last command (n_a) that was given.
-
-    They are under the last command (n_a) that was given.
     """
     arrival = scratch.arrival
     receive(arm.effects, command, False, motion.clock[0], motion.state, arrival)
@@ -182,8 +172,6 @@ def read_tension(arm, command, motion, scratch, tension):
 @kernel
 def step_rows(batch, scheme, members, commands, durations, scratch, tape):
     """Advances the rows named in `members` under commands (rows, parts, n_a), and reads them.
-
-    Each command lasts for its duration (rows, parts) [s].
 
     Each command lasts for its duration (rows, parts) [s].
 
@@ -218,8 +206,6 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
     """Advances the motion of a row part by part, and keeps on the tape where each begins.
 
     It has its outcome; results: batch and tape.
-
-    It has its outcome; results: batch and tape.
     """
     batch, tape = results
     rows = batch.rows
@@ -250,8 +236,6 @@ def place_rows(batch, members, commands, work):
     """Finds strains at the coordinates of the rows in `members`, from rest, and reads them.
 
     Commands (rows, n_a) have always held the arms there.
-
-    Commands (rows, n_a) have always held the arms there.
     """
     rows = batch.rows
     outcome = batch.outcome
@@ -278,9 +262,6 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
 
     good (samples): whether there is a strain, sought from rest: what is read depends on q and q_dot
     alone. A sample without a strain keeps what stood in `reading`.
-
-    good (samples): whether there is a strain, sought from rest: what is read depends on q and q_dot
-    alone. A sample without a strain keeps what stood in `reading`.
     """
     work.inputs.clock[0] = 0.0
     for i in members:
@@ -295,8 +276,6 @@ def are_firm(arm, q, members, work, firm):
     """Tells whether coordinates have a firm strain, see parametrisation.
 
     firm (samples) of q (samples, n), for the samples named in `members`.
-
-    firm (samples) of q (samples, n), for the samples named in `members`.
     """
     for i in members:
         firm[i] = strain_has_margin(arm, q[i], STEP_TOLERANCE, work.strain, work.kinematics)
@@ -305,8 +284,6 @@ def are_firm(arm, q, members, work, firm):
 @kernel
 def read_backbones(arm, places, xi, kinematics, out):
     """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6).
-
-    They start from kinematics.base; out holds identities to begin with.
 
     They start from kinematics.base; out holds identities to begin with.
     """

@@ -1,8 +1,6 @@
 """Static balance of forces, f = B u - K + F of (23) without motion.
 
 It has derivatives in the coordinates and in the load.
-
-It has derivatives in the coordinates and in the load.
 """
 
 from typing import NamedTuple
@@ -35,8 +33,6 @@ class Linearisation(NamedTuple):
 @kernel(refcount=True)
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     """Static balance f = part (B u + F) - K at q into `out`, with its derivatives.
-
-    They are df/dpart where asked for, and -df/dq along `directions` (m, n).
 
     They are df/dpart where asked for, and -df/dq along `directions` (m, n).
 
@@ -85,8 +81,6 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
 @kernel(refcount=True)
 def strain_is_continuous(arm, q_from, q, strain, kinematics):
     """Tells whether the strain from rest at q_from becomes that at q on the way between them.
-
-    Tendons that push can part them.
 
     Tendons that push can part them.
     """

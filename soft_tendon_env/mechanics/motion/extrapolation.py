@@ -2,8 +2,6 @@
 
 It is that of Deuflhard, Hairer and Zugck 1987.
 
-It is that of Deuflhard, Hairer and Zugck 1987.
-
 The substep of implicit_euler is repeated n_j = 1, 2, ... times over the step, and the results
 extrapolated to h = 0 by Aitken-Neville. Every column adds an order, and the difference between the
 last two entries of the last row estimates the error. So the rows of the table can be built one
@@ -75,10 +73,6 @@ def predict_strain(law, q, q_last, strain, change):
     It does so to first order along the columns of the last evaluation, and to second order as far
     as q lies where its rates lead, along its bias; never further along the bias than along the
     columns. Overwrites `change` (points x 6).
-
-    It does so to first order along the columns of the last evaluation, and to second order as far
-    as q lies where its rates lead, along its bias; never further along the bias than along the
-    columns. Overwrites `change` (points x 6).
     """
     per_column = change.size
     # Phi (q - q_last)
@@ -121,9 +115,6 @@ def evaluate_force(arm, method, command, q, v, state, time, scratch):
 
     It is drive - C v + F, or without inertia drive + F, into scratch.now.force. state: internal
     states of the effects, at this time or that of inputs.since before it.
-
-    It is drive - C v + F, or without inertia drive + F, into scratch.now.force. state: internal
-    states of the effects, at this time or that of inputs.since before it.
     """
     work = scratch.work
     copy(state, work.inputs.state)
@@ -142,9 +133,6 @@ def evaluate_force(arm, method, command, q, v, state, time, scratch):
 @kernel
 def substeps(arm, method, tolerance, arrived, motion, step, row, scratch):
     """First entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v.
-
-    The first of them goes from the evaluation at the start that all rows share; a status and the
-    number of evaluations.
 
     The first of them goes from the evaluation at the start that all rows share; a status and the
     number of evaluations.
@@ -174,8 +162,6 @@ def evaluate_substep(arm, method, arrived, motion, number, h, scratch):
     """Force at the beginning of a substep, into scratch.now.force; a status.
 
     The substep begins at scratch.q, scratch.v.
-
-    The substep begins at scratch.q, scratch.v.
     """
     work = scratch.work
     inputs = work.inputs
@@ -203,10 +189,6 @@ def evaluate_substep(arm, method, arrived, motion, number, h, scratch):
 @kernel
 def complete_row(row, scratch):
     """Extrapolates a row of the table from scratch.q, scratch.v, its first entry.
-
-    The last entry takes their place, with the error estimate; where the tension of an elastic
-    tendon has a kink within the step, which cannot be extrapolated, the first one, as of a
-    first-order method.
 
     The last entry takes their place, with the error estimate; where the tension of an elastic
     tendon has a kink within the step, which cannot be extrapolated, the first one, as of a
@@ -247,9 +229,6 @@ def error_estimate(rod, horizon, scratch):
 
     It is the root mean square displacement of the rod, sqrt(e^T M e / m), that error_q makes at
     once or error_v within a horizon [s], that of a step as a rule.
-
-    It is the root mean square displacement of the rod, sqrt(e^T M e / m), that error_q makes at
-    once or error_v within a horizon [s], that of a step as a rule.
     """
     M = scratch.work.matrices.M
     by_q = 0.0
@@ -269,9 +248,6 @@ def error_estimate(rod, horizon, scratch):
 @kernel
 def extrapolated_step(arm, method, demand, arrived, motion, step, scratch):
     """One extrapolated step from motion to scratch.q, scratch.v that meets the tolerance.
-
-    It has as few columns, from demand.least on, as do. It ends early where the estimate, falling as
-    it did by the last column, would miss the tolerance by HOPELESS at the end, with that estimate.
 
     It has as few columns, from demand.least on, as do. It ends early where the estimate, falling as
     it did by the last column, would miss the tolerance by HOPELESS at the end, with that estimate.
@@ -304,8 +280,6 @@ def extrapolated_step(arm, method, demand, arrived, motion, step, scratch):
 
 class Extrapolated(NamedTuple):
     """Extrapolated linearly implicit Euler, from `least` to `columns` columns.
-
-    It takes as many as the error calls for.
 
     It takes as many as the error calls for.
     """

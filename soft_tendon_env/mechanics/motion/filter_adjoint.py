@@ -3,9 +3,6 @@
 It takes cotangents of the mean commands in its halves, and of the internal state at its end, to
 those of the state at its beginning and of the command.
 
-It takes cotangents of the mean commands in its halves, and of the internal state at its end, to
-those of the state at its beginning and of the command.
-
 A tendon has its numbers in the state, u and its commands in the table, and last the command that is
 given. Which of them acts is known by their times of arrival, and u answers to that as lag_slopes()
 says: one run has all derivatives.
@@ -59,8 +56,6 @@ def source_at(path, table, times, begins, arrived_by):
     """Number that had arrived last at a time [s].
 
     It is one of the table at the beginning of a part and of the command that is given there.
-
-    It is one of the table at the beginning of a part and of the command that is given there.
     """
     given = 1 + len(table)
     if path.delay == 0.0 or (begins and times[0] + path.delay <= arrived_by):
@@ -75,8 +70,6 @@ def source_at(path, table, times, begins, arrived_by):
 @kernel
 def begin_filter(effects, start, command, times, begins, scratch, memory):
     """Runs the filter through a part from its internal state (states), with derivatives.
-
-    It is under a command (n_a).
 
     It is under a command (n_a).
     """
@@ -115,8 +108,6 @@ def add_slopes(path, arrived, u, source, step, share, slope, mean):
     """Takes derivatives of u (numbers, n_a) over a time [s], and adds those of its mean.
 
     They are of a share of the mean, where the `source`-th number has arrived.
-
-    They are of a share of the mean, where the `source`-th number has arrived.
     """
     for i in range(arrived.size):
         left, by_u = lag_slopes(path, arrived[i] - u[i], step)
@@ -130,8 +121,6 @@ def add_slopes(path, arrived, u, source, step, share, slope, mean):
 @kernel
 def filter_adjoint(effects, start, times, begins, state, command, memory):
     """Cotangents `state` (states) from a part's end to its beginning, after begin_filter().
-
-    Those of the command are added to `command` (n_a).
 
     Those of the command are added to `command` (n_a).
     """

@@ -1,8 +1,6 @@
 """Pose errors on SE(3): twists log(g^-1 g_bar) from poses g to others g_bar.
 
 It also has their derivative, and poses moved along twists.
-
-It also has their derivative, and poses moved along twists.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -37,8 +35,6 @@ def pose_errors(pose, goal, out):
     """Twists out (rows, m, 6), log(g^-1 g_bar), from poses to goals.
 
     They carry the poses g (rows, 4, 4) to the goals g_bar (rows, m, 4, 4).
-
-    They carry the poses g (rows, 4, 4) to the goals g_bar (rows, m, 4, 4).
     """
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
@@ -53,8 +49,6 @@ def pose_errors(pose, goal, out):
 @kernel
 def pose_error_cotangents(error, cotangent, pose, goal):
     """Cotangents (rows, m, 6) of body twists of the poses and of the goals.
-
-    They come from the twists of pose_errors() and cotangents of those.
 
     They come from the twists of pose_errors() and cotangents of those.
 
@@ -75,8 +69,6 @@ def pose_error_cotangents(error, cotangent, pose, goal):
 @kernel
 def move_poses(pose, twist, out):
     """Poses out (rows, m, 4, 4), g exp(x), of poses g (rows, 4, 4) and twists x (rows, m, 6).
-
-    They undo pose_errors().
 
     They undo pose_errors().
     """

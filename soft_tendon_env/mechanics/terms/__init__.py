@@ -1,6 +1,4 @@
 """Equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms.
 
 `evaluate` names the phases in order.
-
-`evaluate` names the phases in order.
 """

@@ -2,8 +2,6 @@
 
 See effects.Transmission.
 
-See effects.Transmission.
-
 Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) /
 tau, -r, r): as long as c is held u is a function of time that is known exactly, so that it is no
 coordinate of the integrator. Its steps end where commands arrive. The internal state is u (n_a) and
@@ -45,8 +43,6 @@ def filter_state(effects, state, tendons):
     """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter.
 
     They lie in the internal states of all effects.
-
-    They lie in the internal states of all effects.
     """
     i = effects.transmission.filter
     begin = effects.first_state[i]
@@ -64,8 +60,6 @@ def has_arrived_by(time):
 @kernel
 def receive(effects, command, begins, time, state, arrival):
     """Writes the command that has arrived, and how long it stays, into `arrival`.
-
-    One (n_a) may be given, from this time [s] on if it `begins`.
 
     One (n_a) may be given, from this time [s] on if it `begins`.
     """
@@ -153,8 +147,6 @@ def settling_time(path, u, command):
     """Time [s] to the next kink of u.
 
     It is the end of its limited rate, or some time constants while it lags.
-
-    It is the end of its limited rate, or some time constants while it lags.
     """
     largest = 0.0
     for i in range(command.size):
@@ -175,8 +167,6 @@ def settling_time(path, u, command):
 @kernel
 def limited_time(path, away, step):
     """Part of a time [s] in which the rate is limited, and the lag's factor over the rest.
-
-    The factor is what the lag leaves of how far u is away.
 
     The factor is what the lag leaves of how far u is away.
     """
@@ -210,8 +200,6 @@ def lag_slopes(path, away, step):
     """Derivatives by u of lag_response() and of its mean.
 
     Those by the command are what is left to 1. Without a lag the command acts.
-
-    Those by the command are what is left to 1. Without a lag the command acts.
     """
     if not path.lags:
         return 1.0, 0.0
@@ -223,8 +211,6 @@ def lag_slopes(path, away, step):
 @kernel(refcount=True)
 def command_at(effects, arrived, state, since, out):
     """Command that acts a time [s] after the internal states were `state`.
-
-    `arrived` (n_a) has arrived: the command is in `out`, or that.
 
     `arrived` (n_a) has arrived: the command is in `out`, or that.
     """
@@ -240,8 +226,6 @@ def command_at(effects, arrived, state, since, out):
 @kernel
 def follow(effects, arrived, step, state):
     """Advances the filter's part of the internal states by a time [s].
-
-    In it `arrived` (n_a) has arrived and is held.
 
     In it `arrived` (n_a) has arrived and is held.
     """

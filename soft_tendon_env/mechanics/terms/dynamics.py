@@ -2,8 +2,6 @@
 
 They are mass and damping matrix, bias, generalised forces.
 
-They are mass and damping matrix, bias, generalised forces.
-
 C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
 """
 
@@ -29,8 +27,6 @@ class RowLayout(NamedTuple):
     """Layout of a column: in every pack `groups` groups of `size` numbers.
 
     They are whole wide packs, zero but for the first `used`.
-
-    They are whole wide packs, zero but for the first `used`.
     """
 
     groups: int
@@ -41,8 +37,6 @@ class RowLayout(NamedTuple):
 @kernel(inline=True)
 def point_rows(rod):
     """Layout of a column over points.
-
-    It has two blocks a pack, six components, those of rigid strains zero.
 
     It has two blocks a pack, six components, those of rigid strains zero.
     """
@@ -137,10 +131,6 @@ def _reach(tile, pack_begin, pack_end):
 @kernel
 def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out):
     """Weighted Gram matrix out_ij in a range of packs.
-
-    It is the sum over the rows of columns_i weight others_j, where others_j is a symmetric matrix
-    times columns_j. Column j is zero but from pack_begin[j] to pack_end[j]; `rows` is the layout of
-    a pack.
 
     It is the sum over the rows of columns_i weight others_j, where others_j is a symmetric matrix
     times columns_j. Column j is zero but from pack_begin[j] to pack_end[j]; `rows` is the layout of
@@ -244,8 +234,6 @@ def stiffness_matrix(rod, law, strain, ones, G):
     """Stiffness G = int Phi^T Phi_w dX; symmetric.
 
     It is of the columns Phi and their wrenches Phi_w times the weight in strain.Y.
-
-    It is of the columns Phi and their wrenches Phi_w times the weight in strain.Y.
     """
     gram_within(
         strain.Phi,
@@ -264,8 +252,6 @@ def driving_force(rod, law, strain, stress, drive):
     """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX.
 
     Overwrites `stress` (points x 6).
-
-    Overwrites `stress` (points x 6).
     """
     for m in range(0, stress.size, LANES):
         viscous = load(rod.viscosity, m) * load(strain.xi_dot, m)
@@ -276,8 +262,6 @@ def driving_force(rod, law, strain, stress, drive):
 @kernel
 def bias_force(rod, law, kinematics, wrench, bias):
     """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b).
-
-    It is by the inertial wrenches at zero q_ddot; overwrites `wrench` (nodes x 6).
 
     It is by the inertial wrenches at zero q_ddot; overwrites `wrench` (nodes x 6).
     """

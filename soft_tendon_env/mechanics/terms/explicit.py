@@ -17,9 +17,6 @@ def explicit_columns(arm, law, tension, q, q_dot, strain, kinematics):
 
     The stress is under tensions (n_a), times the weight; xi is linear in q, so its columns are
     constant and its bias stays the zero that it is.
-
-    The stress is under tensions (n_a), times the weight; xi is linear in q, so its columns are
-    constant and its bias stays the zero that it is.
     """
     rod = arm.rod
     explicit_rate(arm, law, q_dot, strain)
@@ -38,8 +35,6 @@ def explicit_columns(arm, law, tension, q, q_dot, strain, kinematics):
 @kernel
 def explicit_matrices(arm, law, strain, ones, matrices):
     """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX and D, which is constant.
-
-    u are the tensions of the columns.
 
     u are the tensions of the columns.
     """

@@ -2,8 +2,6 @@
 
 They are poses, body Jacobian and twists at the nodes.
 
-They are poses, body Jacobian and twists at the nodes.
-
 With the Zanna operator written out, Omega_dot = Z(xi_dot) and J(X + h) = Ad^-1 (J + T Z(Phi))
 become in the base frame running sums: with W_1 = Ad_g T (h/2 - kappa ad_xi2) and W_2 = Ad_g T (h/2
 + kappa ad_xi1), kappa = sqrt(3) h^2 / 12, the column of the base-frame Jacobian grows by W_1 Phi_1
@@ -78,9 +76,6 @@ def interval_strains(xi, pack):
 @kernel
 def poses(rod, base, xi, kinematics):
     """Poses at the start and at the end of every interval.
-
-    They are products of the exponentials exp(Omega) (11) from a base at base[:12], for strains xi
-    (points x 6).
 
     They are products of the exponentials exp(Omega) (11) from a base at base[:12], for strains xi
     (points x 6).
@@ -183,8 +178,6 @@ def strains_of_part(h, interval, part, xi):
     """Strains at the two points of the first `part` of an interval of length h.
 
     They are linear between the interval's own two.
-
-    They are linear between the interval's own two.
     """
     # the points are sqrt(3)/6 of a length from its middle, so h / sqrt(3) apart
     xi_1, xi_2 = strains_at_points(xi, interval)
@@ -206,8 +199,6 @@ def poses_inside(length, interval, distance, xi, kinematics, out):
     """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,).
 
     The strain is linear between the two points.
-
-    The strain is linear between the two points.
     """
     for m in range(interval.size):
         i = interval[m]
@@ -223,8 +214,6 @@ def share_of_second(length, interval, distance):
     """Share of an interval's second point in what is linear between its two.
 
     It is at a distance from the interval's start.
-
-    It is at a distance from the interval's start.
     """
     return math.sqrt(3.0) * (distance / length[interval] - 0.5) + 0.5
 
@@ -232,8 +221,6 @@ def share_of_second(length, interval, distance):
 @kernel
 def strains_inside(length, interval, distance, field, out):
     """A field over points as out (m, 6) at `distance` (m,) from the start of intervals (m,).
-
-    It is linear between their two points.
 
     It is linear between their two points.
     """
@@ -247,8 +234,6 @@ def strains_inside(length, interval, distance, field, out):
 
 class IntervalOperators(NamedTuple):
     """Operators of the intervals of a pack, pairs (A, C), in the base frame.
-
-    It also has Omega and its coefficients.
 
     It also has Omega and its coefficients.
     """
@@ -296,8 +281,6 @@ def running_sum(carry, row, x):
     """Sums of x over the intervals up to each lane, on top of the carried one.
 
     That moves on to the pack's end.
-
-    That moves on to the pack's end.
     """
     at = row * 6
     (k_x, k_y, k_z), (p_x, p_y, p_z) = x
@@ -330,8 +313,6 @@ def carried_sum(carry, row):
 @kernel
 def sweep(rod, law, strain, kinematics):
     """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the columns of J (17)-(18).
-
-    It runs after poses().
 
     It runs after poses().
     """

@@ -2,8 +2,6 @@
 
 Blocks are eliminated from tip to base; the solution is for further right-hand sides.
 
-Blocks are eliminated from tip to base; the solution is for further right-hand sides.
-
 A strain of an interval moves all nodes beyond by a twist W = (k, v), in the base frame (Appendix
 C), so that the loads do the work F . v + (sum r_n x f_n + moment) . k, with F the sum of the dead
 forces f_n on the nodes beyond, at r_n. Strains nearer to the base turn all of that, which changes
@@ -53,8 +51,6 @@ def place(node):
     """Index in a field over points at which the unknowns of an interval begin.
 
     The interval ends at a node; they are LANES apart.
-
-    The interval ends at a node; they are LANES apart.
     """
     return (node // LANES * SIZE) * LANES + node % LANES
 
@@ -74,8 +70,6 @@ def _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics):
     """Generalised forces of a wrench beyond an interval, over the weight of its points.
 
     The wrench is in the base frame, the forces on the strains at its two points.
-
-    The wrench is in the base frame, the forces on the strains at its two points.
     """
     R, r = pose_at(kinematics.start, node)
     return magnus_transposed(rod.length[node], xi_1, xi_2, wrench_at_start(R, r, wrench))
@@ -84,8 +78,6 @@ def _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics):
 @kernel
 def load_stress(rod, law, part, xi, kinematics, out):
     """Generalised force of `part` of the loads on strains xi over their weight.
-
-    xi and out are (points x 6); after poses().
 
     xi and out are (points x 6); after poses().
     """
@@ -118,8 +110,6 @@ def _section_entry(strain, node, a, b):
     """Entry (b, a) of the scaled section stiffness at the two points of an interval.
 
     These do not meet each other there.
-
-    These do not meet each other there.
     """
     if a // 6 != b // 6:
         return 0.0
@@ -133,8 +123,6 @@ def _section_entry(strain, node, a, b):
 @kernel
 def _assemble_interval(rod, node, wrench, strain, kinematics, D):
     """Hessian D (12, 12) of an interval over the weight, but for what y makes of it.
-
-    It is the section's, and differences of load stresses.
 
     It is the section's, and differences of load stresses.
     """
@@ -161,8 +149,6 @@ def _assemble_interval(rod, node, wrench, strain, kinematics, D):
 @kernel
 def _invert(D):
     """Overwrites a matrix by its inverse, by elimination without pivoting.
-
-    Returns the least pivot, NaN if there is one.
 
     Returns the least pivot, NaN if there is one.
     """
@@ -201,8 +187,6 @@ def _add_turned_forces(position, force, Q, rows_Q):
 @kernel(inline=True)
 def _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows):
     """Turn and y of the unknowns of an interval.
-
-    It is y over the weight in `rows` (12, 3), less it, and times the weight in memory.columns.
 
     It is y over the weight in `rows` (12, 3), less it, and times the weight in memory.columns.
     """
@@ -275,8 +259,6 @@ def factorise_hessian(rod, law, part, strain, kinematics):
 @kernel(refcount=True)
 def solve_hessian(rod, memory, x, start):
     """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these.
-
-    They are a field over points from x[start] on.
 
     They are a field over points from x[start] on.
     """

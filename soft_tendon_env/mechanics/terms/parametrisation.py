@@ -2,8 +2,6 @@
 
 The continuation finds a strain without a guess.
 
-The continuation finds a strain without a guess.
-
 A parametrisation is a struct of arrays (types.py), the arm's `strain`, and five compiled functions.
 Its class is part of the compiled type, so it selects their code.
 """
@@ -59,8 +57,6 @@ def _of_the_arm(name):
     """Function of this name of an arm's parametrisation.
 
     It is to be called with the arm and all arguments after the law.
-
-    It is to be called with the arm and all arguments after the law.
     """
 
     def call(arm, *arguments):
@@ -88,8 +84,6 @@ def strain_from_guess(arm, q, tolerance, strain, kinematics):
     """Strain at q into strain.xi, from the guess there.
 
     Returns -1, or the block at which it could not be found.
-
-    Returns -1, or the block at which it could not be found.
     """
     return solve_strain_at(arm, q, Search(1.0, tolerance, ANY), strain, kinematics)
 
@@ -97,8 +91,6 @@ def strain_from_guess(arm, q, tolerance, strain, kinematics):
 @kernel(refcount=True)
 def continue_strain(arm, begin, end, tolerance, strain, kinematics):
     """Strain at the end of a way on the branch of that at its beginning.
-
-    That is in strain.xi; it goes in growing or halved parts of the way.
 
     That is in strain.xi; it goes in growing or halved parts of the way.
 
@@ -142,8 +134,6 @@ def strain_from_rest(arm, q, tolerance, strain, kinematics):
     """Strain at q on the branch from the stress-free rod, as continue_strain().
 
     On it coordinates and loads inside grow together.
-
-    On it coordinates and loads inside grow together.
     """
     copy(arm.rod.reference_strain, strain.xi)
     if strain_is_unique(arm, q, strain):
@@ -157,9 +147,6 @@ def strain_from_rest(arm, q, tolerance, strain, kinematics):
 @kernel(refcount=True)
 def strain_has_margin(arm, q, tolerance, strain, kinematics):
     """Tells whether there is a strain at q, with a margin where it need not be the only one.
-
-    There is then one a MARGIN_PARTS-th beyond too, with Newton contracting at once in each of these
-    even parts of the way from rest.
 
     There is then one a MARGIN_PARTS-th beyond too, with Newton contracting at once in each of these
     even parts of the way from rest.

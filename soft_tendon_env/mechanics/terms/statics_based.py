@@ -2,8 +2,6 @@
 
 They are (31), (33) and (34) of the strain that statics_newton finds.
 
-They are (31), (33) and (34) of the strain that statics_newton finds.
-
 In scaled form, with C = Sigma^-1 (0 for rigid strains), a column is Phi = C^1/2 H^-1 C^1/2 [Phi_a
 Phi_p], with the factor of H that the Newton iteration leaves.
 """
@@ -50,10 +48,6 @@ def coordinate_wrenches(arm, law, block, tension, q, strain):
     They go into strain.Phi, times the weight into strain.Y; the mismatch of tensions u and passive
     wrenches, weight (Phi_a (u - tau) - Phi_p q_p), into strain.mismatch; where solve_statics() has
     left the tangents.
-
-    They go into strain.Phi, times the weight into strain.Y; the mismatch of tensions u and passive
-    wrenches, weight (Phi_a (u - tau) - Phi_p q_p), into strain.mismatch; where solve_statics() has
-    left the tangents.
     """
     rod = arm.rod
     tendons = arm.tendons
@@ -94,8 +88,6 @@ def turning_wrench(tendons, blocks, block, rate, strain):
     """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block.
 
     The block is strained at `rate`, xi_ddot = 0 (Appendix E multiplied out).
-
-    The block is strained at `rate`, xi_ddot = 0 (Appendix E multiplied out).
     """
     geometry = tendons.geometry
     tau = strain.tau
@@ -120,9 +112,6 @@ def turning_wrench(tendons, blocks, block, rate, strain):
 @kernel
 def statics_columns(arm, law, tension, q, q_dot, strain, kinematics):
     """Columns Phi_xi (31) of every coordinate, xi_dot, the bias, and the mismatch.
-
-    The bias is xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), the mismatch that of
-    which is the drive of the implicit strain (34), G ([u; 0] - q).
 
     The bias is xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), the mismatch that of
     which is the drive of the implicit strain (34), G ([u; 0] - q).
@@ -153,8 +142,6 @@ def statics_matrices(arm, law, strain, ones, matrices):
     """Stiffness G and damping D of the columns.
 
     G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34).
-
-    G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34).
     """
     stiffness_matrix(arm.rod, law, strain, ones, matrices.G)
     damping_matrix(arm.rod, law, strain, matrices.D)
@@ -174,8 +161,6 @@ def rate_wrench(tendons, law, blocks, block, q_dot, strain):
 @kernel
 def statics_rate(arm, law, q_dot, strain):
     """Strain rate xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot.
-
-    It is from the tangents and factors that solve_statics() left.
 
     It is from the tangents and factors that solve_statics() left.
     """

@@ -79,8 +79,6 @@ def solve_statics(arm, law, q, search, strain, kinematics):
 
     It leaves xi, tangents and factors.
 
-    It leaves xi, tangents and factors.
-
     Stops when the last correction is below the tolerance of the scaled strain: the factors belong
     to the iterate before it. Returns -1, or the first block where a pivot was not positive,
     corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
@@ -134,8 +132,6 @@ def chords_stay(rod, tendons, before, after):
     """Tells whether no tendon's chord differs much between two strain fields.
 
     That is by more than MOST_TURN of its length.
-
-    That is by more than MOST_TURN of its length.
     """
     blocks = 2 * rod.packs
     geometry = tendons.geometry
@@ -158,8 +154,6 @@ def chords_stay(rod, tendons, before, after):
 @kernel
 def all_pull(tau):
     """Tells whether no tendon pushes.
-
-    The strain then minimises a convex energy, so that there is no other.
 
     The strain then minimises a convex energy, so that there is no other.
     """

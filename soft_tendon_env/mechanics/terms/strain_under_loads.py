@@ -2,8 +2,6 @@
 
 It has Newton with the exact Hessian, columns, bias and stiffness.
 
-It has Newton with the exact Hessian, columns, bias and stiffness.
-
 The strain minimises U = int 1/2 (xi - xi*) . Sigma (xi - xi*) dX + sum tau_i (length of tendon i) -
 int xi . Phi_p q_p dX - (work of the dead loads) over the strains at the points, the poses being the
 Magnus product of interval exponentials. So
@@ -84,8 +82,6 @@ def linearise_loaded(arm, law, q, part, strain, kinematics):
     """Residual into memory.step, and the Hessian, factorised.
 
     Returns -1, the block of a section that gives way, or 2 packs: the arm buckles.
-
-    Returns -1, the block of a section that gives way, or 2 packs: the arm buckles.
     """
     rod = arm.rod
     memory = strain.under_loads
@@ -112,8 +108,6 @@ def linearise_loaded(arm, law, q, part, strain, kinematics):
 @kernel
 def apply_correction(rod, xi, memory):
     """Adds the solution in memory.step to the scaled strain.
-
-    Returns the largest squared corrections and squared strains of a point.
 
     Returns the largest squared corrections and squared strains of a point.
     """
@@ -163,9 +157,6 @@ def solve_loaded(arm, law, q, search, strain, kinematics):
 
     It leaves xi, tangents and factors, and stays on its branch, see CONTRACTION, whatever the
     search says. Returns -1, or the block that stopped it, see linearise_loaded().
-
-    It leaves xi, tangents and factors, and stays on its branch, see CONTRACTION, whatever the
-    search says. Returns -1, or the block that stopped it, see linearise_loaded().
     """
     rod = arm.rod
     memory = strain.under_loads
@@ -196,8 +187,6 @@ def load_acceleration(arm, law, strain, kinematics, out):
     """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0.
 
     It goes into out (points x 6), by differences; moves the poses.
-
-    It goes into out (points x 6), by differences; moves the poses.
     """
     rod = arm.rod
     memory = strain.under_loads
@@ -222,9 +211,6 @@ def load_acceleration(arm, law, strain, kinematics, out):
 @kernel
 def loaded_columns(arm, loaded, tension, q, q_dot, strain, kinematics):
     """Columns, xi_dot, bias and mismatch of the strain with loads inside (35).
-
-    B u - K + F is made of them. The bias is -H^-1 times the balance, of tendons and loads,
-    differentiated twice along the motion with xi_ddot = 0.
 
     B u - K + F is made of them. The bias is -H^-1 times the balance, of tendons and loads,
     differentiated twice along the motion with xi_ddot = 0.
@@ -271,8 +257,6 @@ def loaded_is_unique(arm, loaded, q, strain):
 @kernel
 def loaded_rate(arm, loaded, q_dot, strain):
     """Strain rate xi_dot = H^-1 Phi_w q_dot.
-
-    It is from the tangents and factors that solve_loaded() left.
 
     It is from the tangents and factors that solve_loaded() left.
     """

@@ -2,8 +2,6 @@
 
 It is one sweep from tip to base.
 
-It is one sweep from tip to base.
-
 A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate
 is not formed.
 
@@ -60,9 +58,6 @@ def magnus_transposed(h, xi_1, xi_2, psi):
 
     They are on the strains at the two points of an interval of length h: of a wrench psi on its
     end, in the frame of its start.
-
-    They are on the strains at the two points of an interval of length h: of a wrench psi on its
-    end, in the frame of its start.
     """
     mu = 2.0 * KAPPA * h
     Omega = magnus(h, xi_1, xi_2)
@@ -89,8 +84,6 @@ def sum_to_tip(x, beyond):
     """Sums of a pack over the lanes from each one on, and beyond the pack.
 
     It also gives the sum that the pack before needs.
-
-    It also gives the sum that the pack before needs.
     """
     total = beyond + lane_sum(x)
     return spread(total) - prefix_sum(x) + x, total
@@ -114,8 +107,6 @@ def sums_to_tip(x, beyond):
 @kernel
 def add_wrench_stress(rod, wrench, xi, kinematics, stress):
     """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6).
-
-    The last of them is the tip; after poses() of strains xi (points x 6).
 
     The last of them is the tip; after poses() of strains xi (points x 6).
     """
@@ -150,8 +141,6 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     """Adds to `stress` (points x 6) that which does the work of `force` on tendon lengths.
 
     force is (n_a); see tendon_forces().
-
-    force is (n_a); see tendon_forces().
     """
     blocks = 2 * rod.packs
     for i in range(tendons.size):
@@ -164,8 +153,6 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
 @kernel
 def add_strain_stress(length, interval, distance, force, stress):
     """Adds to `stress` (points x 6) that which does the work of `force` (m, 6).
-
-    The work is on strains_inside().
 
     The work is on strains_inside().
     """
@@ -193,11 +180,6 @@ def first_point_of(interval):
 @kernel
 def add_station_forces(rod, stations, force, xi, kinematics, wrench, stress):
     """Adds what does the work of forces (m, 3) on the positions of poses_inside().
-
-    Forces are in the world frame; it is added to `stress` (points x 6) in their own intervals, and
-    to body wrenches (nodes x 6) at the nodes where these begin, for add_wrench_stress(); after
-    poses() of strains xi (points x 6). stations: intervals (m,) and distances (m,) from their
-    start.
 
     Forces are in the world frame; it is added to `stress` (points x 6) in their own intervals, and
     to body wrenches (nodes x 6) at the nodes where these begin, for add_wrench_stress(); after
