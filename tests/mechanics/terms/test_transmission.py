@@ -3,19 +3,18 @@ of springs, derivatives by differences."""
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.tendon_friction import (
+    add_lost_stress,
+    find_shares,
+    find_turns,
+)
 from soft_tendon_env.mechanics.terms.tendons import actuation_column
 from soft_tendon_env.mechanics.terms.transmission import (
-    SMALL_ANGLE,
     actuator_tensions,
-    add_lost_stress,
     add_tendon_matrices,
     find_columns,
-    find_share,
-    find_shares,
-    mean_slope,
     tension_slope,
 )
 from soft_tendon_env.mechanics.terms.transposed_kinematics import stress_force
@@ -60,18 +59,20 @@ def over_points(model, field):
     return packed.swapaxes(2, 3).reshape(model.tendon_count, -1, 2)[:, model.grid.real]
 
 
-@pytest.mark.parametrize("direction", [-1.0, 0.4, 1.0])
-def test_friction_leaves_the_capstan_s_share_along_a_circle(workspace_at, direction):
-    """exp(-mu z phi), phi = k s of a tendon in the plane of an arm that is bent evenly."""
+def turns_of(model, work, tendon=0):
+    """Angles by which a tendon turns before each of its points, times mu, in order."""
+    find_turns(model.arm, tendon, work.strain, work.friction.turn)
+    points = model.arm.rod.packs * 2 * LANES
+    return work.friction.turn[tendon * points : (tendon + 1) * points]
+
+
+def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
+    """phi = k s of a tendon in the plane of an arm that is bent evenly."""
     model, curvature = arm_with(FRICTION), 6.0
     work = workspace_at(model, [0.0, 0.0, curvature])
-    angle = find_share(model.arm, 0, MU, direction, work.strain, work.friction)
-    phi = curvature * model.grid.points[model.grid.real]
-    assert angle == pytest.approx(phi.max(), rel=1e-12)
-    share = np.exp(-MU * direction * phi)
-    np.testing.assert_allclose(over_points(model, work.friction.share)[0], share, rtol=1e-12)
-    slip = MU * phi * share
-    np.testing.assert_allclose(over_points(model, work.friction.slip)[0], slip, rtol=1e-12)
+    points = model.grid.points[model.grid.real].ravel()
+    turned = np.cumsum(turns_of(model, work))[: points.size]
+    np.testing.assert_allclose(turned, MU * curvature * points, rtol=1e-12)
 
 
 def test_a_helix_turns_by_its_curvature_over_its_length(workspace_at):
@@ -82,17 +83,10 @@ def test_a_helix_turns_by_its_curvature_over_its_length(workspace_at):
     for intervals in (8, 16):
         model = arm_with({**FRICTION, **HELIX}, intervals)
         work = workspace_at(model, np.zeros(3))
-        angle = find_share(model.arm, 0, MU, 1.0, work.strain, work.friction)
-        exact = rate * model.grid.points[model.grid.real].max()
-        errors.append(abs(angle / exact - 1.0))
+        exact = MU * rate * model.grid.points[model.grid.real].max()
+        errors.append(abs(turns_of(model, work).sum() / exact - 1.0))
     assert errors[0] < 0.01
     assert errors[1] < errors[0] / 4.0
-
-
-@pytest.mark.parametrize("a", [-2.0, -1.01 * SMALL_ANGLE, -0.5 * SMALL_ANGLE, 0.0, 0.005, 0.3, 4.0])
-def test_the_mean_slope_is_an_integral(a):
-    exact, _ = quad(lambda u: u * np.exp(-a * u), 0.0, 1.0, epsabs=1e-13)
-    assert mean_slope(a) == pytest.approx(exact, rel=1e-7)
 
 
 def rubbing(model, workspace_at, q, q_dot, tension):
@@ -103,31 +97,22 @@ def rubbing(model, workspace_at, q, q_dot, tension):
 
 
 def test_friction_acts_against_the_rate_at_which_tendons_are_pulled_in(workspace_at):
-    """v = -dL/dt and z = v / sqrt(v^2 + v_s^2) of each; the grip is the derivative of its mean
-    tension by -z."""
+    """v = -dL/dt past the actuator; the share falls by exp(-mu z dphi) before each point, with its
+    own z = v / sqrt(v^2 + v_s^2)."""
     model, tension = arm_with(FRICTION), np.array([2.0, 1.0, 3.0])
     q, q_dot = np.array([1.0, 3.0, -4.0]), np.array([2.0, 5.0, 3.0])
     work = rubbing(model, workspace_at, q, q_dot, tension)
     h = 1e-6
     ahead, behind = (model.tendon_lengths(q + s * h * q_dot) for s in (1, -1))
-    rates = (behind - ahead) / (2 * h)
-    np.testing.assert_allclose(work.tendons.pull_rate, rates, rtol=1e-6, atol=1e-9)
-    z = rates / np.hypot(rates, SPEED)
-    other = workspace_at(model, q)
+    pulled_in = (behind - ahead) / (2 * h)
+    rates = work.friction.rate.reshape(model.tendon_count, -1)
+    np.testing.assert_allclose(rates[:, 0], pulled_in, rtol=1e-6, atol=1e-9)
+    count = model.grid.points[model.grid.real].size
     for i in range(3):
-        angle = find_share(model.arm, i, MU, z[i], other.strain, other.friction)
-        np.testing.assert_allclose(
-            over_points(model, work.friction.share)[i],
-            over_points(model, other.friction.share)[i],
-            rtol=1e-6,
-        )
-
-        def mean(direction, i=i, angle=angle):
-            share, _ = quad(lambda u: np.exp(-MU * direction * angle * u), 0.0, 1.0)
-            return tension[i] * share
-
-        grip = (mean(z[i] - 1e-5) - mean(z[i] + 1e-5)) / 2e-5
-        assert work.friction.grip[i] == pytest.approx(grip, rel=1e-6)
+        slides = rates[i] / np.hypot(rates[i], SPEED)
+        left = np.exp(-np.cumsum(turns_of(model, work, i) * slides))
+        share = over_points(model, work.friction.share)[i].ravel()
+        np.testing.assert_allclose(share, left[:count], rtol=1e-12)
 
 
 def test_what_friction_takes_is_what_the_columns_lose(workspace_at):
@@ -169,40 +154,21 @@ def test_elastic_tendons_are_springs_between_nothing_and_their_strength(workspac
     assert tension_slope(bare.arm.effects.transmission, 0, work.tendons) == 1.0
 
 
-def test_matrices_of_tendons_are_made_of_their_columns(workspace_at):
-    """k B B^T of those that pull as springs, and of friction c B B^T, with c = grip dz/dv."""
+def test_the_stiffness_of_springs_is_made_of_their_columns(workspace_at):
+    """k B B^T of those that pull between nothing and their strength."""
     q, q_dot = np.array([1.0, 3.0, -4.0]), np.array([2.0, 5.0, 3.0])
-    model = arm_with({**SPRINGS, **FRICTION})
+    model = arm_with(SPRINGS)
     stretch = np.array([0.004, 0.002, -0.02])
     command = model.arm.effects.transmission.length - model.tendon_lengths(q) + stretch
     work = workspace_at(model, q, q_dot)
-    tension = actuator_tensions(model.arm, command, work.strain.xi, work.tendons).copy()
+    tension = actuator_tensions(model.arm, command, work.strain.xi, work.tendons)
     np.testing.assert_allclose(tension, STIFFNESS * np.maximum(stretch, 0.0))
-    find_shares(model.arm, work.strain, work.tendons, work.friction)
-    find_columns(model.arm, work.strain, work.friction, work.ones, work.spare.stress, work.tendons)
+    ones = work.ones.tendon
+    find_columns(model.arm, work.strain, ones, work.spare.stress, work.tendons.columns)
     B = model.terms(q, q_dot).actuation
     np.testing.assert_allclose(work.tendons.columns.T, B, atol=1e-14)
     damping, stiffness = np.zeros((3, 3)), np.zeros((3, 3))
-    add_tendon_matrices(model.arm, work.tendons, work.friction, damping, stiffness)
+    add_tendon_matrices(model.arm, work, None, damping, stiffness)
     within = (tension > 0.0) & (tension < STRENGTH)
-    rubbed = work.tendons.rubbed.T
-    np.testing.assert_allclose(stiffness, STIFFNESS * rubbed * within @ B.T, rtol=1e-12)
-    rates = work.tendons.pull_rate
-    dz_dv = SPEED**2 / np.hypot(rates, SPEED) ** 3
-    np.testing.assert_allclose(
-        damping, B * (work.friction.grip * dz_dv) @ B.T, rtol=1e-9, atol=1e-12
-    )
-    # by z: of what the shares leave
-    h = 1e-6
-    for i in range(3):
-        columns = []
-        for way in (h, -h):
-            z = rates[i] / np.hypot(rates[i], SPEED) + way
-            find_share(model.arm, i, MU, z, work.strain, work.friction)
-            column = np.empty(3)
-            actuation_column(
-                model.arm, i, work.friction.share, work.strain, work.spare.stress, column
-            )
-            columns.append(tension[i] * column)
-        slope = (columns[1] - columns[0]) / (2 * h)
-        np.testing.assert_allclose(work.tendons.rubbing[i], slope, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(stiffness, STIFFNESS * B * within @ B.T, rtol=1e-12)
+    assert not damping.any()
