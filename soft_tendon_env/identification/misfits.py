@@ -52,7 +52,7 @@ class Misfit(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """What sizes of residuals are compared with."""
+    """Scales that sizes of residuals are compared with."""
 
     length: float  # of the rod [m]
     markers: Sequence[str]  # their names

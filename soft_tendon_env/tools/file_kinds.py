@@ -17,7 +17,7 @@ BEGINNINGS = {
     b"{": "JSON",
     b"<": "XML or HTML",
 }
-"""What a file is by its first bytes."""
+"""Kind of a file by its first bytes."""
 C3D = 0x50
 """Second byte of a C3D file of motion capture."""
 LOOKED_AT = 4096
