@@ -10,9 +10,8 @@ from soft_tendon_env.identification.readings import NoHoldError, Readings, mean_
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
-OVERFIT = (
-    1.25  # mean error of held-out recordings, in parts of the fit's, from which fewer are tried
-)
+# mean error of held-out recordings, in parts of the fit's, from which fewer are tried
+OVERFIT = 1.25
 Places = NDArray[np.signedinteger[Any]]  # of parameters
 KEPT = (0.0, 0.25, 0.5, 0.75)  # shares of the parameters that are tried, the fewest first
 SAME = 0.02  # part of the held-out error that counts as none
