@@ -4,6 +4,7 @@ held-out errors and findings."""
 from pathlib import Path
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
@@ -27,14 +28,9 @@ class Identify(ArmSettings):
     """Identify an arm from measured marker positions: parameters of its scene by least squares,
     judged on held-out data."""
 
-    data: tuple[str, ...] = Field(min_length=1, description=DATA)
-    markers: str = Field(
-        description="TOML file: markers' places on the arm, frame and columns",
-        json_schema_extra={"flag": "--markers"},
-    )
-    parameters: tuple[str, ...] = Field(
-        min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"}
-    )
+    data: Positional[tuple[str, ...]] = Field(min_length=1, description=DATA)
+    markers: str = Field(description="TOML file: markers' places on the arm, frame and columns")
+    parameters: tuple[str, ...] = Field(min_length=1, description=KEYS)
     held_out: str = Field(default=SHARE, description=HELD_OUT)
     fit_to: int | None = Field(
         default=None,

@@ -20,6 +20,7 @@ from soft_tendon_env.tools.types import NotNegative, Number, Positive
 FINEST = 1.0 / 8.0  # of the longest step
 MOST_WAITING = 10_000  # commands
 STEEPEST = 100.0  # mu phi along the stress-free arm
+LEAST_SPEED = 1e-12  # [m/s] of stiction: rates of sliding have some round-off
 SAME = 1e-9  # of a number of steps, by which another one may differ and be the same
 
 
@@ -136,18 +137,17 @@ class TendonElasticity(Effect):
 class TendonFriction(Effect):
     """`[effects.tendon_friction]`: Coulomb friction of tendons in their channels, regularised.
 
-    It follows the capstan equation.
+    By the capstan equation the tension falls, towards the end of the tendon, by the angle phi by
+    which the path turns, in the direction in which the tendon slides there:
 
-    With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon
-    is pulled in,
+        dT / ds = -mu z T dphi / ds,    z = v / sqrt(v^2 + v_s^2)
 
-        T(s) = T(0) exp(-mu z phi(s)),    z = v / sqrt(v^2 + v_s^2)
-
-    (T. N. Do et al., Mechatronics 24, 2014), one direction for the whole tendon, at the rates of a
-    step's end. Where friction would hold a tendon it creeps instead, at less than v_s: a soft arm
-    of 0.3 m that friction holds 36 mm off its rest is 13 mm off after 10 s. What friction takes
-    away bends coordinates that tensions alone leave at zero: a strain with passive fields follows
-    it better.
+    (T. N. Do et al., Mechatronics 24, 2014), v the rate at which the length from s to the tendon's
+    end shrinks, at the rates of a step's end. So friction takes energy wherever a tendon slides,
+    and never gives any. Where it would hold a tendon that creeps instead, at about v_s: with
+    motions of v the tensions are right to about v_s / v. What friction takes away bends coordinates
+    that tensions alone leave at zero, and places slide apart only as far as the coordinates let
+    them: a strain with passive fields follows it better.
     """
 
     is_actuation: ClassVar[bool] = True
@@ -155,7 +155,9 @@ class TendonFriction(Effect):
     coefficient: Annotated[float, Field(ge=0, le=10)] = Field(
         description="coefficient of friction mu [-]"
     )
-    stiction_speed: Positive = Field(1e-4, description="speed v_s [m/s] below which friction falls")
+    stiction_speed: Annotated[float, Field(ge=LEAST_SPEED)] = Field(
+        1e-4, description="speed v_s [m/s] of sliding below which friction falls"
+    )
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         most = float(rod.tendon_turn.max())

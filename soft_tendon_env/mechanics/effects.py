@@ -145,7 +145,7 @@ class Transmission(Struct):
     strength: np.ndarray  # (n_a) [N] of their actuators
     length: np.ndarray  # (n_a) [m] of the tendons along the stress-free rod
     friction: float  # coefficient of friction [-]; 0: tensions are the same all along a tendon
-    stiction_speed: float  # [m/s] at which friction is 1 / sqrt(2) of that of fast sliding
+    stiction_speed: float  # [m/s] of sliding at which friction is 1 / sqrt(2) of that of fast one
 
     @property
     def acts(self) -> bool:

@@ -13,7 +13,7 @@ else. Every field has one writer:
 | `loads` | effect_loads(), to whose derivatives differ_wrenches() adds |
 | `forces` | driving_force(), bias_force() and external_force(), a field each |
 | `matrices` | mass_matrix() and the parametrisation; add_implicit() adds the effects' share |
-| `tendons` | transmit(), find_shares() the rate at which tendons are pulled in, find_columns() |
+| `tendons` | transmit(), find_columns() the columns |
 | `friction` | find_shares() |
 | `collision` | effects that limit steps; advance.py resets it |
 | `spare` | any kernel, in which nothing lasts |
@@ -31,6 +31,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned_zeros
+from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import Collision, IntArray
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
@@ -94,7 +95,8 @@ def _places(
 def sizes_of(arm: Arm) -> dict[str, int]:
     """Sizes of an arm's arrays.
 
-    They are coordinates n, tendons n_a, nodes, points, and internal states of the effects.
+    They are coordinates n, tendons n_a, nodes, points, internal states of the effects, and a row of
+    n + 1 numbers in whole packs.
     """
     nodes = arm.rod.length.size
     return {
@@ -103,6 +105,7 @@ def sizes_of(arm: Arm) -> dict[str, int]:
         "nodes": nodes,
         "points": 2 * nodes,
         "states": arm.effects.state.size,
+        "row": row_stride(arm.strain.size + 1),
     }
 
 
@@ -208,19 +211,24 @@ class TendonForces(Struct):
 
     tension: Annotated[np.ndarray, "n_a"]  # [N] at the actuators
     shortening: Annotated[np.ndarray, "n_a"]  # [m] of elastic tendons beside the stress-free rod
-    pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which tendons that rub are pulled in
-    columns: Annotated[np.ndarray, "n_a", "n"]  # B_i
+    columns: Annotated[np.ndarray, "n_a", "n"]  # B_i of elastic tendons
     rubbed: Annotated[np.ndarray, "n_a", "n"]  # the same, with what friction leaves of the tension
-    rubbing: Annotated[np.ndarray, "n_a", "n"]  # -d force / d direction of sliding
+
+
+class Borders(Struct):
+    """Borders before the points of tendons that rub, in their order along the rod."""
+
+    # w_k, of which the product with q_dot slides past a border [m/s], filled up to whole packs
+    row: Annotated[np.ndarray, "n_a x points x row"]
+    turn: Annotated[np.ndarray, "n_a x points"]  # mu times the angle by which the path turns there
 
 
 class Friction(Struct):
-    """Friction along the tendons."""
+    """Friction along the tendons at the rates of an evaluation, for derivatives."""
 
-    share: Annotated[np.ndarray, "n_a x points"]  # of the tension that is left
-    slip: Annotated[np.ndarray, "n_a x points"]  # -d share / d direction of sliding
-    # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
-    grip: Annotated[np.ndarray, "n_a"]
+    share: Annotated[np.ndarray, "n_a x points"]  # of the tension that is left, at the points
+    turn: Annotated[np.ndarray, "n_a x points"]  # as in Borders
+    rate: Annotated[np.ndarray, "n_a x points"]  # [m/s] that slides past the borders
 
 
 class Ones(Struct):
@@ -268,7 +276,6 @@ def make_workspace(arm: Arm) -> Workspace:
     work = zeros(Workspace, sizes, strain=zeros(StrainFields, sizes, **fields))
     work.inputs.state[:] = arm.effects.state
     work.kinematics.base[:9:4] = 1.0  # the diagonal of R
-    work.friction.share[:] = 1.0
     work.ones.point[:] = 1.0
     work.ones.tendon[:] = 1.0
     return work

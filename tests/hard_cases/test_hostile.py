@@ -10,7 +10,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.transmission import find_share
+from soft_tendon_env.mechanics.terms.tendon_friction import find_turns
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -211,23 +211,30 @@ def turning_angles(model, q, points):
     space at 20,000 places."""
     places = np.linspace(0.0, model.length, 20001)
     pose = model.backbone_at(q, places)
-    offset = tendon_offset(model.scene, model.scene.tendons[0], places)[0]
-    path = pose[:, :3, 3] + np.einsum("sij,sj->si", pose[:, :3, 1:3], offset)
+    tendon = model.scene.tendons[0]
+    offset, _ = tendon_offset(model.scene, tendon, places)
+    across = pose[:, :3, 1:3]
+    path = pose[:, :3, 3] + np.einsum("sij,sj->si", across, offset)
     tangent = np.diff(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    steps = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
-    angle = np.concatenate([[0.5 * steps[0]], 0.5 * steps[0] + np.cumsum(steps)])
-    return np.interp(points, 0.5 * (places[1:] + places[:-1]), angle)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # The turn between neighbouring chords; the first chord has half of one before it.
+    turns = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
+    first = 0.5 * turns[0]
+    angle = first + np.concatenate([[0.0], np.cumsum(turns)])
+    middles = 0.5 * (places[1:] + places[:-1])
+    return np.interp(points, middles, angle)
 
 
-def shares(model, q, coefficient, direction):
+def shares(model, q, direction):
     """What is left of the first tendon's tension at the points where it slides in a direction."""
     work = make_workspace(model.arm)
+    tension = np.ones(model.tendon_count)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
-    assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
-    find_share(model.arm, 0, coefficient, direction, work.strain, work.friction)
-    rows = model.grid.at_points(work.friction.share.reshape(model.tendon_count, -1), 1)[0, ..., 0]
-    return rows.ravel()[: model.grid.points[model.grid.real].size]
+    assert evaluate(model.arm, tension, q, 0.0 * q, 1e-12, work) == -1
+    find_turns(model.arm, 0, work.strain, work.friction.turn)
+    count = model.grid.points[model.grid.real].size
+    turns = work.friction.turn[:count]
+    return np.exp(-direction * np.cumsum(turns))
 
 
 ROUTINGS = {
@@ -265,8 +272,8 @@ def test_friction_of_any_angle(measured):
                 model, q, model.grid.points[model.grid.real].ravel()
             )
             pulled, let_out = (
-                shares(model, q, coefficient, 1.0),
-                shares(model, q, coefficient, -1.0),
+                shares(model, q, 1.0),
+                shares(model, q, -1.0),
             )
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = (

@@ -22,8 +22,12 @@ from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
 
-E, RHO, NU = "segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio"
-LAG, DELAY, FRICTION = 0.05, 0.033, 0.4
+E = "segments.*.young_modulus"
+RHO = "segments.*.density"
+NU = "segments.*.poisson_ratio"
+LAG = 0.05
+DELAY = 0.033
+FRICTION = 0.4
 PERIOD = 0.01
 
 

@@ -131,6 +131,34 @@ def _substitute_back(a, n, x):
 
 
 @kernel
+def solve_columns(a, n, wide, columns):
+    """Overwrites right-hand sides of a system by its solutions, by elimination without pivoting.
+
+    False if a pivot is not positive. Row i of `a` begins at i * wide, whole packs, and has n
+    coefficients and `columns` right-hand sides. For matrices whose symmetric part is positive
+    definite.
+    """
+    used = row_stride(n + columns)
+    for j in range(n):
+        pivot = a[j * wide + j]
+        if not (pivot > 0.0 and pivot < math.inf):
+            return False
+        for i in range(j + 1, n):
+            share = -a[i * wide + j] / pivot
+            # whole packs: left of the diagonal too, where nothing is read
+            for m in range(j // LANES * LANES, used, LANES):
+                reduced = load(a, i * wide + m) + share * load(a, j * wide + m)
+                store(a, i * wide + m, reduced)
+    for i in range(n - 1, -1, -1):
+        for c in range(n, n + columns):
+            x = a[i * wide + c]
+            for k in range(i + 1, n):
+                x -= a[i * wide + k] * a[k * wide + c]
+            a[i * wide + c] = x / a[i * wide + i]
+    return True
+
+
+@kernel
 def add_product(a, b, out):
     """Adds the matrix product a b to out."""
     for i in range(a.shape[0]):

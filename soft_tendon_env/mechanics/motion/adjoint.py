@@ -53,6 +53,7 @@ from soft_tendon_env.mechanics.terms.dynamics import sum_columns
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_twist_of
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
+from soft_tendon_env.mechanics.terms.tendon_friction import tendons_rub
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import tension_slope
 from soft_tendon_env.mechanics.terms.transposed_kinematics import (
@@ -295,7 +296,7 @@ def tension_cotangents(arm, work, memory):
     for side in range(2):
         force = memory.filter.force[side]
         sum_columns(strain.Phi, memory.impulse[side], along)
-        share = work.friction.share
+        share = work.friction.share if tendons_rub(arm) else work.ones.tendon
         tendon_forces(arm.rod, arm.tendons, share, strain.tangent, along, force)
         for i in range(force.size):
             force[i] *= tension_slope(path, i, work.tendons)

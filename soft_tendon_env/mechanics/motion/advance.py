@@ -27,11 +27,12 @@ from soft_tendon_env.mechanics.terms.command_filter import IS_FULL, follow, rece
 from soft_tendon_env.mechanics.terms.external_forces import any_of, nodes_of, place_base, remember
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
+from soft_tendon_env.mechanics.terms.transmission import tendons_transmit
 
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
 SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other
 # of the longest step: as short as that may steps become where the arm touches something or tendons
-# are elastic
+# are elastic or rub
 SHORTEST_STIFF = 2.0**-20
 # columns where effects limit steps: their motion is to be right even where it is small beside the
 # tolerance
@@ -283,7 +284,7 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
                 smaller = next_step(aim, columns, length, attempt)
             step = min(0.5 * length, smaller)
             shortest = control.smallest
-            if touching or arm.effects.transmission.elastic:
+            if touching or tendons_transmit(arm):
                 shortest = SHORTEST_STIFF * control.step
             if step < shortest:
                 break

@@ -50,7 +50,8 @@ from soft_tendon_env.mechanics.terms.external_forces import (
 )
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import actuator_tensions, tendons_rub
+from soft_tendon_env.mechanics.terms.tendon_friction import tendons_rub
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth

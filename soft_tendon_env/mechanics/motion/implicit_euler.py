@@ -5,45 +5,32 @@ G is the stiffness of the drive to first order, so the substep is stable at any 
 are held to their tensions at its end. M, the forces and the effects' share of D and G are those of
 the substep; the rod's D and G may be those at the start of the step, see extrapolation.
 
-The friction and the tensions x of tendons at its end are those of the rates y' = B^T v' at which
-they are then pulled in, with v' = v + dv + A^-1 h F (x' - x) and F the forces by x. That is
-implicit Euler of a monotone force, stable however stiff: a problem of n_a unknowns.
-
-- x = -z(y) of tendons that rub, z = y / sqrt(y^2 + v_s^2): by Newton's method, and where that comes
-no nearer by the secants of z.
-- x = clip(k (u' - s - h y), 0, strength) of elastic ones, a complementarity problem (D. E. Stewart
-and J. C. Trinkle 1996).
+The tensions x of elastic tendons at its end are those of the rates y' = B^T v' at which they are
+then pulled in, with v' = v + dv + A^-1 h F (x' - x) and F the forces by x: x = clip(k (u' - s - h
+y), 0, strength), see tendon_ends. That is implicit Euler of a monotone force, stable however stiff.
+The friction of tendons is that of its end too, see sliding.
 """
-
-import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import (
     AT_GREATEST,
     AT_LEAST,
-    BETWEEN,
     copy,
     copy_matrix,
     product,
     row_stride,
     solve_again,
-    solve_bounded,
-    solve_part,
     solve_positive_definite,
 )
 from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH
+from soft_tendon_env.mechanics.motion.sliding import slide_tendons
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.motion.tendon_ends import bound_tensions
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.evaluate import rod_matrices
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
-from soft_tendon_env.mechanics.terms.transmission import (
-    find_columns,
-    tendons_rub,
-    tendons_transmit,
-)
-
-MOST = 30  # linear problems for the friction of tendons
-SAME = 1e-6  # of the stiction speed, what rates may be off
+from soft_tendon_env.mechanics.terms.tendon_friction import find_borders, tendons_rub
+from soft_tendon_env.mechanics.terms.transmission import find_columns, tendons_transmit
 
 
 @kernel
@@ -55,7 +42,7 @@ def start_matrices(arm, scratch):
     if arm.effects.count > 0:
         copy_matrix(matrices.D, scratch.rod_damping)
         copy_matrix(matrices.G, scratch.rod_stiffness)
-        add_effects(arm, scratch.work)
+        add_effects(arm, scratch.work, scratch.first.borders)
     copy_balance(arm, scratch.now, scratch.first)
 
 
@@ -70,20 +57,23 @@ def later_matrices(arm, method, scratch):
         copy_matrix(scratch.rod_damping, matrices.D)
         copy_matrix(scratch.rod_stiffness, matrices.G)
     if arm.effects.count > 0:
-        add_effects(arm, scratch.work)
+        add_effects(arm, scratch.work, scratch.now.borders)
 
 
 @kernel
-def add_effects(arm, work):
-    """The effects' share of D and G, and columns of tendons that are elastic or rub."""
+def add_effects(arm, work, borders):
+    """The effects' share of D and G, columns of elastic tendons, and borders of those that rub."""
     add_implicit(arm, work)
-    if tendons_transmit(arm):
-        find_columns(arm, work.strain, work.friction, work.ones, work.spare.stress, work.tendons)
+    if arm.effects.transmission.elastic:
+        share = work.ones.tendon
+        find_columns(arm, work.strain, share, work.spare.stress, work.tendons.columns)
+    if tendons_rub(arm):
+        find_borders(arm, work.strain, borders)
 
 
 @kernel
 def copy_balance(arm, source, out):
-    """Copies a balance into another one."""
+    """Copies a balance, but for its borders, into another one."""
     copy_matrix(source.matrices.M, out.matrices.M)
     copy_matrix(source.matrices.D, out.matrices.D)
     copy_matrix(source.matrices.G, out.matrices.G)
@@ -91,16 +81,22 @@ def copy_balance(arm, source, out):
     if tendons_transmit(arm):
         copy(source.tendons.tension, out.tendons.tension)
         copy(source.tendons.shortening, out.tendons.shortening)
-        copy(source.tendons.pull_rate, out.tendons.pull_rate)
         copy_matrix(source.tendons.columns, out.tendons.columns)
-        copy_matrix(source.tendons.rubbed, out.tendons.rubbed)
-        copy_matrix(source.tendons.rubbing, out.tendons.rubbing)
 
 
 @kernel
 def rate_change(with_inertia, balance, h, scratch):
     """Change of the rates scratch.v in a substep of length h, into scratch.delta; without inertia
     they follow from the forces alone."""
+    fill_system(with_inertia, balance, h, scratch)
+    n = scratch.delta.size
+    is_solved = solve_positive_definite(scratch.system, n, scratch.delta)
+    return OK if is_solved else NOT_POSITIVE
+
+
+@kernel
+def fill_system(with_inertia, balance, h, scratch):
+    """Fills scratch.system with the system of the change of the rates in a substep of length h."""
     # (M + h D + h^2 G) dv = h (f - h G v)
     matrices = balance.matrices
     force = balance.force
@@ -118,7 +114,6 @@ def rate_change(with_inertia, balance, h, scratch):
             row[j] = share * m[j] + h * (d[j] + h * g[j])
         stiff = product(g, scratch.v)
         system[i * stride + n] = h * (force[i] - h * stiff)
-    return OK if solve_positive_definite(system, n, scratch.delta) else NOT_POSITIVE
 
 
 @kernel
@@ -148,38 +143,19 @@ def add_answers(ends, delta):
 
 
 @phase
-def stretch_tendons(arm, command, balance, substep, scratch):
-    """Changes scratch.delta, of the substep that has just been solved, to what it is with the
-    tensions at its end under a command (n_a) there. The substep that is a step alone tells whether
-    the step is smooth."""
+def stretch_tendons(arm, command, balance, h, scratch):
+    """Changes scratch.delta to what it is with the tensions at the end of a substep.
+
+    The substep of length h has just been solved; a command (n_a) acts at its end.
+    """
     path = arm.effects.transmission
     ends = scratch.ends
     tendons = balance.tendons
-    h = substep.length
-    answer_tendons(balance, tendons.rubbed, h, scratch)
-    # x + k h give (x - x_before) = k (u - s - h y) between 0 and the strength
-    for i in range(command.size):
-        k = path.stiffness[i]
-        stretched = command[i] - tendons.shortening[i] - h * ends.rate[i]
-        ends.right[i] = k * stretched
-        for j in range(command.size):
-            give = k * h * ends.give[i, j]
-            ends.matrix[i, j] = give + (1.0 if i == j else 0.0)
-            ends.right[i] += give * tendons.tension[j]
-    copy(tendons.tension, ends.tension)
-    solve_bounded(
-        ends.matrix,
-        ends.right,
-        ends.least,
-        path.strength,
-        ends.tension,
-        ends.part,
-        ends.system,
-    )
+    answer_tendons(balance, tendons.columns, h, scratch)
+    bound_tensions(path, command, tendons.shortening, h, tendons.tension, ends)
     for i in range(command.size):
         ends.change[i] = ends.tension[i] - tendons.tension[i]
     add_answers(ends, scratch.delta)
-    find_kink(path, command, tendons.shortening, substep, scratch)
 
 
 @kernel
@@ -213,77 +189,6 @@ def beyond_kink(part, taut, strength):
     return max(-taut, taut - strength, 0.0)
 
 
-@phase
-def slide_tendons(arm, balance, h, scratch):
-    """Changes scratch.delta, of the substep of length h that has just been solved, to what it is
-    with the friction at its end."""
-    ends = scratch.ends
-    slow = arm.effects.transmission.stiction_speed
-    begun = balance.tendons.pull_rate
-    answer_tendons(balance, balance.tendons.rubbing, h, scratch)
-    # rates without the friction of the beginning, z(begun)
-    for i in range(begun.size):
-        free = ends.rate[i]
-        for j in range(begun.size):
-            free += ends.give[i, j] * begun[j] / math.hypot(begun[j], slow)
-        ends.free_rate[i] = free
-    # y + give z(y) = free_rate, from y = begun
-    copy(begun, ends.rate)
-    off = imbalance(ends, slow, ends.rate)
-    for _ in range(MOST):
-        if off <= SAME * slow:
-            break
-        improve_rates(ends, slow, True)
-        after = imbalance(ends, slow, ends.better)
-        if not after < 0.5 * off:
-            improve_rates(ends, slow, False)
-            after = imbalance(ends, slow, ends.better)
-        copy(ends.better, ends.rate)
-        off = after
-    for j in range(begun.size):
-        before = begun[j] / math.hypot(begun[j], slow)
-        ends.change[j] = before - ends.rate[j] / math.hypot(ends.rate[j], slow)
-    add_answers(ends, scratch.delta)
-
-
-@kernel
-def imbalance(ends, slow, rate):
-    """The most by which rates (n_a) are off those that their friction leaves."""
-    most = 0.0
-    for i in range(rate.size):
-        off = rate[i] - ends.free_rate[i]
-        for j in range(rate.size):
-            off += ends.give[i, j] * rate[j] / math.hypot(rate[j], slow)
-        most = max(most, abs(off))
-    return most
-
-
-@kernel
-def improve_rates(ends, slow, is_tangent):
-    """Rates ends.better of the linear problem with the tangents of z at ends.rate, or with its
-    secants."""
-    rate = ends.rate
-    copy(ends.free_rate, ends.right)
-    for j in range(rate.size):
-        speed = math.hypot(rate[j], slow)
-        secant = 1.0 / speed
-        slope = (slow / speed) ** 2 / speed if is_tangent else secant
-        for i in range(rate.size):
-            ends.right[i] -= ends.give[i, j] * (secant - slope) * rate[j]
-            ends.matrix[i, j] = ends.give[i, j] * slope + (1.0 if i == j else 0.0)
-    for i in range(rate.size):
-        ends.part[i] = BETWEEN
-    solve_part(
-        ends.matrix,
-        ends.right,
-        ends.least,
-        ends.least,
-        ends.better,
-        ends.part,
-        ends.system,
-    )
-
-
 @kernel
 def implicit_euler(arm, method, arrived, motion, substep, scratch):
     """One substep from scratch.q, scratch.v, in place, under what has arrived (n_a), from the
@@ -296,15 +201,25 @@ def implicit_euler(arm, method, arrived, motion, substep, scratch):
     if substep.number > 0:
         later_matrices(arm, method, scratch)
         balance = scratch.now
-    status = rate_change(method.with_inertia, balance, h, scratch)
-    if status != OK:
-        return status
-    if tendons_rub(arm):
-        slide_tendons(arm, balance, h, scratch)
-    if arm.effects.transmission.elastic:
+    path = arm.effects.transmission
+    command = arrived
+    if path.elastic:
         end = (substep.number + 1) * h
         command = command_at(arm.effects, arrived, motion.state, end, scratch.acting)
-        stretch_tendons(arm, command, balance, substep, scratch)
+    if tendons_rub(arm):
+        fill_system(method.with_inertia, balance, h, scratch)
+        if substep.is_alone:
+            scratch.sliding.acceleration[:] = 0.0
+        slide_tendons(arm, command, balance, h, scratch)
+        status = scratch.sliding.status[0]
+    else:
+        status = rate_change(method.with_inertia, balance, h, scratch)
+    if status != OK:
+        return status
+    if path.elastic:
+        if not tendons_rub(arm):
+            stretch_tendons(arm, command, balance, h, scratch)
+        find_kink(path, command, balance.tendons.shortening, substep, scratch)
     for i in range(q.size):
         v[i] += delta[i]
         q[i] += h * v[i]

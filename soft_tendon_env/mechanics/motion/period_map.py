@@ -30,8 +30,9 @@ from soft_tendon_env.mechanics.motion.implicit_euler import rate_change, start_m
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
+from soft_tendon_env.mechanics.terms.tendon_friction import find_shares, tendons_rub
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices
+from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices, tendons_transmit
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
@@ -43,7 +44,10 @@ def matrices_of_motion(arm, method, scratch):
     start_matrices(arm, scratch)
     work = scratch.work
     matrices = scratch.first.matrices
-    add_tendon_matrices(arm, work.tendons, work.friction, matrices.D, matrices.G)
+    if tendons_rub(arm):
+        find_shares(arm, work.strain, work.tendons, work.friction)
+    if tendons_transmit(arm):
+        add_tendon_matrices(arm, work, scratch.first.borders, matrices.D, matrices.G)
     if not method.with_inertia:
         matrices.M[:, :] = 0.0
 
@@ -240,7 +244,8 @@ def linearise_period(arm, method, length, steps, scratch, plan, jacobian):
     it begins."""
     work = scratch.work
     matrices_of_motion(arm, method, scratch)
-    actuation_matrix(arm, work.strain, work.ones, work.spare, plan.forces)
+    share = work.friction.share if tendons_rub(arm) else work.ones.tendon
+    actuation_matrix(arm, work.strain, share, work.spare, plan.forces)
     jacobian[:, :] = 0.0
     # T = 2 T(h/2) - T(h)
     add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, jacobian)

@@ -12,6 +12,7 @@ from soft_tendon_env.mechanics.effects import IntArray
 from soft_tendon_env.mechanics.terms.command_filter import Arrival
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import (
+    Borders,
     Matrices,
     TendonForces,
     Workspace,
@@ -51,15 +52,14 @@ class Balance(Struct):
     matrices: Matrices
     force: Annotated[np.ndarray, "n"]  # drive - C v + F
     tendons: TendonForces  # those in the force, of tendons that are elastic or rub
+    borders: Borders  # of tendons that rub
 
 
 class TendonEnds(Struct):
-    """Scratch of stretch_tendons() and slide_tendons(): tendons at the end of a substep."""
+    """Scratch of stretch_tendons() and slide_tendons(): elastic tendons at the end of a substep."""
 
     tension: Annotated[np.ndarray, "n_a"]  # [N], the solution
     rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which they are pulled in
-    better: Annotated[np.ndarray, "n_a"]  # likewise
-    free_rate: Annotated[np.ndarray, "n_a"]  # likewise, without friction
     change: Annotated[np.ndarray, "n_a"]  # of the forces, by the end of the substep
     part: Annotated[IntArray, "n_a"]  # of their tension, see solve_bounded()
     first_part: Annotated[IntArray, "n_a"]  # likewise, in the first substep of the step
@@ -69,6 +69,29 @@ class TendonEnds(Struct):
     matrix: Annotated[np.ndarray, "n_a", "n_a"]
     right: Annotated[np.ndarray, "n_a"]  # right-hand side
     system: Annotated[np.ndarray, "n_a", "n_a + 1"]
+
+
+class Sliding(Struct):
+    """Scratch of slide_tendons(): tendons that rub, at their borders, at the end of a substep.
+
+    Rows are filled up to whole packs.
+    """
+
+    status: Annotated[IntArray, "1"]
+    tension: Annotated[np.ndarray, "n_a"]  # [N] at the actuators
+    direction: Annotated[np.ndarray, "n_a x points"]  # z, an unknown of its own
+    rate: Annotated[np.ndarray, "n_a x points"]  # [m/s] that slides
+    lead: Annotated[np.ndarray, "n_a x points"]  # z of that rate
+    slope: Annotated[np.ndarray, "n_a x points"]  # change of z by the rate [s/m]
+    change: Annotated[np.ndarray, "row"]  # of the rates v by a Newton step
+    turning: Annotated[np.ndarray, "row"]  # derivative of mu z dphi up to a border
+    pulling: Annotated[np.ndarray, "row"]  # less that of the tension there
+    left: Annotated[np.ndarray, "n_a x points"]  # what the share of a tension gains there
+    fall: Annotated[np.ndarray, "n_a x points"]  # likewise, by the rates to first order
+    falls: Annotated[np.ndarray, "points x row"]  # derivatives of that, of one tendon
+    acceleration: Annotated[np.ndarray, "n"]  # in the substep before; 0 in the first of a step
+    # rows of n coefficients, the right-hand side, and one for each tendon; filled up with rows
+    system: Annotated[np.ndarray, "row x wide"]
 
 
 SMOOTH = 0
@@ -97,6 +120,7 @@ class Scratch(Struct):
     delta: Annotated[np.ndarray, "n"]  # change of v
     system: Annotated[np.ndarray, "n x stride"]  # see linear
     ends: TendonEnds
+    sliding: Sliding
     kink: Annotated[IntArray, "1"]  # SMOOTH or KINKED
     # extrapolation
     table_q: Annotated[np.ndarray, "orders", "orders", "n"]
@@ -117,6 +141,7 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
     sizes["stride"] = row_stride(arm.strain.size + 1)
     sizes["steps"] = log
     sizes["n_a + 1"] = arm.tendons.size + 1
+    sizes["wide"] = row_stride(arm.strain.size + 1 + arm.tendons.size)
     work = make_workspace(arm)
     now = zeros(Balance, sizes, matrices=work.matrices, tendons=work.tendons)
     return zeros(Scratch, sizes, work=work, now=now)

@@ -8,6 +8,7 @@ NOT_FINITE = 3
 INACCURATE = 4
 PENETRATED = 5
 COMMAND_QUEUE_FULL = 6
+UNSETTLED = 7
 
 MESSAGES = {
     NO_STRAIN: "no strain balances the coordinates",
@@ -20,4 +21,5 @@ MESSAGES = {
     COMMAND_QUEUE_FULL: (
         "commands change more often than the delay of their path keeps, once every integrator.step"
     ),
+    UNSETTLED: "the friction of the tendons has no balance",
 }

@@ -1,2 +1,6 @@
-"""The equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms;
-`evaluate` names the phases in order."""
+"""Equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms.
+
+`evaluate` names the phases in order.
+
+`evaluate` names the phases in order.
+"""

@@ -23,7 +23,7 @@ from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_matrices,
 )
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.terms.transmission import actuator_tensions, tendons_rub
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 
 
 @kernel
@@ -49,17 +49,17 @@ def evaluate_forces(arm, tension, q, q_dot, tolerance, work):
     or the block without a strain."""
     failed = find_strain(arm, q, tolerance, work)
     if failed < 0:
-        add_up_forces(arm, tension, q, q_dot, False, work)
+        add_up_forces(arm, tension, q, q_dot, work)
     return failed
 
 
 @kernel
 def evaluate_forces_of_command(arm, command, q, q_dot, tolerance, work):
-    """evaluate_forces() under the tensions that come of a command (n_a)."""
+    """evaluate_forces() under the tensions that come of a command (n_a), without their friction."""
     failed = find_strain(arm, q, tolerance, work)
     if failed < 0:
         tension = actuator_tensions(arm, command, work.strain.xi, work.tendons)
-        add_up_forces(arm, tension, q, q_dot, tendons_rub(arm), work)
+        add_up_forces(arm, tension, q, q_dot, work)
     return failed
 
 
@@ -81,13 +81,12 @@ def find_strain(arm, q, tolerance, work):
 
 
 @kernel
-def add_up_forces(arm, tension, q, q_dot, rubs, work):
-    """M and all forces of (23), where find_strain() has just left the strain at q. rubs: see
-    external_force()."""
+def add_up_forces(arm, tension, q, q_dot, work):
+    """M and all forces of (23), where find_strain() has just left the strain at q."""
     drive_strained_rod(arm, tension, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work.kinematics, work.spare.wrench, work.forces.bias)
     if arm.effects.count > 0:
-        external_force(arm, rubs, work)
+        external_force(arm, work)
     else:
         work.forces.load[:] = 0.0  # which another arm has filled, if it shares the workspace
     mass_matrix(arm.rod, arm.strain, work.kinematics.J, work.matrices.M)
@@ -136,7 +135,7 @@ def balance_at_rest(arm, tension, q, tolerance, work):
     drive_strained_rod(arm, tension, q, np.zeros(q.size), work)
     if arm.effects.count > 0:
         work.inputs.since[0] = math.inf
-        external_force(arm, False, work)
+        external_force(arm, work)
         work.inputs.since[0] = 0.0
     else:
         work.forces.load[:] = 0.0
@@ -177,7 +176,7 @@ def equation_of_motion(arm, tension, q, q_dot, rests, tolerance, work, out):
     copy_matrix(matrices.G, out.stiffness)
     copy(work.forces.bias, out.bias)
     copy(work.forces.load, out.external_force)
-    actuation_matrix(arm, work.strain, work.ones, work.spare, out.actuation)
+    actuation_matrix(arm, work.strain, work.ones.tendon, work.spare, out.actuation)
     # the effects' share of D and G
     if arm.effects.count > 0:
         add_implicit(arm, work)

@@ -24,7 +24,7 @@ from soft_tendon_env.mechanics.effects import (
 )
 from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
-from soft_tendon_env.mechanics.terms.transmission import add_lost_stress, find_shares
+from soft_tendon_env.mechanics.terms.tendon_friction import add_lost_stress, find_shares
 
 # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 NODE_SHARE = 1e-7
@@ -84,13 +84,13 @@ def place_base(arm, time, base):
 
 
 @phase
-def external_force(arm, rubs, work):
+def external_force(arm, work):
     """Generalised force F of all effects into work.forces.load, with the derivatives of wrenches
-    and stresses at nodes and points. rubs: whether friction takes a share of the tensions, which
-    are then those of a command."""
+    and stresses at nodes and points; without the friction of tendons, which is that of a step's
+    end."""
     law = arm.strain
     force = work.forces.load
-    wrenches, stresses = effect_loads(arm, rubs, work)
+    wrenches, stresses = effect_loads(arm, False, work)
     force[:] = 0.0
     if stresses:
         rows = point_rows(arm.rod)
@@ -112,7 +112,8 @@ def external_force(arm, rubs, work):
 @kernel
 def effect_loads(arm, rubs, work):
     """Wrenches of all effects and stresses times the weights into work.loads, with their
-    derivatives; whether there are any of each. Those without any are left as they are."""
+    derivatives; whether there are any of each. Those without any are left as they are. rubs:
+    whether stresses have what friction takes from the tensions, those of a command."""
     strain = work.strain
     loads = work.loads
     if rubs:

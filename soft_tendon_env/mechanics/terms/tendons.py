@@ -148,11 +148,12 @@ def actuation_wrench(tendons, blocks, block, i, tangent):
 
 
 @kernel
-def actuation_matrix(arm, strain, ones, spare, out):
-    """Actuation matrix B (n, n_a); overwrites the matrix and the stress of `spare`."""
+def actuation_matrix(arm, strain, share, spare, out):
+    """Actuation matrix B (n, n_a), with a share (tendons x points) of the tensions; overwrites the
+    matrix and the stress of `spare`."""
     column = spare.matrix[0]
     for i in range(arm.tendons.size):
-        actuation_column(arm, i, ones.tendon, strain, spare.stress, column)
+        actuation_column(arm, i, share, strain, spare.stress, column)
         for j in range(column.size):
             out[j, i] = column[j]
 
