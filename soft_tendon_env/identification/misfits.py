@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.identification.misread import EXACT
 from soft_tendon_env.identification.readings import mean_of_finite
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.tools.types import Array
 
+Mask = NDArray[np.bool_]  # (samples, m)
 CORRELATED = 0.3  # correlation of successive residuals that are no noise
 FEWEST = 100  # pairs of successive residuals below which their correlation may be chance
 CHANCE = 0.005  # probability below which residuals follow the commands, or drift
@@ -153,7 +155,7 @@ def _holds_in_order(misfits: Sequence[Misfit]) -> list[Misfit]:
     return sorted(holds, key=lambda misfit: misfit.recording.row)
 
 
-def _outlying(misfits: Sequence[Misfit], length: float) -> list[Array]:
+def _outlying(misfits: Sequence[Misfit], length: float) -> list[Mask]:
     """Which positions (samples, m) of each recording stand out; none where they are many."""
     distances = list[Array]()
     for misfit in misfits:
@@ -177,7 +179,7 @@ def _outlying(misfits: Sequence[Misfit], length: float) -> list[Array]:
     return [distance > least for distance in distances]
 
 
-def _outlier_texts(misfits: Sequence[Misfit], outlying: Sequence[Array], arm: Arm) -> list[str]:
+def _outlier_texts(misfits: Sequence[Misfit], outlying: Sequence[Mask], arm: Arm) -> list[str]:
     """Finding that a few positions stand out."""
     count = sum(int(is_outlying.sum()) for is_outlying in outlying)
     if not count:

@@ -140,7 +140,7 @@ class Readings:
         # coordinates of the parameters that were simulated last, and the poses there: residuals,
         # derivatives and errors are asked for at the same ones
         self._last_x = b""
-        self._last_poses = np.empty(0)
+        self._last_poses: Array = np.empty((0, 0, 4, 4))
         has_motions = any(recording.period for recording in recordings)
         self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]

@@ -1,15 +1,18 @@
 """Parameters that held-out recordings do not call for: overfitting, where fewer judge as well."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.identification.fit import Fit, variances
 from soft_tendon_env.identification.readings import NoHoldError, Readings, mean_of_finite
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
-OVERFIT = (
-    1.25  # mean error of held-out recordings, in parts of the fit's, from which fewer are tried
-)
+# mean error of held-out recordings, in parts of the fit's, from which fewer are tried
+OVERFIT = 1.25
+Places = NDArray[np.signedinteger[Any]]  # of parameters
 KEPT = (0.0, 0.25, 0.5, 0.75)  # shares of the parameters that are tried, the fewest first
 SAME = 0.02  # part of the held-out error that counts as none
 
@@ -51,7 +54,7 @@ def fewer_parameters_text(estimate: Fit, fit_error: float, judge: Readings) -> s
     return None
 
 
-def _error_without(estimate: Fit, left_out: Array, judge: Readings) -> float:
+def _error_without(estimate: Fit, left_out: Places, judge: Readings) -> float:
     """Mean error [m] of held-out readings where some parameters keep the scene's numbers.
 
     It is infinite where that arm does not hold them.
@@ -66,7 +69,7 @@ def _error_without(estimate: Fit, left_out: Array, judge: Readings) -> float:
     return mean_of_finite(errors.values())
 
 
-def _estimate_without(estimate: Fit, left_out: Array) -> Array:
+def _estimate_without(estimate: Fit, left_out: Places) -> Array:
     """Coordinates (k,) of the linearised least squares where those left out are zero."""
     is_kept = np.ones(estimate.x.size, dtype=bool)
     is_kept[left_out] = False
