@@ -1,5 +1,5 @@
-"""Fields of classes as one table in the API pages, with the comment behind each: shapes and units
-stand there, `q: Array  # (n,)`."""
+"""Fields of classes as one table in the API pages, with the comment beside or above each: shapes
+and units stand there, `q: Array  # (n,)`."""
 
 import ast
 import re
@@ -48,16 +48,32 @@ def is_field(attribute: griffe.Attribute) -> bool:
 
 
 def description(field: griffe.Attribute) -> str:
-    """The description of a pydantic Field, or the comment at the end of the field's line, and its
+    """The comment beside or above a field, or the description of its pydantic Field, and its
     default."""
     value = str(field.value) if field.value is not None else ""
-    comment = re.search(r"  # (.+)$", field.lines[-1]) if field.lines else None
-    texts = (
-        [comment[1]]
-        if comment
-        else [
-            ast.literal_eval(found[1])
-            for found in re.finditer(r"description=('[^']*'|\"[^\"]*\")", value)
-        ]
-    )
-    return "; ".join(texts + [f"default `{value}`"] if value and "Field(" not in value else texts)
+    text = comment(field)
+    if text:
+        texts = [text]
+    else:
+        quoted = re.findall(r"description=('[^']*'|\"[^\"]*\")", value)
+        texts = [ast.literal_eval(words) for words in quoted]
+    if value and "Field(" not in value:
+        texts.append(f"default `{value}`")
+    return "; ".join(texts)
+
+
+def comment(field: griffe.Attribute) -> str:
+    """The comment at the end of the field's line, or else the lines of comment above it; empty
+    without any."""
+    if not field.lines:
+        return ""
+    behind = re.search(r"  # (.+)$", field.lines[-1])
+    if behind:
+        return behind[1]
+    source = field.lines_collection[field.filepath]
+    above: list[str] = []
+    for line in reversed(source[: field.lineno - 1]):
+        if not line.lstrip().startswith("# "):
+            break
+        above.insert(0, line.strip().removeprefix("# "))
+    return " ".join(above)

@@ -21,8 +21,11 @@ OBSERVED = ("tip_position", "tip_rotation", "tendon_lengths", "last_action", "co
 
 
 class LineArm:
-    """Three tendons: "?" is answered by a line of time, lengths and the tip's pose, row by row;
-    three tensions [N] are a command."""
+    """Three tendons: "?" is answered by a line of the motors' time, lengths, the tracker's time and
+    the tip's pose, row by row; three tensions [N] are a command.
+
+    The tracker's time is that of its frame: one that has lost sight goes on giving its last pose.
+    """
 
     command_unit = "N"
     senses = ("tip_pose", "tendon_length")
@@ -36,7 +39,10 @@ class LineArm:
         print("?", file=self._lines, flush=True)
         numbers = np.array(self._lines.readline().split(), dtype=float)
         return Measurement(
-            numbers[0], tip_pose=numbers[4:].reshape(4, 4), tendon_length=numbers[1:4]
+            numbers[0],
+            tendon_length=numbers[1:4],
+            tip_time=numbers[4],
+            tip_pose=numbers[5:].reshape(4, 4),
         )
 
     def write(self, command: np.ndarray) -> np.ndarray:
@@ -58,7 +64,8 @@ class StandIn(socketserver.StreamRequestHandler):
         for line in self.rfile:
             if line == b"?\n":
                 measured = self.arm.read()
-                numbers = [measured.time, *measured.tendon_length, *measured.tip_pose.ravel()]
+                times = (measured.time, measured.time_of_pose)
+                numbers = [times[0], *measured.tendon_length, times[1], *measured.tip_pose.ravel()]
                 self.wfile.write(" ".join(map(repr, map(float, numbers))).encode() + b"\n")
             else:
                 self.arm.write(np.array(line.split(), dtype=float))

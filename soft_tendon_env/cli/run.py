@@ -27,6 +27,7 @@ from soft_tendon_env.robots.environment import (
     run_policy,
 )
 from soft_tendon_env.robots.log import check_log
+from soft_tendon_env.robots.process import RobotProcess
 from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.configuration import parsed_changes, shown
@@ -146,11 +147,18 @@ def run(settings: Run) -> None:
 
 def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
     """The robot that a class MODULE:CLASS, also of the current folder, makes of these options.
-    Raises ValueError, and what that raises."""
+
+    One with own_process, see Robot, is made in a process of its own.
+
+    Raises ValueError, and what that raises.
+    """
     look_in_this_folder()
     module, _, attribute = name.partition(":")
     try:
-        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
+        make = getattr(importlib.import_module(module), attribute)
+        if getattr(make, "own_process", False):
+            return RobotProcess(make, **options)
+        robot: Robot = make(**options)
         check_robot(robot)
     except (ImportError, AttributeError, TypeError) as error:
         raise ValueError(

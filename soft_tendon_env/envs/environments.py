@@ -362,6 +362,9 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         for row in members.tolist():
             if seeds[row] is not None or row not in generators:
                 generators[row], _ = seeding.np_random(seeds[row])
+        if isinstance(seed, int | np.integer):
+            # as every vector environment of Gymnasium has it; rows draw from their own
+            self._np_random, self._np_random_seed = seeding.np_random(seeds[0])
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True

@@ -23,6 +23,7 @@ from soft_tendon_env.envs.observation import (
     Units,
     stress_free_strain,
 )
+from soft_tendon_env.envs.option_units import warn_of_memory, warn_of_options
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
     Options,
@@ -44,7 +45,7 @@ from soft_tendon_env.envs.tracking import (
     norm,
     weights_of,
 )
-from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
+from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories, least_bytes
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion, Tape
@@ -264,6 +265,8 @@ class Episodes:
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
+        warn_of_options(options, scene)
+        warn_of_memory(rows, least_bytes(options.preview, options.control_period))
         model = build_model(scene)
         self.task = task
         self.options = options

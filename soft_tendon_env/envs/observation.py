@@ -168,6 +168,32 @@ def _checked_group(name: str, group: Any) -> Group:
     return group
 
 
+POSITION_AND_COLUMNS = [3, 0, 1]
+"""Columns of a pose [R, r]: its position, and the first two of its rotation."""
+
+
+def _target_from_tip(observed: Observed) -> Array:
+    """Targets as the tip sees them, now and at each preview time, (rows, 1 + previews, 9).
+
+    They are position and first two columns of the rotation, in the tip's frame, by operations that
+    tensors of PyTorch and ONNX have too.
+    """
+    R = observed.tip_pose[:, None, :3, :3]
+    r = observed.tip_pose[:, None, :3, 3:]
+    target = observed.target.tip_pose
+    # g^-1 g_bar = R^T [R_bar, r_bar] - R^T r [0, 0, 0, 1]; products as sums over rows of R
+    turned = (R[..., None] * target[:, :, :3, None, :]).sum(2)
+    place_of_tip = (R * r).sum(2)
+    seen = turned - place_of_tip[..., None] * target[:, :, 3:, :]
+    columns = seen[..., POSITION_AND_COLUMNS].swapaxes(2, 3)
+    return columns.reshape(*columns.shape[:2], 9)
+
+
+def _pose_unit(units: Units) -> Array:
+    """Units of positions, in lengths of the rod, and columns of rotations."""
+    return np.repeat([0.1 * units.length, 1.0, 1.0], 3)
+
+
 HISTORY = "history"
 """Name of the slice of an observation after all groups, if it has a history."""
 
@@ -214,7 +240,7 @@ _SHIPPED: dict[str, Group] = {
         of_arm=True,
     ),
     "target_error": Group(
-        "SE(3) logarithm from tip to target",
+        "SE(3) logarithm from tip to target, which jumps where they are half a turn apart",
         lambda o: o.error[:, 0],
         _error_unit,
         FAR,
@@ -230,6 +256,20 @@ _SHIPPED: dict[str, Group] = {
         "target_error at each preview time",
         lambda o: _flat(o.error[:, 1:]),
         _error_unit,
+        FAR,
+        of_target=True,
+    ),
+    "target_pose": Group(  # continuous, unlike the logarithm, which jumps at half a turn
+        "position of the target and first two columns of its rotation, tip frame",
+        lambda o: _target_from_tip(o)[:, 0],
+        _pose_unit,
+        FAR,
+        of_target=True,
+    ),
+    "pose_preview": Group(
+        "target_pose at each preview time",
+        lambda o: _flat(_target_from_tip(o)[:, 1:]),
+        _pose_unit,
         FAR,
         of_target=True,
     ),

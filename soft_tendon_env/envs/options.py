@@ -196,6 +196,13 @@ class Options(Configuration):
             )
         return scene_to_dict(scene) if isinstance(scene, Scene) else scene
 
+    @field_validator("preview", mode="before")
+    @classmethod
+    def _times(cls, preview: Any) -> Any:
+        if isinstance(preview, int | float) and not isinstance(preview, bool):
+            raise ValueError(f"should be a list of times ahead [s]: [{preview}]")
+        return preview
+
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
@@ -480,7 +487,12 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     if task.goal is not None and has_weights:
         _fail("reward", "should be 'sparse' or 'dense'")
     if task.goal is None and not has_weights:
-        _fail("reward", "should be a table of weights by term")
+        usual = dict(task.reward)
+        _fail(
+            "reward",
+            f"is {options.reward!r}, which tasks with a goal have, such as Reach: {task.name} takes"
+            f" a table of weights by term, such as {usual}",
+        )
 
 
 def _check_preview(options: Options) -> None:

@@ -31,6 +31,21 @@ BANK_SEED = 2**64
 that have a purpose."""
 
 
+POSE_BYTES = 8 * (16 + 6)
+"""Memory [bytes] of a sampled pose and twist."""
+
+
+def least_bytes(preview: Sequence[float], period: float) -> int:
+    """Memory [bytes] that the table of a row's targets takes at least.
+
+    Args:
+        preview: times [s] ahead.
+        period: of control [s].
+    """
+    longest = max((round(time / period) for time in preview), default=0)
+    return (CHUNK + longest) * POSE_BYTES
+
+
 class TargetTrajectories:
     """Rows of target motions, and a table of each that reaches as far ahead as the preview."""
 

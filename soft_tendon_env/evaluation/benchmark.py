@@ -223,7 +223,7 @@ def misfit(
         if period != parsed.control_period:
             return f"it was trained with control_period = {period}"
     groups = groups_of(parsed, TASKS[policy.task])
-    beyond = [name for name in groups if name not in allowed.groups]
+    beyond = [name for name in groups if name not in allowed.allowed]
     if beyond:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)

@@ -269,6 +269,8 @@ class _ControlPeriod(torch.nn.Module):
         self.inputs = dict(zip(measured, tensors, strict=True))
         for name, value in states.items():
             self.inputs[name] = value.double()
+        # those that are looked at for a lost sensor: what the agent reads
+        self.watched = [*measured]
         self.outputs = ["action"]
         for name in states:
             self.outputs.append(f"next_{name}")
@@ -308,14 +310,32 @@ class _ControlPeriod(torch.nn.Module):
         above = torch.maximum(unlimited, self.scale.least)
         sent = torch.minimum(above, self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
-        # an output of its own, though the same as the action
-        next_action = 1.0 * action
-        states = (started, sent, next_action, history, total, memory)
-        outputs = [action[0]]
-        for state in states:
+        states = {
+            "started": started,
+            "command": sent,
+            "last_action": action,
+            "history": history,
+            "integral": total,
+            "memory": memory,
+        }
+        before = {**rows, "command": command, "last_action": last_action}
+        is_lost = self._is_lost(rows)
+        outputs = [torch.where(is_lost, last_action, action)[0]]
+        for name, state in states.items():
             if state is not None:
-                outputs.append(state[0])
+                outputs.append(torch.where(is_lost, before[name], state)[0])
         return tuple(outputs)
+
+    def _is_lost(self, rows: Parts) -> Tensor:
+        """Whether a measurement is not finite, as of a sensor that is lost.
+
+        Then the command and all that is remembered stay: no NaN reaches motors or memory.
+        """
+        # x - x is NaN for what is not finite, which is not equal to 0
+        differences = torch.zeros((), dtype=torch.float64)
+        for name in self.watched:
+            differences = differences + (rows[name] - rows[name]).abs().sum()
+        return torch.logical_not(differences == 0.0)
 
     def _rows(self, values: tuple[Tensor, ...]) -> Parts:
         """Inputs by name, as rows."""
@@ -404,6 +424,10 @@ def export_agent(
     episodes = episodes_of(env)
     agent, integral = _parts_of(policy)
     module = _ControlPeriod(episodes, agent, integral).eval()
+    # first to see what the agent reads, with nothing looked at for a lost sensor
+    module.watched = []
+    read = _drop_unused_inputs(_trace(module))
+    module.watched = [name for name in MEASUREMENTS if name in read]
     model = _trace(module)
     used = _drop_unused_inputs(model)
     model.ir_version = IR_VERSION
@@ -482,6 +506,7 @@ def _metadata(episodes: Episodes, used: set[str]) -> dict[str, Any]:
         "preview_s": episodes.ahead[1:].tolist(),
         "sensors_m": episodes.sensors.tolist(),
         "command": {"unit": unit, "limits": limits.tolist()},
+        "lost": "NaN in an input repeats the last command and changes nothing that is remembered",
     }
 
 

@@ -43,6 +43,11 @@ class ActorAlgorithm(BaseAlgorithm):
         _init_setup_model: bool = True,
         **general: Any,
     ) -> None:
+        if isinstance(env, TendonRodVectorEnv):
+            raise TypeError(
+                "env is of gym.make_vec, which Stable-Baselines3 does not take: write"
+                ' make_sb3_vec_env("TendonRod-TipPose-v0", 64), of soft_tendon_env.learning.vec_env'
+            )
         super().__init__(
             policy,
             env,

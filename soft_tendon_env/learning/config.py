@@ -105,6 +105,15 @@ class Training(Configuration):
         (word,) = sequence.generate_state(1, np.uint64)
         return SEEDS["training"].start + int(word >> np.uint64(16))
 
+    @field_validator("learning_rate", mode="before")
+    @classmethod
+    def _is_rate(cls, rate: Any) -> Any:
+        if not isinstance(rate, int | float | list | tuple):
+            raise ValueError(
+                'should be a number such as 3e-4, [first, last], or [first, last, "geometric"]'
+            )
+        return rate
+
     @field_validator("algorithm")
     @classmethod
     def _is_trained(cls, algorithm: str) -> str:

@@ -32,7 +32,7 @@ from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, build_network, read_weights
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_registered, read_toml
-from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
+from soft_tendon_env.tools.files import check_digests, digest, read_json, shipped_folder
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Positive
 
@@ -70,7 +70,13 @@ OF_TRAINING = (
 say."""
 PHYSICS = ("segments", "tendons", "base", "effects")
 """Tables of a scene that define the physical arm, as opposed to how it is computed."""
-OF_COORDINATES = {"coordinates", "rates", "target_coordinates"}
+OF_COORDINATES = {
+    "coordinates",
+    "rates",
+    "target_coordinates",
+    "coordinate_preview",
+    "wanted_coordinates",
+}
 """Observation groups whose meaning depends on the strain parametrisation."""
 
 
@@ -277,8 +283,7 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
-    files = {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}
-    check_digests(folder, files, folder / CONFIG)
+    _check_files(folder, config)
     _check_agent(name, config, episodes, other_effects)
     if isinstance(env, gym.vector.VectorEnv):
         observations: gym.Space[Any] = env.single_observation_space
@@ -296,6 +301,24 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
             " see others without"
         )
     return acting_policy(NetworkPolicy(network, normalization), env, config.integral_time)
+
+
+def _check_files(folder: Path, config: AgentConfig) -> None:
+    """Raises an error for files that are not those of an agent's training.
+
+    It is a ValueError or a FileNotFoundError, also for files without a digest in config.json.
+    """
+    for name in (WEIGHTS, STATISTICS):
+        is_there = (folder / name).exists()
+        if is_there and name not in config.files:
+            digest_of_file = digest(folder / name)
+            raise ValueError(
+                f"{folder / CONFIG} has no digest of {name}, by which a damaged or exchanged file"
+                " is noticed: if it is the right one, write"
+                f' "files": {{"{name}": "{digest_of_file}"}} into it'
+            )
+    files = {file: config.files[file] for file in (WEIGHTS, STATISTICS) if file in config.files}
+    check_digests(folder, files, folder / CONFIG)
 
 
 def load_network(
@@ -330,7 +353,7 @@ def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Polic
     return IntegralPolicy(agent, env, integral_time)
 
 
-def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
+def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> dict[str, str]:
     """Writes an agent's weights and statistics into a folder, beside its config.json.
 
     Args:
@@ -339,13 +362,19 @@ def save_agent(folder: Path, network: Any, normalization: Normalization | None) 
             written.
         normalization: of its observations, see `normalization_of`; None: there is none.
 
+    Returns:
+        SHA-256 of the files by name, which config.json should have as `files`.
+
     Raises:
         OSError: the folder cannot be written.
     """
     arrays = acting_arrays(network.state_dict())
     np.savez_compressed(folder / WEIGHTS, allow_pickle=False, **arrays)
+    names = [WEIGHTS]
     if normalization is not None:
         save_normalization(folder / STATISTICS, normalization)
+        names.append(STATISTICS)
+    return {name: digest(folder / name) for name in names}
 
 
 def strain_of(scene: Scene) -> dict[str, Any]:
@@ -471,8 +500,10 @@ def _check_arm(name: str, trained: Options, scene: Scene, other_effects: bool) -
 def _check_interface(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
     """Raises ValueError where observations or actions mean something else than in a training."""
     layout = layout_of(episodes)
+    # first what others follow from: the usual preview times depend on the control period
     values: dict[str, tuple[Any, Any]] = {
-        "observation": (_group_names(config.layout or layout), _group_names(layout))
+        "control_period": (trained.control_period, episodes.options.control_period),
+        "observation": (_group_names(config.layout or layout), _group_names(layout)),
     }
     for key in SAME:
         values[key] = (getattr(trained, key), getattr(episodes.options, key))

@@ -8,6 +8,7 @@ policy = name.load(env)
 """
 
 import importlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,14 +20,16 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fid
 from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.policies.agent import (
     ARM,
     INTERFACE,
+    OF_COORDINATES,
     AgentConfig,
     find_agent,
     is_agent,
+    layout_of,
     load_agent,
     read_config,
     shipped,
@@ -322,6 +325,14 @@ class Agent(PolicyName):
         for key, value in undisturbed(self.config.options).items():
             if key in (*ARM, *INTERFACE):
                 own[key] = value
+        # before options that follow from it, such as the preview, are refused in its place
+        period = self.arm["control_period"]
+        other_period = given.get("control_period", period)
+        if other_period != period:
+            raise ValueError(
+                f"{self.text} was trained with control_period = {period!r}, and acts at no other:"
+                f" control_period is {other_period!r}"
+            )
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
@@ -383,13 +394,41 @@ class UserPolicy(PolicyName):
             if isinstance(space, gym.Space) and space not in spaces:
                 raise ValueError(
                     f"policy is {self.text!r}, made for the {key} {space}: the environment's is"
-                    f" {spaces[0]}"
+                    f" {spaces[0]}{_other_sizes(space, episodes_of(env))}"
                 )
         return made
 
     def fingerprint(self) -> Any:
         file = getattr(importlib.import_module(self.module), "__file__", None)
         return [self.text, None if file is None else digest(Path(file))]
+
+
+def _other_sizes(space: gym.Space[Any], episodes: Episodes) -> str:
+    """Why an observation of another size may be of the same groups, in words; "": it is not."""
+    box = space["observation"] if isinstance(space, gym.spaces.Dict) else space
+    layout = layout_of(episodes)
+    sizes = ", ".join(f"{group} ({size})" for group, size in layout.items())
+    depending = [group for group in layout if group in OF_COORDINATES]
+    if not isinstance(box, gym.spaces.Box) or box.shape == episodes.layout.space.shape:
+        return ""
+    text = f". It has {sizes}"
+    if depending and not episodes.options.history:
+        coordinates = episodes.model.coordinate_count
+        of_coordinates = sum(layout[group] for group in depending) // coordinates
+        difference = math.prod(box.shape) - sum(layout.values())
+        others = coordinates + difference / of_coordinates
+        text += (
+            f"; {', '.join(depending)} have an entry for each of the arm's {coordinates}"
+            " coordinates, whose number depends on the fidelity, here"
+            f" {episodes.options.fidelity!r}"
+        )
+        if others == int(others) > 0:
+            text += (
+                f": an arm with {int(others)} has observations of that size. Evaluate at the"
+                " fidelity of the training, or train with groups that do not depend on it, such as"
+                " 'measurable'"
+            )
+    return text
 
 
 def policy_environment(env: Any, scene: Scene | None = None) -> Any:

@@ -30,6 +30,8 @@ TARGET_GROUPS = (
     "target_lengths",
 )
 """Observation groups available in every information regime: target, last command."""
+TARGET_GROUPS_BY_CHOICE = ("target_pose", "pose_preview")
+"""Observation groups of the target that are allowed besides, to who chooses them."""
 
 
 class Regime(NamedTuple):
@@ -42,7 +44,13 @@ class Regime(NamedTuple):
 
     @property
     def groups(self) -> tuple[str, ...]:
+        """Groups that policies observe unless they choose others."""
         return *self.measured, *TARGET_GROUPS
+
+    @property
+    def allowed(self) -> tuple[str, ...]:
+        """Groups that policies may observe."""
+        return *self.groups, *TARGET_GROUPS_BY_CHOICE
 
 
 REGIMES: Mapping[str, Regime] = {

@@ -50,7 +50,8 @@ class DynamixelRobot:
 
     Currents give the measured tensions. Positions give the lengths of the tendons, as if these did
     not stretch; at the beginning the tendons should be just taut. `tip_pose` gives the pose of the
-    tip.
+    tip with its time, so that a tracker that has lost sight is noticed. A pose alone counts as new
+    where it differs from the last one in any bit.
 
     Raises:
         TypeError: for arguments of wrong types.
@@ -65,12 +66,14 @@ class DynamixelRobot:
     radius: ArrayLike
     # torque [N m] of a motor, behind its gear, for an ampere: of an XM430-W350 about 1.8
     torque_constant: float
-    # returns the newest pose (4, 4) of the tip in the scene's world frame, of a tracker
-    tip_pose: Callable[[], Array] | None = None
+    # returns the newest time [s], of any clock, and pose (4, 4) of the tip in the scene's world
+    # frame that a tracker has measured; or that pose alone
+    tip_pose: Callable[[], tuple[float, Array] | Array] | None = None
     # of a step of current [A], of X motors of 430 and 540; 0.001 for 330
     current_unit: float = 0.00269
     watchdog: float = 0.1  # silence [s] after which the motors stop, in steps of 0.02 s
     command_unit: ClassVar[Unit] = "N"
+    own_process: ClassVar[bool] = True  # see Robot
 
     def __post_init__(self) -> None:
         import dynamixel_sdk as sdk  # here: it is an extra
@@ -109,6 +112,8 @@ class DynamixelRobot:
         for motor in self.ids:
             self._set(motor, TORQUE_ENABLE, 1)
         self._heard = -math.inf  # [s] when the motors were talked to last
+        self._bare_pose: Array | None = None  # the last one that came without its time
+        self._bare_time = 0.0  # [s] when it came first
 
     def _check_ids(self) -> None:
         """Raises ValueError for ids that no motors have, or two of them."""
@@ -120,23 +125,43 @@ class DynamixelRobot:
             )
 
     def read(self) -> Measurement:
-        """Reads currents and positions of all motors in one packet, and the tip's pose.
+        """Reads currents and positions of all motors in one packet, and the tip's pose with time.
 
         Returns:
             The measurement.
 
         Raises:
             ConnectionError: where the port is lost, or a motor does not answer.
+            TypeError: for what `tip_pose` should not return.
         """
         current, _, position = self._read_present()
-        tip = None if self.tip_pose is None else self.tip_pose()
+        tip_time, tip_pose = self._read_tip()
         turned = (self._zero - position) / TICKS  # [rad], in which the motors wind
         return Measurement(
             perf_counter(),
-            tip_pose=tip,
+            tip_pose=tip_pose,
             tension=current * self._tension_unit,
             tendon_length=turned * self._radius,
+            tip_time=tip_time,
         )
+
+    def _read_tip(self) -> tuple[float | None, Array | None]:
+        """Time [s] and pose (4, 4) of the tip as the tracker has them. Raises TypeError."""
+        if self.tip_pose is None:
+            return None, None
+        newest = self.tip_pose()
+        if isinstance(newest, tuple):
+            if len(newest) != 2:
+                raise TypeError(
+                    f"tip_pose should return (time, pose), not a tuple of {len(newest)}"
+                )
+            return newest
+        pose = np.array(newest)
+        # measured poses have noise: one that stays the same to the last bit was not measured anew
+        if self._bare_pose is None or not np.array_equal(pose, self._bare_pose):
+            self._bare_pose = pose
+            self._bare_time = perf_counter()
+        return self._bare_time, pose
 
     def write(self, command: Array) -> Array:
         """Sends tensions in one packet.

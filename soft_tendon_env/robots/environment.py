@@ -20,18 +20,17 @@ import scipy.fft
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.environments import TendonRodEnv
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.observation import HISTORY
-from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.mechanics.motion.scratch import Tape
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.model.step_control import RESOLVED, linear_rate
-from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.regimes import TARGET_GROUPS
+from soft_tendon_env.robots.clock import Pacer, Timing
 from soft_tendon_env.robots.log import RobotLog
-from soft_tendon_env.robots.protocol import Measurement, Robot, check_robot
-from soft_tendon_env.robots.safety import FINISHED, Pacer, RobotStopped, SafeRobot, Stop, Timing
+from soft_tendon_env.robots.misfit import misfit
+from soft_tendon_env.robots.protocol import Measurement, Robot, check_robot, read_fields
+from soft_tendon_env.robots.safety import FINISHED, ArmBounds, RobotStopped, SafeRobot
+from soft_tendon_env.robots.slack import Stop
+from soft_tendon_env.robots.top_speed import half_swing, top_speed
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import describe, first_line
@@ -97,7 +96,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         episodes = checked_type(
             "env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')"
         ).episodes
-        reason = _misfit(robot, episodes)
+        reason = misfit(robot, episodes)
         if reason:
             problem = Problem(("robot",), f"is {type(robot).__name__}, {reason}")
             raise ConfigurationError([problem], "environment")
@@ -112,26 +111,27 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         actions = episodes.actuation.actions
         limits = np.stack([actions.least, actions.greatest], axis=1)
         sensors = episodes.sensors.size
-        # where the base moves, no tip is too far from where it was
-        reach = np.inf if model.scene.effects.moving_base else model.length
-        self._safe = SafeRobot(
-            robot,
-            limits,
-            sensors,
-            arm=(model.scene.base.position, reach),
-            period=episodes.period,
-            rate=fastest,
-            patience=checked_count("patience", patience, 1),
-        )
+        patience = checked_count("patience", patience, 1)
+        bounds = _bounds(episodes)
         self._log: RobotLog | None = None
         if log is not None:
             self._log = RobotLog(
                 Path(log),
                 robot.command_unit,
-                self._safe.senses,
+                read_fields(robot, sensors),
                 tendons=len(limits),
                 sensors=sensors,
             )
+        # last of what can fail: from here on it holds signals, until `close`
+        self._safe = SafeRobot(
+            robot,
+            limits,
+            sensors,
+            bounds,
+            period=episodes.period,
+            rate=fastest,
+            patience=patience,
+        )
         arm = MeasuredArm(
             episodes,
             self._safe,
@@ -215,41 +215,13 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             super().close()
 
 
-def _misfit(robot: Robot, episodes: Episodes) -> str:
-    """Reason why a robot cannot play an environment's episodes; "": it can."""
-    unit = episodes.model.command_unit
-    if robot.command_unit != unit:
-        return (
-            f"which takes {robot.command_unit!r}, and the scene's arm takes {unit!r}: see"
-            " [effects.tendon_elasticity]"
-        )
-    options = episodes.options
-    drawn = options.randomize
-    if drawn.numbers or drawn.of_actuators or drawn.latency != (0.0, 0.0):
-        return (
-            "as it is: the option randomize should have no more than the noise of its sensors, for"
-            " policies that know of it"
-        )
-    groups = episodes.layout.slices  # of what is observed
-    fields = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}  # of Measurement, by group
-    # fields that a robot has to sense, and what for
-    needed = {fields[name]: name for name in groups if name in fields}
-    needed["tip_pose"] = "the errors of the task"
-    if options.tip_speed_limit is not None:
-        needed["tip_twist"] = "the option tip_speed_limit"
-    missing = [f"{name} ({why})" for name, why in needed.items() if name not in robot.senses]
-    if missing:
-        return (
-            f"without {', '.join(missing)}, which is observed: take it out of the option"
-            " observation; controllers: filtered:NAME"
-        )
-    if episodes.task.shapes:
-        return "measured at its tip and by its sensors alone"
-    known = {*fields, *TARGET_GROUPS, HISTORY}
-    unknown = [name for name in groups if name not in known]
-    if unknown:
-        return f"measured at its tip and by its sensors alone: not {', '.join(unknown)}"
-    return ""
+def _bounds(episodes: Episodes) -> ArmBounds:
+    """Bounds of what can be measured of the arm of episodes."""
+    base = episodes.model.scene.base.position
+    if episodes.model.scene.effects.moving_base:
+        # no tip is too far from where the base was, nor too fast
+        return ArmBounds(base, length=np.inf, top_speed=np.inf)
+    return ArmBounds(base, episodes.model.length, top_speed(episodes))
 
 
 class MeasuredArm(Arms):
@@ -284,8 +256,7 @@ class MeasuredArm(Arms):
         way = float(np.abs(self._command - robot.slack).max())
         self._rise = max(settle, way / robot.rate)
         # [s], at least half a swing, which stands still where it turns
-        half_swing = np.pi / (RESOLVED * linear_rate(episodes.model))
-        self._window = max(WINDOW, half_swing)
+        self._window = max(WINDOW, half_swing(episodes))
         self._is_there = settle == 0.0  # whether the robot rests under the first command
         self._has_zeros = settle == 0.0
         self.zero = dict[str, Array]()  # by field, added to what the robot measures
@@ -367,7 +338,7 @@ class MeasuredArm(Arms):
             self.robot.write(slack + share * (self._command - slack))
             self.pacer.wait()
             measured = self.robot.read()
-            if k > 0 and (not last or measured.time != last[-1][1].time):
+            if k > 0 and (not last or measured.time_of_pose != last[-1][1].time_of_pose):
                 last.append((k, measured))
             if len(last) < window or k % between_looks:
                 continue

@@ -20,13 +20,15 @@ PARTS = ("read", "write", "close", "command_unit", "senses")  # of a robot
 
 
 class Measurement(NamedTuple):
-    """Sensor readings of an arm at one time, in SI units; None: not measured.
+    """Sensor readings of an arm, in SI units; None: not measured.
 
     There are n_a tendons and s strain sensors.
+
+    A reading whose time is not later than that of the one before is no new reading. The slowest
+    sensor counts: a tracker that has lost sight is noticed although the motors answer.
     """
 
-    # [s] when it was measured, of any clock: one that is not later than the reading before is no
-    # new reading
+    # [s] when it was measured, of any clock; without tip_time that of the pose too
     time: float
     tip_pose: Array | None = None  # (4, 4) in the scene's world frame
     tip_twist: Array | None = None  # (6,) body twist, angular before linear
@@ -34,6 +36,13 @@ class Measurement(NamedTuple):
     tendon_length: Array | None = None  # (n_a,) [m] along the arm, from any zero
     strain: Array | None = None  # (s, 6) torsion, bending, stretch, shear; from any zero
     strain_rate: Array | None = None  # (s, 6)
+    # [s] when the tracker measured pose and twist, of any clock; None: at `time`
+    tip_time: float | None = None
+
+    @property
+    def time_of_pose(self) -> float:
+        """Time [s] at which the pose was measured."""
+        return self.time if self.tip_time is None else self.tip_time
 
 
 class Robot(Protocol):
@@ -41,7 +50,12 @@ class Robot(Protocol):
 
     `read` and `write` may raise any exception, which ends a run safely.
 
-    clock: an attribute of simulated arms alone, see safety.Clock; real ones live in real time.
+    What it may have besides:
+        clock: of simulated arms alone, see clock.py; real ones live in real time.
+        watch: `watch(slack, patience)`, called as an episode begins. From then on the driver lets
+            the tendons go by itself, to the command slack (n_a,), where no call comes for longer
+            than patience [s]. `RobotProcess` gives it to every driver.
+        own_process: True for classes that `soft-tendon run` makes in a process of their own.
     """
 
     command_unit: Unit  # "N" where it is tension-driven, "m" where it is displacement-driven
@@ -81,6 +95,12 @@ def check_robot(robot: Any) -> None:
             )
 
 
+def read_fields(robot: Robot, sensors: int) -> tuple[str, ...]:
+    """Fields of Measurement that are read of a robot: without strain sensors no strains."""
+    unread = () if sensors else ("strain", "strain_rate")
+    return tuple(name for name in robot.senses if name not in unread)
+
+
 def check_measurement(
     measured: Any, senses: tuple[str, ...], tendons: int, sensors: int
 ) -> Measurement:
@@ -107,14 +127,22 @@ def check_measurement(
         "strain": (sensors, 6),
         "strain_rate": (sensors, 6),
     }
-    time = checked_number("measurement.time", measured.time, -np.inf, "a finite number of seconds")
+    time = _checked_time("measurement.time", measured.time)
+    tip_time = measured.tip_time
+    if tip_time is not None:
+        tip_time = _checked_time("measurement.tip_time", tip_time)
     arrays = dict[str, Array]()
     for name in senses:
         shape = shapes.get(name, (tendons,))
         arrays[name] = checked_array(f"measurement.{name}", getattr(measured, name), shape)
     if "tip_pose" in arrays:
         _check_pose(arrays["tip_pose"])
-    return Measurement(time, **arrays)
+    return Measurement(time, tip_time=tip_time, **arrays)
+
+
+def _checked_time(name: str, time: Any) -> float:
+    """A time [s] of any clock. Raises TypeError or ValueError."""
+    return checked_number(name, time, -np.inf, "a finite number of seconds")
 
 
 def _check_pose(pose: Array) -> None:

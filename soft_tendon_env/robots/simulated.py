@@ -15,8 +15,8 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
+from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.protocol import Measurement, Unit
-from soft_tendon_env.robots.safety import Clock
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.scene.plausibility import implausible
 from soft_tendon_env.scene.scene import (
     Scene,
     Segment,
@@ -65,6 +66,8 @@ def warn_of_units(scene: Scene) -> None:
         scene: that a model is built of.
     """
     numbers = [*_unlikely(scene)]
+    if not numbers:  # shares of the arm say something only where its own sizes are plausible
+        numbers = [*implausible(scene)]
     if numbers:
         text = (
             f"{scene.name!r} has numbers that look as if they were not in SI units (m, kg, s, N,"

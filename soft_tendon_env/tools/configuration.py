@@ -33,6 +33,12 @@ POSITION = re.compile(r"\[(\d+|\*)\]")
 DOT = re.compile(r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)')
 """A dot that is not in double quotes: an even number of quotes follows it."""
 
+DEEPEST = 64
+"""Levels of tables and arrays that a file may nest, ten times what any configuration has."""
+
+TOO_DEEP = "nests arrays or tables too deep to be read"
+"""End of the message on values whose parser would exceed Python's depth of calls."""
+
 
 class Problem(NamedTuple):
     """One mistake in a configuration: its key and the rest of the sentence.
@@ -185,13 +191,37 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     Raises ConfigurationError where it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
+        tables = tomllib.loads(read_bytes(path).decode("utf-8-sig"))
+        _check_depth(tables)
     except OSError as error:
         problem = Problem((), f"cannot be read: {error.strerror}")
         raise ConfigurationError([problem], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
         problem = Problem((), f"is not valid TOML: {error}")
         raise ConfigurationError([problem], os.fspath(path)) from error
+    except RecursionError:
+        # its traceback would be as deep as the tables
+        raise ConfigurationError([Problem((), TOO_DEEP)], os.fspath(path)) from None
+    return tables
+
+
+def _check_depth(value: Any) -> None:
+    """Raises RecursionError for tables in tables, or arrays in arrays, beyond DEEPEST.
+
+    Keys with dots nest them without a call of the parser.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        below = list[Any]()
+        for part in level:
+            if isinstance(part, dict):
+                below += part.values()
+            elif isinstance(part, list):
+                below += part
+        if not below:
+            return
+        level = below
+    raise RecursionError
 
 
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -268,8 +298,11 @@ def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
             raise ValueError(f"--set has {key}, which is given twice")
         try:
             values[key] = tomllib.loads(f"value = {text}")["value"]
+            _check_depth(values[key])
         except tomllib.TOMLDecodeError:  # a text without quotes
             values[key] = text
+        except RecursionError:
+            raise ValueError(f"--set {key} {TOO_DEEP}") from None
     return values
 
 

@@ -63,6 +63,8 @@ def read_json(path: Path) -> dict[str, Any]:
         value = json.loads(text := read_text(path))
     except json.JSONDecodeError as error:
         raise ValueError(f"{path} is no JSON, or was cut off: {error}") from error
+    except RecursionError:
+        raise ValueError(f"{path} nests lists or tables too deep to be read") from None
     if not isinstance(value, dict):
         raise ValueError(f"{path} should be a JSON object, {{...}}, not {text[:80]}")
     return value

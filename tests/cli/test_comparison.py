@@ -33,12 +33,11 @@ def runs(tmp_path):
     for seed in (2, 10):
         run = tmp_path / "ppo_tip_pose" / f"seed_{seed}"
         (run / "best").mkdir(parents=True)
-        (run / "config.json").write_text(
-            json.dumps({"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL})
-        )
-        shutil.copy(run / "config.json", run / "best" / "config.json")
+        config = {"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}
+        (run / "config.json").write_text(json.dumps(config))
         agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
-        save_agent(run / "best", agent.policy, None)
+        files = save_agent(run / "best", agent.policy, None)
+        (run / "best" / "config.json").write_text(json.dumps({**config, "files": files}))
     return tmp_path / "ppo_tip_pose"
 
 

@@ -9,6 +9,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")
 pytest.importorskip("latex2mathml", reason="the extra docs is not installed")
+pytest.importorskip("griffe", reason="the extra docs is not installed")
+import field_comments  # noqa: E402
+import griffe  # noqa: E402
 import site_environments  # noqa: E402
 import site_hooks  # noqa: E402
 import site_math  # noqa: E402
@@ -86,3 +89,21 @@ def test_the_page_of_effects_has_every_key_with_its_meaning():
     ]
     assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys)
     assert "| None |" not in shown
+
+
+def test_fields_have_the_comment_beside_or_above_them(tmp_path):
+    source = """
+from typing import NamedTuple
+
+class Row(NamedTuple):
+    time: float  # [s]
+    # (n,) of the strain,
+    # in its units
+    q: list
+    step: float = 0.02
+"""
+    (tmp_path / "rows.py").write_text(source)
+    fields = griffe.load("rows", search_paths=[tmp_path])["Row"].attributes
+    texts = {name: field_comments.description(field) for name, field in fields.items()}
+    expected = {"time": "[s]", "q": "(n,) of the strain, in its units", "step": "default `0.02`"}
+    assert texts == expected

@@ -3,7 +3,7 @@ over its unit, clipped and cast."""
 
 import numpy as np
 import pytest
-from scipy.linalg import logm
+from scipy.linalg import expm, logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
 from soft_tendon_env.envs.kernels import scale_and_clip
@@ -150,3 +150,40 @@ def test_values_are_scaled_then_clipped_then_cast():
     assert np.isfinite(found).sum() == found.size - 2
     assert (np.abs(values * scale) > bound).any()
     assert (np.abs(values * scale) < bound).any()
+
+
+def test_targets_from_the_tip_are_continuous_over_half_a_turn():
+    """Position and columns of g^-1 g_bar, where the logarithm jumps."""
+    names = ["target_error", "target_pose", "preview", "pose_preview"]
+    env = TipPoseEnv(**SMALL, observation=names, preview=[0.1, 0.3])
+    seen = {}
+    for angle in (3.1, 3.2):  # on both sides of half a turn about z
+        c, s = np.cos(angle), np.sin(angle)
+        pose = [[c, -s, 0, 0.2], [s, c, 0, 0.1], [0, 0, 1, 0.05], [0, 0, 0, 1]]
+        env.set_target({"type": "hold", "pose": pose})
+        observation, _ = env.reset(seed=0)
+        seen[angle] = env.episodes.layout.values(observation[None])
+        tip = env.episodes.arms.reading.tip_pose[0]
+        from_tip = np.linalg.inv(tip) @ pose
+        expected = [*from_tip[:3, 3], *from_tip[:3, 0], *from_tip[:3, 1]]
+        np.testing.assert_allclose(seen[angle]["target_pose"][0], expected, atol=1e-6)
+        np.testing.assert_allclose(
+            seen[angle]["pose_preview"][0], [*expected, *expected], atol=1e-6
+        )
+    change = {name: np.abs(seen[3.1][name] - seen[3.2][name]).max() for name in names}
+    assert change["target_pose"] < 0.11
+    assert change["pose_preview"] < 0.11
+    assert change["target_error"] > 6.0
+
+
+def test_targets_from_the_tip_are_those_of_the_logarithm():
+    env = TipPoseEnv(**SMALL, observation=["target_error", "target_pose"])
+    env.reset(seed=2)
+    for _ in range(20):
+        observation, *_ = env.step(np.ones(3))
+    values = env.episodes.layout.values(observation[None])
+    wx, wy, wz, vx, vy, vz = values["target_error"][0]
+    twist = np.array([[0, -wz, wy, vx], [wz, 0, -wx, vy], [-wy, wx, 0, vz], [0, 0, 0, 0]])
+    pose = expm(twist)
+    expected = [*pose[:3, 3], *pose[:3, 0], *pose[:3, 1]]
+    np.testing.assert_allclose(values["target_pose"][0], expected, atol=1e-5)

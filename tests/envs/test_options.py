@@ -131,7 +131,14 @@ BAD = [
         {"reward": {"position": 0.0}},
         "reward should give at least one term a weight above 0",
     ),
-    (TipPoseEnv, {"reward": "sparse"}, "reward should be a table of weights by term"),
+    (
+        TipPoseEnv,
+        {"reward": "sparse"},
+        "reward is 'sparse', which tasks with a goal have, such as Reach: TipPose takes a table",
+    ),
+    (ShapeEnv, {"reward": "dense"}, "reward is 'dense', .* such as {'graded_backbone': 1.0"),
+    (TipPoseEnv, {"preview": 0.1}, r"preview is 0.1: it should be a list of times .*: \[0.1\]"),
+    (TipPoseEnv, {"preview": 2}, r"preview is 2: it should be a list of times ahead .*: \[2\]"),
     (TipPoseEnv, {"threshold": 1e-300}, "threshold is 1e-300"),
     (
         TipPoseEnv,

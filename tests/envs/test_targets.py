@@ -1,13 +1,17 @@
 """Target motions: the poses they say, twists that are their derivatives, shapes that the statics
 can hold."""
 
+import itertools
 import pickle
+import warnings
 
 import numpy as np
 import pytest
 from scipy.linalg import logm
+from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.targets.file import FileCourse, TargetWarning
 from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.envs.trajectories import BANK
 from soft_tendon_env.model.statics import static_equilibrium
@@ -359,6 +363,105 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
     np.testing.assert_allclose(
         between.tip_twist, twist_by_differences(np.stack(beside, axis=1), H), atol=1e-6
     )
+
+
+def file_of(path, rows):
+    """Target of rows: time, x, y, z and the angle [rad] of a turn about an axis (3,)."""
+    lines = [PATH[0]]
+    for time, place, angle, axis in rows:
+        half = 0.5 * angle
+        turn = [np.cos(half), *(np.sin(half) * np.array(axis))]
+        lines.append(",".join(map(str, [time, *place, *turn])))
+    path.write_text("\n".join(lines))
+    return {"type": "file", "path": str(path)}
+
+
+X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+STEP = [
+    (0.0, (0.29, 0.0, 0.0), 0.0, X),
+    (2.0, (0.28, 0.01, 0.0), 0.1, X),
+    (2.03, (0.2, 0.15, -0.05), 1.2, X),
+    (4.0, (0.2, 0.15, -0.05), 1.2, X),
+    (4.01, (0.25, 0.1, 0.0), 0.3, X),
+    (9.0, (0.25, 0.1, 0.02), -0.4, X),
+]
+
+
+def test_between_two_rows_a_target_stays_between_them(tmp_path):
+    """Also where a step stands beside long ways, between which a spline would overshoot."""
+    course = FileCourse(file_of(tmp_path / "step.csv", STEP)["path"])
+    for before, after in itertools.pairwise(STEP):
+        times = np.linspace(before[0], after[0], 200)
+        samples = course.sample(times)
+        places = np.array([before[1], after[1]])
+        assert (samples.tip_pose[:, :3, 3] >= places.min(axis=0) - 1e-12).all()
+        assert (samples.tip_pose[:, :3, 3] <= places.max(axis=0) + 1e-12).all()
+        turn = np.arctan2(samples.tip_pose[:, 2, 1], samples.tip_pose[:, 1, 1])
+        np.testing.assert_allclose(samples.tip_pose[:, 0, 0], 1.0, atol=1e-12)
+        least, greatest = sorted([before[2], after[2]])
+        assert ((turn >= least - 1e-9) & (turn <= greatest + 1e-9)).all()
+        # on the shortest way: never back
+        assert (np.diff(turn) * np.sign(after[2] - before[2]) >= -1e-12).all()
+
+
+def test_a_path_is_smooth_and_goes_through_its_rows(tmp_path):
+    rows = [
+        (0.0, (0.29, 0.0, 0.0), 0.0, X),
+        (0.4, (0.27, 0.05, 0.01), 0.5, X),
+        (1.0, (0.24, 0.07, 0.05), 0.9, X),
+        (1.3, (0.2, 0.1, 0.05), 0.4, Y),
+        (2.0, (0.25, 0.1, 0.0), -0.8, Y),
+    ]
+    course = FileCourse(file_of(tmp_path / "smooth.csv", rows)["path"])
+    times = np.array([row[0] for row in rows])
+    at_rows = course.sample(times)
+    np.testing.assert_allclose(at_rows.tip_pose[:, :3, 3], [row[1] for row in rows], atol=1e-12)
+    for pose, (_, _, angle, axis) in zip(at_rows.tip_pose, rows, strict=True):
+        expected = Rotation.from_rotvec(angle * np.array(axis)).as_matrix()
+        np.testing.assert_allclose(pose[:3, :3], expected, atol=1e-12)
+    inside = np.array([0.1, 0.39, 0.41, 0.9, 1.1, 1.29, 1.7])
+    beside = [course.sample(inside + h).tip_pose for h in (-H, H)]
+    np.testing.assert_allclose(
+        course.sample(inside).tip_twist,
+        twist_by_differences(np.stack(beside, axis=1), H),
+        atol=1e-5,
+    )
+    # velocities have no jumps, nor has the rate of turn about one axis
+    step = 1e-9
+    before, after = (course.sample(times[1:2] + h).tip_twist for h in (-step, step))
+    np.testing.assert_allclose(before, after, atol=1e-5)
+    assert before[0, 0] > 0.1
+    # where the axis turns away the tip turns no more, and at both ends all rests
+    np.testing.assert_allclose(course.sample(times[3:4]).tip_twist[:, :3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(course.sample(times[[0, -1]]).tip_twist, 0.0, atol=1e-12)
+
+
+def test_a_turn_of_two_rows_is_a_smooth_step(tmp_path):
+    rows = [(1.0, (0.29, 0.0, 0.0), 0.0, Y), (3.0, (0.2, 0.1, 0.0), 0.8, Y)]
+    course = FileCourse(file_of(tmp_path / "two.csv", rows)["path"])
+    samples = course.sample(np.array([0.0, 1.5, 2.0, 5.0]))
+    shares = [0.0, 0.25**2 * (3.0 - 0.5), 0.5, 1.0]
+    np.testing.assert_allclose(samples.tip_pose[:, 1, 3], 0.1 * np.array(shares), atol=1e-12)
+    np.testing.assert_allclose(
+        samples.tip_pose[:, 0, 2], np.sin(0.8 * np.array(shares)), atol=1e-12
+    )
+
+
+def test_poses_out_of_reach_are_told_once(tmp_path):
+    rows = [
+        (0.0, (0.29, 0.0, 0.0), 0.0, X),
+        (1.0, (0.3, 0.3, 0.0), 0.0, X),
+        (2.0, (0.0, 0.35, 0.1), 0.0, X),
+    ]
+    target = file_of(tmp_path / "far.csv", rows)
+    with pytest.warns(
+        TargetWarning, match="has 2 of 3 poses out of reach of an arm of 0.3 m: row 2"
+    ):
+        TipPoseEnv(**SMALL, target=target)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        TipPoseEnv(**SMALL, target=target)
+        TipPoseEnv(**SMALL, target=file_of(tmp_path / "near.csv", [rows[0], (3.0, *rows[0][1:])]))
 
 
 @pytest.mark.parametrize(

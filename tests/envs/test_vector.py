@@ -242,3 +242,16 @@ def test_a_reset_erases_what_was(task, arms, everything, live, same):
     fresh = KINDS[task][0](**options)
     assert same(live(env, 2, 30), live(fresh, 2, 30))
     assert not same(live(env, 3, 2), live(fresh, 4, 2))
+
+
+def test_the_seed_of_a_reset_is_that_of_the_environment():
+    """As Gymnasium's own vector environments have it; a reset without one changes nothing."""
+    vector = TipPoseVectorEnv(num_envs=3, **SMALL)
+    vector.reset(seed=7)
+    assert vector.np_random_seed == 7
+    drawn = vector.np_random.random()
+    assert drawn == np.random.Generator(np.random.PCG64(np.random.SeedSequence(7))).random()
+    vector.reset()
+    assert vector.np_random_seed == 7
+    vector.reset(seed=[4, None, 5])
+    assert vector.np_random_seed == 7

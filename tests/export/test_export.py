@@ -16,7 +16,13 @@ pytest.importorskip("stable_baselines3")
 from soft_tendon_env import register  # noqa: E402
 from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.envs.observation import Group  # noqa: E402
-from soft_tendon_env.export.agent import compare, export_agent, pose_logarithm  # noqa: E402
+from soft_tendon_env.export.agent import (  # noqa: E402
+    _ExportedAgent,
+    compare,
+    export_agent,
+    measurements,
+    pose_logarithm,
+)
 from soft_tendon_env.learning.networks import new_network  # noqa: E402
 from soft_tendon_env.mechanics.motion import pose_errors as kernels  # noqa: E402
 from soft_tendon_env.policies import load_agent, make_policy, policy_options  # noqa: E402
@@ -51,6 +57,7 @@ CASES = [
     {"algorithm": "TQC", "task": "Shape", "integral_time": 0.3, "history": 1},
     {"algorithm": "SAC", "task": "Reach", "normalised": True, "integral_time": 0.3, **INCREMENTS},
     {"observation": ["tip_position", "strain_rate", "last_action"], "sensors": 1},
+    {"observation": ["target_pose", "pose_preview", "tip_rotation"], "history": 1},
     {
         "algorithm": "APG",
         "policy": {"memory": 8, "fine": 10.0, "posture": 9},
@@ -210,3 +217,36 @@ def test_what_cannot_be_exported(exported, forgotten):
     env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast")
     with pytest.raises(ValueError, match="as load_agent gives it, not ControllerPolicy"):
         export_agent(make_policy("tracking", env), env)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_lost_measurement_holds_the_command_and_the_memory(exported, bad):
+    """NaN of a tracker that has lost sight reaches neither the motors nor what is remembered."""
+    policy = {"memory": 8, "fine": 10.0, "posture": 9}
+    env, _, path = exported("APG", policy=policy, integral_time=0.3, **INCREMENTS)
+    agent = _ExportedAgent(path)
+    env.reset(seed=0)
+    first = agent.start()
+    lost = measurements(env.unwrapped.episodes)
+    seen = {name: value.copy() for name, value in lost.items()}
+    lost["tip_pose"][1, 3] = bad
+    # before anything was measured: the command at rest, and the episode has not begun
+    held = agent.act(first, lost)
+    np.testing.assert_array_equal(held["next_command"], env.unwrapped.episodes.start_command)
+    assert not held["next_started"].any()
+    after = agent.act(first, seen)
+    np.testing.assert_array_equal(agent.act(held, seen)["next_command"], after["next_command"])
+    assert after["next_started"] == 1.0
+    for name in ("tip_pose", "strain", "target_twist"):
+        lost = {key: value.copy() for key, value in seen.items()}
+        lost[name].flat[1] = bad
+        held = agent.act(after, lost)
+        np.testing.assert_array_equal(held["action"], after["next_last_action"])
+        for key in after:
+            if key.startswith("next_"):
+                np.testing.assert_array_equal(held[key], after[key])
+    # what the agent does not read may be anything
+    unread = {**seen, "tip_twist": np.full(6, bad)}
+    np.testing.assert_array_equal(
+        agent.act(after, unread)["action"], agent.act(after, seen)["action"]
+    )

@@ -16,10 +16,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent import OF_TRAINING, AgentConfig, read_config
-from soft_tendon_env.policies.names import load_policy
-from soft_tendon_env.policies.normalization import normalization_of
+from soft_tendon_env.policies.names import load_policy, policy_options
+from soft_tendon_env.policies.normalization import STATISTICS, normalization_of
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, read_weights
 from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.tools.files import digest
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
@@ -32,11 +33,38 @@ def make(task="TipPose", **options):
 
 def write_agent(folder, network, normalization=None, **config):
     folder.mkdir(exist_ok=True)
-    agent.save_agent(folder, network, normalization)
+    files = agent.save_agent(folder, network, normalization)
     (folder / "config.json").write_text(
-        json.dumps({"algorithm": "PPO", "options": SMALL, **config})
+        json.dumps({"algorithm": "PPO", "options": SMALL, "files": files, **config})
     )
     return folder
+
+
+def sign(folder):
+    """Writes the digests of the files as they are into the configuration."""
+    path = folder / "config.json"
+    files = {
+        name: digest(folder / name) for name in (WEIGHTS, STATISTICS) if (folder / name).is_file()
+    }
+    path.write_text(json.dumps({**json.loads(path.read_text()), "files": files}))
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, STATISTICS])
+def test_files_without_a_digest_are_refused(tmp_path, trained, name):
+    folder = write_agent(tmp_path / "agent", *trained)
+    path = folder / "config.json"
+    config = json.loads(path.read_text())
+    kept = config["files"].pop(name)
+    path.write_text(json.dumps(config))
+    with pytest.raises(ValueError, match=f"has no digest of {name}") as error:
+        agent.load_agent(str(folder), make())
+    assert f'"files": {{"{name}": "{kept}"}}' in str(error.value)
+    (folder / name).write_bytes((folder / name).read_bytes() + b"more")
+    sign(folder)
+    config = json.loads(path.read_text())
+    path.write_text(json.dumps({**config, "files": {**config["files"], name: kept}}))
+    with pytest.raises(ValueError, match=f"{name} is not the file that .* was written with"):
+        agent.load_agent(str(folder), make())
 
 
 @pytest.mark.parametrize("name", ["PPO", "SAC", "TQC"])
@@ -75,6 +103,7 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
         atol=1e-5,
     )
     (folder / "statistics.npz").unlink()
+    sign(folder)
     with pytest.raises(
         FileNotFoundError,
         match="should have statistics.npz: the agent sees observations through it",
@@ -107,6 +136,8 @@ def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
     (folder / name).write_bytes(pickle.dumps(Malice(ran)))
+    if name != "config.json":
+        sign(folder)
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists()
@@ -117,6 +148,7 @@ def test_objects_among_an_agents_arrays_are_not_unpickled(tmp_path, trained):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     weights = {**read_weights(folder / WEIGHTS), BIAS: np.array([Malice(ran)])}
     np.savez(folder / WEIGHTS, **weights)
+    sign(folder)
     with pytest.raises(ValueError, match="weights.npz holds no weights alone"):
         agent.load_agent(str(folder), make())
     assert not ran.exists()
@@ -231,6 +263,7 @@ def table(**changes):
 def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, said):
     folder = write_agent(tmp_path / "agent", *trained)
     spoil(folder, *trained)
+    sign(folder)
     with pytest.raises(ValueError, match=said) as error:
         agent.load_agent(str(folder), make())
     assert str(folder) in str(error.value)
@@ -239,7 +272,8 @@ def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, 
 
 def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
     folder = write_agent(tmp_path / "own", *trained, **dict.fromkeys(OF_TRAINING))
-    assert read_config(folder) == AgentConfig(algorithm="PPO", options=SMALL)
+    config = read_config(folder)
+    assert config == AgentConfig(algorithm="PPO", options=SMALL, files=config.files)
 
 
 def untrained_agent(folder, **config):
@@ -285,12 +319,25 @@ def ppo(tmp_path):
             {"control_period": 0.01},
             "was trained with control_period = 0.02, this environment has 0.01",
         ),
+        (
+            "TipPose",
+            {"control_period": 0.3},  # whose usual preview is another one too
+            "was trained with control_period = 0.02, this environment has 0.3",
+        ),
     ],
 )
 def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
     agent.load_agent(ppo, make(action="increment"))
     with pytest.raises(ValueError, match=said):
         agent.load_agent(ppo, make(task, **{"action": "increment", **options}))
+
+
+@pytest.mark.parametrize("period", [0.3, 0.15])
+def test_another_control_period_is_refused_by_its_name(ppo, period):
+    """Before the preview of the training, which may be less than half of it."""
+    with pytest.raises(ValueError, match=rf"trained with control_period = 0.02, .* is {period}"):
+        policy_options(ppo, "TipPose", {"control_period": period})
+    assert policy_options(ppo, "TipPose", {"control_period": 0.02})["control_period"] == 0.02
 
 
 LOOKS = {"observation": ["target_error"]}

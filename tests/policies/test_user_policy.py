@@ -127,3 +127,35 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
 def test_what_no_policy_should_do_is_refused(monkeypatch, members, said):
     with pytest.raises((ValueError, AssertionError), match=said):
         scores_of(monkeypatch, **members)
+
+
+def test_an_agent_of_another_fidelity_is_told_which_groups_differ(monkeypatch):
+    """One of Stable-Baselines3 knows the size of its observation alone."""
+    names = ["coordinates", "tip_position", "rates", "last_action"]
+    trained = gym.make(IDS["TipPose"], **{**ARM, "randomize": {}}, observation=names)
+
+    class Foreign(Honest):
+        observation_space = trained.observation_space
+        options = {"observation": names}
+
+    module = type(sys)("policies_of_another")
+    module.agent = Foreign
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    finer = {**ARM, "fidelity": "standard"}
+    env = gym.make(IDS["TipPose"], **policy_options("policies_of_another:agent", "TipPose", finer))
+    count = trained.unwrapped.model.coordinate_count
+    with pytest.raises(ValueError, match="coordinates, rates have an entry for each of") as error:
+        load_policy("policies_of_another:agent", env)
+    text = str(error.value)
+    assert f"coordinates ({env.unwrapped.model.coordinate_count}), tip_position (3), " in text
+    assert f"an arm with {count} has observations of that size" in text
+    assert "here 'standard'" in text
+    Foreign.observation_space = gym.spaces.Box(-1.0, 1.0, (7,))  # of no arm
+    with pytest.raises(ValueError, match="the fidelity, here 'standard'$"):
+        load_policy("policies_of_another:agent", env)
+    # without groups of coordinates the sizes alone are told
+    other = gym.make(IDS["TipPose"], **ARM, observation=["tip_position", "last_action"])
+    with pytest.raises(ValueError, match=r"It has tip_position \(3\), last_action \(3\)$"):
+        load_policy("policies_of_another:agent", other)
+    Foreign.observation_space = other.observation_space
+    assert load_policy("policies_of_another:agent", other) is not None

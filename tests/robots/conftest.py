@@ -7,8 +7,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import Measurement, safety
-from soft_tendon_env.robots.safety import Clock
+from soft_tendon_env.robots import Measurement, safety, slack
+from soft_tendon_env.robots.clock import Clock
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3
@@ -19,7 +19,8 @@ LONGEST = 1800.0
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Slack is tried for as long as a busy machine may take over it."""
-    monkeypatch.setattr(safety, "TRYING", 30.0)
+    for module in (slack, safety):
+        monkeypatch.setattr(module, "TRYING", 30.0)
 
 
 @pytest.fixture(scope="session")

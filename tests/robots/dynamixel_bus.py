@@ -16,7 +16,7 @@ from dynamixel_sdk import PacketHandler, PortHandler
 
 HEADER = b"\xff\xff\xfd\x00"
 READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
-TORQUE, WATCHDOG, GOALS = 64, 98, range(100, 104)
+OPERATING_MODE, TORQUE, WATCHDOG, GOALS = 11, 64, 98, range(100, 104)
 
 
 def crc(data):
@@ -43,6 +43,8 @@ class Motor:
 
     def __init__(self, position, clock):
         self.table, self.heard, self._clock = bytearray(256), 0.0, clock
+        self.table[OPERATING_MODE] = 3  # of positions, as motors are delivered
+        self.table[TORQUE] = 1  # as somebody may have left it
         struct.pack_into("<H", self.table, 38, 1193)  # current limit
         struct.pack_into("<i", self.table, 132, position)
 
@@ -52,6 +54,8 @@ class Motor:
     def write(self, address, data):
         if address in GOALS and (not self.table[TORQUE] or self.has_stopped):
             return
+        if address == OPERATING_MODE and self.table[TORQUE]:
+            return  # registers of the EEPROM are locked under torque
         self.table[address : address + len(data)] = data
         if address == 102:
             self.table[126:128] = data  # the present current

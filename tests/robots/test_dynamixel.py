@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import RobotEnv, dynamixel, run_policy
-from soft_tendon_env.robots.safety import Clock
+from soft_tendon_env.robots.clock import Clock
 
 pytest.importorskip("dynamixel_sdk")
 bus_module = pytest.importorskip("tests.robots.dynamixel_bus")
@@ -50,6 +50,8 @@ def test_tensions_are_currents(bus, connect, wait_until):
     assert robot.read().time > measured.time
     robot.close()
     assert_limp(bus, wait_until)
+    assert not robot._port.is_open
+    assert not any(motor.table[98] for motor in bus.motors.values())
 
 
 def assert_limp(bus, wait_until):
@@ -73,8 +75,9 @@ def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
 
 @pytest.mark.parametrize("lose", [lambda bus: bus.silent.add(2), lambda bus: bus.unplug()])
 def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, wait_until):
-    robot = connect(tip_pose=lambda: np.eye(4))
-    robot.clock = Clock(real=False)
+    clock = Clock(real=False)
+    robot = connect(tip_pose=lambda: (clock.now(), np.eye(4)))
+    robot.clock = clock
     env = RobotEnv(drawing(), robot, settle=0.0)
     report = run_policy(pulling(lambda count: lose(bus) if count == 5 else None), env, 3.0)
     assert "failed: " in report.stop.cause
@@ -87,6 +90,52 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, w
             0,
             0,
         ]  # the one that cannot answer hears it still
+
+
+def test_lengths_are_those_that_spools_wind_up(bus, connect):
+    robot = connect()
+    for motor, turns in zip(bus.motors.values(), (0.5, -0.25, 1.0), strict=True):
+        position = int.from_bytes(motor.table[132:136], "little", signed=True)
+        motor.table[132:136] = (position + int(4096 * turns)).to_bytes(4, "little", signed=True)
+    # a spool of 1 cm winds 2 pi cm a turn, and the third one the other way
+    expected = -2.0 * np.pi * 0.01 * np.array([0.5, -0.25, -1.0])
+    np.testing.assert_allclose(robot.read().tendon_length, expected, rtol=1e-12)
+    robot.close()
+
+
+def test_a_pose_comes_with_its_time(bus, connect):
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    newest = [(77.5, pose)]
+    robot = connect(tip_pose=lambda: newest[0])
+    measured = robot.read()
+    assert measured.tip_time == measured.time_of_pose == 77.5
+    assert measured.time != 77.5
+    assert (measured.tip_pose == pose).all()
+    newest[0] = (1, 2, 3)
+    with pytest.raises(TypeError, match=r"tip_pose should return \(time, pose\), not a tuple of 3"):
+        robot.read()
+    robot.close()
+
+
+@pytest.mark.parametrize("has_time", [True, False])
+def test_a_tracker_that_has_lost_sight_stops_a_run(has_time, bus, connect, drawing, pulling):
+    """It goes on returning its newest pose, and the motors answer."""
+    clock = Clock(real=False)
+    count = 0
+
+    def newest():
+        nonlocal count
+        count += 1
+        pose = np.eye(4)
+        pose[0, 3] = 0.29 + 1e-7 * min(count, 30)
+        return (0.02 * min(count, 30), pose) if has_time else pose
+
+    robot = connect(tip_pose=newest)
+    robot.clock = clock
+    report = run_policy(pulling(), RobotEnv(drawing(), robot, settle=0.0), 3.0)
+    assert report.stop.cause.startswith("no reading for ")
+    assert report.timing.periods in (32, 33)  # three periods, up to round-off
+    assert report.stop.slack
 
 
 @pytest.mark.parametrize("arguments", [{"radius": 0.0}, {"watchdog": 5.0}, {"radius": [1.0, 2.0]}])

@@ -120,14 +120,38 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
                 " take it out"
             ),
         ),
-        ({}, {"senses": ("tendon_length",)}, "without tip_pose (the errors of the task)"),
+        (
+            {},
+            {"senses": ("tendon_length",)},
+            "without tip_pose (the errors of the task): every run needs a tracker",
+        ),
+        (
+            {"observation": ["coordinates", "tip_position", "tip_rotation", "preview"]},
+            {},
+            (
+                "--set \"observation=['tip_position','tip_rotation','preview']\". No sensor"
+                " measures coordinates: a controller NAME runs as filtered:NAME"
+            ),
+        ),
+        (
+            {"observation": ["tip_position", "tendon_lengths", "strain"], "sensors": 2},
+            {},
+            (
+                "without strain (strain), which is observed: take it out, by --set"
+                " \"observation=['tip_position','tendon_lengths']\""
+            ),
+        ),
         ({}, {"command_unit": "m"}, "which takes 'm', and the scene's arm takes 'N'"),
         (
             {"randomize": {"stiffness": 0.9}},
             {},
             "the option randomize should have no more than the noise",
         ),
-        ({"tip_speed_limit": 3.0}, {}, "without tip_twist (the option tip_speed_limit)"),
+        (
+            {"tip_speed_limit": 3.0},
+            {},
+            "without tip_twist (the option tip_speed_limit): leave that option out",
+        ),
     ],
 )
 def test_what_does_not_fit_is_said(options, changes, message, arm_of_test, drawing):

@@ -16,7 +16,7 @@ from soft_tendon_env.identification import Marker, MarkerSet
 from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import RobotEnv, SimulatedRobot, rehearse, run_policy
-from soft_tendon_env.robots.safety import Clock
+from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.scene.file import load_scene
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
@@ -130,7 +130,9 @@ def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
     assert exit.value.code == 130
     assert "\nstopped" in said.err
     assert out.read_text().count("\n") > 20
-    assert re.search(rf"written: {out}\ninterrupted: tendons slack after \d+ ms\n\n$", said.out)
+    assert re.search(
+        rf"written: {out}\ninterrupted by SIGINT: tendons slack after \d+ ms\n\n$", said.out
+    )
 
 
 def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):

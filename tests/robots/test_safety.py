@@ -11,8 +11,19 @@ import threading
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import Measurement, RobotEnv, RobotStopped, run_policy, safety
-from soft_tendon_env.robots.safety import Clock, Pacer
+from soft_tendon_env import simulate
+from soft_tendon_env.robots import (
+    Measurement,
+    MeasurementWarning,
+    RobotEnv,
+    RobotStopped,
+    run_policy,
+    safety,
+)
+from soft_tendon_env.robots import clock as clock_module
+from soft_tendon_env.robots.clock import Clock, Pacer
+from soft_tendon_env.robots.freshness import Freshness
+from soft_tendon_env.robots.top_speed import top_speed
 
 SOON = 0.1
 """Time [s] within which tendons should be slack."""
@@ -59,9 +70,9 @@ def out_of_reach():
         ),
         (
             {},
-            at(8, lambda: signal.raise_signal(signal.SIGTSTP)),
+            at(8, lambda: signal.raise_signal(signal.SIGUSR1)),
             KeyboardInterrupt,
-            "interrupted",
+            "interrupted by SIGUSR1",
             7,
         ),
     ],
@@ -193,8 +204,8 @@ def test_the_watchdog_lets_go_where_something_hangs(
 
 CHILD = """
 import sys, time, gymnasium, numpy as np
-from soft_tendon_env.robots import Measurement, RobotEnv, safety
-safety.TRYING = 30.0  # as a busy machine may need
+from soft_tendon_env.robots import Measurement, RobotEnv, safety, slack
+safety.TRYING = slack.TRYING = 30.0  # as a busy machine may need
 class Arm:
     command_unit, senses = "N", ("tip_pose",)
     def read(self): return Measurement(time.perf_counter(), tip_pose=np.eye(4))
@@ -252,9 +263,14 @@ def measurement_of_a_tip(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0
             measurement_of_a_tip(at=(180.0, 90.0, 0.0)),
             "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m",
         ),
+        (measurement_of_a_tip(at=(0.0, 0.38, 0.0)), "puts the tip 0.38 m from the base"),
         (
             measurement_of_a_tip()._replace(time="12:30"),
             "measurement.time should be a finite number of seconds",
+        ),
+        (
+            measurement_of_a_tip()._replace(tip_time=np.nan),
+            "measurement.tip_time should be a finite number of seconds",
         ),
     ],
 )
@@ -269,9 +285,25 @@ def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test
     env.close()
 
 
-def test_what_write_cannot_return_stops_the_robot(arm_of_test, drawing, pulling):
+@pytest.mark.parametrize(
+    ("answer", "is_refused"),
+    [
+        ([2000, 3000, 3000], True),
+        ([5.6, 0.0, 0.0], True),  # a tenth of the range, 5 N, may be rounding
+        ([5.4, 0.0, 0.0], False),
+        ([0.0, -0.4, 1.0], False),
+        ([1.0, -0.6, 1.0], True),
+    ],
+)
+def test_what_write_cannot_return_stops_the_robot(
+    answer, is_refused, arm_of_test, drawing, pulling
+):
     arm = arm_of_test()
-    arm.write = lambda command, write=arm.write: (write(command), [2000, 3000, 3000])[1]
+    arm.write = lambda command, write=arm.write: (write(command), answer)[1]
+    if not is_refused:
+        report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.2)
+        assert report.finished
+        return
     report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
     assert "it should be what was sent, in N, or nothing" in report.stop.cause
     assert report.stop.slack
@@ -298,6 +330,233 @@ def test_commands_stay_within_limits_and_rate(rounds, arm_of_test, drawing):
     np.testing.assert_allclose(values["command"][0], sent[-1], rtol=1e-6)
     env.close()
     assert arm.is_slack  # beneath the limits, which are for control
+
+
+@pytest.mark.parametrize("late", [0.013, 0.031, 0.055])
+def test_a_rate_holds_per_second_also_after_a_late_period(late, arm_of_test, drawing, pulling):
+    def work(count):
+        if count in (6, 20):
+            arm.clock.wait_until(arm.clock.now() + late)
+
+    arm = arm_of_test()
+    env = RobotEnv(drawing(), arm, settle=0.0, rate=7.0)
+    run_policy(pulling(work), env, 1.0)
+    # until the stop, which goes to slack at once
+    times = np.array([time for time, _ in arm.sent])
+    tensions = np.array([command[0] for _, command in arm.sent])
+    rises = slice(0, int(np.argmax(tensions)) + 1)
+    first, last = np.triu_indices(len(tensions[rises]), k=1)
+    change = tensions[last] - tensions[first]
+    assert (change <= 7.0 * (times[last] - times[first]) + 1e-9).all()
+    # and what can be changed is: 2.5 N take about 0.4 s
+    assert tensions.max() == pytest.approx(3.75)
+    assert times[np.argmax(tensions)] <= 3.75 / 7.0 + 2.0 * late + 0.05
+
+
+def test_tendons_are_slack_before_another_episode_begins(arm_of_test, drawing):
+    arm = arm_of_test()
+    env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.0)
+    env.reset(seed=0)
+    env.step(np.ones(3))
+    pulled = len(arm.sent)
+    arm.clock.wait_until(arm.clock.now() + 0.01)
+    env.reset(seed=0)
+    heights = [command.max() for _, command in arm.sent[pulled : pulled + 8]]
+    assert heights[5] == 0.0
+    assert (np.diff(heights[:6]) < 0.0).all()
+    # a pause of any length between episodes is nobody's fault
+    env.stop("a pause")
+    arm.clock.wait_until(arm.clock.now() + 100.0)
+    env.reset(seed=0)
+    assert env.stopped is None
+    env.close()
+
+
+def test_real_time_is_slept_through_and_met(monkeypatch):
+    """Sleeping ends a little before the deadline, since a process wakes late."""
+    now, slept = [5.0], []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        now[0] += seconds + 2e-4
+
+    def perf_counter():
+        now[0] += 1e-5
+        return now[0]
+
+    monkeypatch.setattr(clock_module, "sleep", sleep)
+    monkeypatch.setattr(clock_module, "perf_counter", perf_counter)
+    real = Clock()
+    real.wait_until(5.1)
+    assert 5.1 <= now[0] <= 5.1 + 3e-5
+    assert len(slept) == 1
+    assert 0.0993 <= slept[0] <= 0.0996
+    real.wait_until(5.05)  # is past
+    assert now[0] <= 5.1 + 6e-5
+    real.wait_until(now[0] + 4e-4)  # too short to sleep
+    assert len(slept) == 1
+
+
+def test_no_rate_is_no_limit(arm_of_test, drawing):
+    arm = arm_of_test()
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    env.reset(seed=0)
+    env.step(np.ones(3))
+    np.testing.assert_allclose(arm.sent[-1][1], 5.0)
+    env.close()
+
+
+@pytest.mark.parametrize("frozen", ["time", "tip_time"])
+def test_the_slowest_sensor_counts(frozen, arm_of_test, drawing, pulling):
+    """Motors that answer on a clock of their own are no sign of a tracker that sees, and
+    conversely."""
+    arm = arm_of_test()
+
+    def read(read=arm.read):
+        now = arm.clock.now()
+        times = {"time": 1000.0 + now, "tip_time": -5.0 + now}
+        times[frozen] = times[frozen] - now + min(now, 0.3)
+        return read()._replace(**times)
+
+    arm.read = read
+    report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 1.0)
+    assert report.stop.cause == "no reading for 80 ms: patience is 3 control periods of 20 ms"
+    assert report.timing.periods == 19
+    assert report.stop.slack
+
+
+def test_readings_of_two_sensors_are_joined(arm_of_test, drawing):
+    """Each of them is as new as its own time says."""
+    clock = Clock(real=False)
+    readings = Freshness(clock)
+    near, far = np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])
+    readings.take(Measurement(5.0, near, tendon_length=np.zeros(3), tip_time=90.0), True)
+    clock.wait_until(0.25)
+    old_pose = Measurement(5.1, far, tendon_length=np.ones(3), tip_time=90.0)
+    assert not readings.is_new_pose(old_pose)
+    readings.take(old_pose, False)
+    assert (readings.newest.tip_pose == near).all()
+    assert (readings.newest.tendon_length == 1.0).all()
+    assert readings.age == readings.age_of_pose == 0.25
+    left_out = Measurement(5.05, far, tendon_length=np.zeros(3), tip_time=90.05)
+    readings.take(left_out, False)
+    assert (readings.newest.tip_pose == near).all()
+    assert readings.age == 0.25
+    assert readings.age_of_pose == 0.0
+    clock.wait_until(0.5)
+    new_pose = Measurement(5.1, far, tendon_length=np.zeros(3), tip_time=90.1)
+    assert readings.is_new_pose(new_pose)
+    readings.take(new_pose, True)
+    assert (readings.newest.tip_pose == far).all()
+    assert (readings.newest.tendon_length == 1.0).all()
+    assert readings.newest.tip_time == 90.1
+    assert readings.age == 0.25
+    assert readings.age_of_pose == 0.0
+
+
+def jumping(arm, place):
+    """The arm, whose tip at a count of readings is `place(count)` m from where it was."""
+
+    def read(read=arm.read):
+        measured = read()
+        pose = measured.tip_pose.copy()
+        pose[1, 3] += place(arm.counts["read"])
+        return measured._replace(tip_pose=pose)
+
+    arm.read = read
+    return arm
+
+
+def test_one_jump_within_reach_is_left_out_and_told(arm_of_test, drawing):
+    arm = jumping(arm_of_test(), lambda count: 0.2 if count in (8, 12) else 0.0)
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    env.reset(seed=0)
+    places = []
+    with pytest.warns(MeasurementWarning, match=r"jumps by 0\.2 m within 20 ms") as caught:
+        for _ in range(15):
+            observation, *_ = env.step(np.zeros(3))
+            groups = env.unwrapped.episodes.layout.values(observation[None])
+            places.append(groups["tip_position"][0, 1])
+    assert len(caught) == 2
+    np.testing.assert_allclose(places, 0.0, atol=1e-9)
+    assert env.stopped is None
+    env.close()
+
+
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_a_jump_is_more_than_noise_and_top_speed(share, arm_of_test, drawing, recwarn):
+    arm = arm_of_test()
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    top = top_speed(drawing().unwrapped.episodes)
+    farthest = 0.1 * 0.3 + top * 0.02  # in a period of 20 ms
+    jumping(arm, lambda count: share * farthest if count == 6 else 0.0)
+    env.reset(seed=0)
+    for _ in range(8):
+        env.step(np.zeros(3))
+    env.close()
+    jumps = [warning for warning in recwarn if warning.category is MeasurementWarning]
+    # there and back
+    assert len(jumps) == (1 if share > 1.0 else 0)
+
+
+@pytest.mark.filterwarnings("ignore::soft_tendon_env.robots.MeasurementWarning")
+def test_jumps_twice_in_a_row_stop_the_robot(arm_of_test, drawing, pulling):
+    arm = jumping(arm_of_test(), lambda count: 0.12 if count >= 8 else 0.0)
+    report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 1.0)
+    assert "measurement.tip_pose jumps by 0.12 m within 20 ms" in report.stop.cause
+    assert report.stop.slack
+    assert report.timing.periods == 8
+
+
+def test_noise_and_motion_are_no_jumps(arm_of_test, drawing, recwarn):
+    """A tip that swings as fast as a soft arm may, beside noise of 1 % of its length."""
+    random = np.random.default_rng(0)
+    place = lambda count: 0.1 * np.sin(0.3 * count) + random.normal(scale=0.003)  # noqa: E731
+    arm = jumping(arm_of_test(), place)
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.step(np.zeros(3))
+    assert env.stopped is None
+    env.close()
+    assert not [warning for warning in recwarn if warning.category is MeasurementWarning]
+
+
+def test_the_top_speed_is_above_that_of_the_hardest_pulls(drawing):
+    episodes = drawing().unwrapped.episodes
+    greatest = top_speed(episodes)
+    model = episodes.model
+    fastest = 0.0
+    for pulled in ([5.0, 0.0, 0.0], [5.0, 5.0, 0.0], [0.0, 0.0, 5.0]):
+        # pulled for as long as the arm swings over, then let go
+        command = np.zeros((150, 3))
+        command[:75] = pulled
+        motion = simulate(model, command, 1.5, 0.01)
+        speeds = np.linalg.norm(np.diff(motion.tip_pose[:, :3, 3], axis=0), axis=1) / 0.01
+        fastest = max(fastest, float(speeds.max()))
+    assert 1.7 * fastest <= greatest <= 2.3 * fastest
+    assert (episodes.arms.rows.q == episodes.starts.q).all(), "the arm was left at rest"
+    weaker = drawing(tension_limits=(0.0, 1.0)).unwrapped.episodes
+    assert top_speed(weaker) < 0.5 * greatest
+
+
+def test_a_driver_with_a_watchdog_of_its_own_is_told(arm_of_test, drawing):
+    watched = []
+    arm = arm_of_test()
+    arm.watch = lambda slack, patience: watched.append((slack.tolist(), patience))
+    env = RobotEnv(drawing(), arm, settle=0.0, patience=4)
+    env.reset(seed=0)
+    assert watched == [([0.0, 0.0, 0.0], pytest.approx(0.08))]
+    env.reset(seed=0)
+    assert len(watched) == 2
+
+    def fails(slack, patience):
+        raise OSError("no watchdog")
+
+    arm.watch = fails
+    with pytest.raises(RobotStopped, match="the robot's own watchdog failed: OSError, no watchdog"):
+        env.reset(seed=0)
+    env.close()
 
 
 def test_a_late_period_does_not_move_the_next_deadlines():

@@ -110,11 +110,21 @@ def test_changes_are_values_of_toml_or_texts():
     assert table == {"a": {"b": 1, "b.c": 2}}
 
 
+@pytest.mark.parametrize("text", [5000 * "[" + 5000 * "]", "{a" + 5000 * ".a" + " = 1}"])
+def test_changes_that_are_nested_too_deep_are_refused(text):
+    with pytest.raises(ValueError, match="--set tendons nests arrays or tables too deep"):
+        parsed_changes([f"tendons={text}"])
+    nested = 20 * "[" + "1" + 20 * "]"
+    assert parsed_changes([f"a={nested}"])["a"] != nested
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (None, "cannot be read: No such file"),
         (b"a = ", "is not valid TOML"),
+        (b"a = " + 5000 * b"[" + 5000 * b"]", "nests arrays or tables too deep to be read"),
+        (b"a" + 5000 * b".a" + b" = 1", "nests arrays or tables too deep to be read"),
         (b"a = '\xff'", "is not valid TOML: .*start"),
     ],
 )

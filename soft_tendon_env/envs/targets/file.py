@@ -1,5 +1,7 @@
 """Target that follows a path from a CSV file."""
 
+import warnings
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -26,13 +28,22 @@ COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 FARTHEST_POSE = 2.0
 """Largest coordinate of the poses, in lengths of the rod: more is not in metres."""
 
+REACH = 1.1
+"""Distance from the base, in lengths of the rod, that a stretched arm may reach."""
+
+
+class TargetWarning(UserWarning):
+    """A target has poses that the arm cannot reach."""
+
 
 @register("target", "file")
 class File(Target):
-    """The tip follows poses of a CSV file, joined by cubic splines.
+    """The tip follows poses of a CSV file, joined by cubic curves that never overshoot.
 
-    The first is held before and the last after them. `path`: a file with the columns time [s],
-    x, y, z [m], qw, qx, qy, qz in the world frame; Reach ignores the orientation.
+    Between two rows each coordinate lies between theirs (PCHIP, Fritsch and Carlson 1980), and the
+    tip turns along the shortest way from one to the other. The first pose is held before and the
+    last after them, at rest. `path`: a file with the columns time [s], x, y, z [m], qw, qx, qy, qz
+    in the world frame; Reach ignores the orientation.
     """
 
     type: Literal["file"] = "file"
@@ -53,19 +64,35 @@ class File(Target):
             raise _problem(f"is {self.path!r}: {error}") from None
         way = course.place(course.times) - scene.base.position
         farthest = np.abs(way).max()
-        bound = FARTHEST_POSE * rod_length(scene)
+        length = rod_length(scene)
+        bound = FARTHEST_POSE * length
         if farthest > bound:
             raise _problem(
                 f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the"
                 f" base, {FARTHEST_POSE:g} lengths of the rod"
+            )
+        distance = np.linalg.norm(way, axis=1)
+        row = int(distance.argmax())
+        if distance[row] > REACH * length:
+            beyond = int((distance > REACH * length).sum())
+            _warn_once(
+                f"{self.path} has {beyond} of {distance.size} poses out of reach of an arm of"
+                f" {length:g} m: row {row + 1}, at {course.times[row]:g} s, is"
+                f" {distance[row]:.3g} m from the base"
             )
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return self.course
 
 
+@cache
+def _warn_once(text: str) -> None:
+    """Warns of the poses of a file the first time that an arm gets them."""
+    warnings.warn(text, TargetWarning, stacklevel=2)
+
+
 class FileCourse(PoseCourse):
-    """Poses of a table as splines of time, see `read_table`."""
+    """Poses of a table as functions of time that never overshoot, see `read_table`."""
 
     def __init__(self, path: str) -> None:
         """Read a file.
@@ -73,28 +100,67 @@ class FileCourse(PoseCourse):
         Raises OSError, ValueError without poses or times that grow.
         """
         # these take longer to import than all else that most targets need
-        from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Rotation, RotationSpline
+        from scipy.interpolate import CubicHermiteSpline
+        from scipy.spatial.transform import Rotation
 
         rows = _read_poses(path)
-        self.times = rows[:, 0]
-        self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
-        turns = Rotation.from_quat(rows[:, 4:], scalar_first=True)
-        self._turn = RotationSpline(self.times, turns)
+        times = rows[:, 0]
+        self.times = times
+        places = rows[:, 1:4]
+        self.place = CubicHermiteSpline(times, places, _monotone_slopes(times, places))
+        # from each row the shortest turn to the next, about an axis in the frame of the row
+        self._rotations = Rotation.from_quat(rows[:, 4:], scalar_first=True)
+        turns = (self._rotations[:-1].inv() * self._rotations[1:]).as_rotvec()
+        angles = np.linalg.norm(turns, axis=1)
+        self._axes = turns / np.where(angles > 0.0, angles, 1.0)[:, None]
+        # angle [rad] that has been turned through, whose rate falls where the axis changes
+        total = np.concatenate([[0.0], np.cumsum(angles)])
+        slopes = _monotone_slopes(times, total[:, None])[:, 0]
+        slopes[1:-1] *= self._alike_axes()
+        self._total = total
+        self._angle = CubicHermiteSpline(times, total, slopes)
+
+    def _alike_axes(self) -> Array:
+        """Cosines (m - 2,) of the angles between the axes before and after each inner row.
+
+        They are 0 where the axes point away from each other: a turn rests before it goes back.
+        """
+        # the axis of a turn is the same in the frames of both its ends
+        cosines = (self._axes[:-1] * self._axes[1:]).sum(axis=1)
+        return np.asarray(np.maximum(cosines, 0.0))
 
     def sample(self, times: Array) -> TargetSamples:
+        from scipy.spatial.transform import Rotation
+
         held = np.clip(times, self.times[0], self.times[-1])
-        R = self._turn(held).as_matrix()
+        # the row before each time
+        before = np.searchsorted(self.times[1:-1], held, side="right")
+        axis = self._axes[before]
+        turned = self._angle(held) - self._total[before]
+        turn = Rotation.from_rotvec(turned[:, None] * axis)
+        R = (self._rotations[before] * turn).as_matrix()
         pose = np.tile(np.eye(4), (times.size, 1, 1))
         pose[:, :3, :3] = R
         pose[:, :3, 3] = self.place(held)
         velocity = self.place(held, 1)
-        angular = self._turn(held, 1)
+        angular = self._angle(held, 1)[:, None] * axis  # in the frame of the tip too
         linear = (R * velocity[:, :, None]).sum(axis=1)  # R^T velocity
         twist = np.concatenate([angular, linear], axis=1)
         # before the first pose and after the last the tip rests
         twist *= (held == times)[:, None]
         return pose_samples(pose, twist)
+
+
+def _monotone_slopes(times: Array, values: Array) -> Array:
+    """Slopes (m, k) of PCHIP at the rows of values (m, k): cubic curves stay between two rows.
+
+    They are 0 at both ends, where the target rests before and after.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    slopes: Array = PchipInterpolator(times, values).derivative()(times)
+    slopes[[0, -1]] = 0.0
+    return slopes
 
 
 def _read_poses(path: str) -> Array:
