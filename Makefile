@@ -49,8 +49,8 @@ check: .venv/.installed-check ## lint, format, types, direction of imports
 bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file and a picture each
 	@set -e; for benchmark in $(filter-out benchmarks/peers.py,$(wildcard benchmarks/[a-z]*.py)); do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
 
-peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in docs/
-	.venv-peers/bin/python benchmarks/peers.py --write-docs
+peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in out/
+	.venv-peers/bin/python benchmarks/peers.py
 
 rllib: .venv-rllib/.installed ## an environment with Ray and RLlib, .venv-rllib, and the tests that need it
 	.venv-rllib/bin/python -m pytest tests/learning/test_rllib.py tests/tools/test_parallel.py

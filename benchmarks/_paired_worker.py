@@ -21,7 +21,8 @@ import numpy as np
 
 import soft_tendon_env as ste
 
-ID, ROWS = "TendonRod-TipPose-v0", 64
+ID = "TendonRod-TipPose-v0"
+ROWS = 64
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
 DRAWN = {"effects": {"tip_load.mass": [0.0, 0.01]}}
 

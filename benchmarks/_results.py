@@ -2,8 +2,6 @@
 
 import argparse
 import csv
-import os
-import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -12,11 +10,11 @@ import matplotlib
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.evaluation import provenance
 from soft_tendon_env.evaluation.tables import markdown_table as table_of_text
+from soft_tendon_env.evaluation.tables import write_markdown
 
 matplotlib.use("Agg")
-APPENDIX = Path(__file__).parent.parent / "docs" / "appendix"
 
 
 def parser_of(doc: str) -> argparse.ArgumentParser:
@@ -26,24 +24,15 @@ def parser_of(doc: str) -> argparse.ArgumentParser:
         "--quick", action="store_true", help="try the script: few, small and short cases"
     )
     parser.add_argument(
-        "--write-docs",
-        action="store_true",
-        help="write the table, the CSV file and the picture of the documentation too",
+        "--out", type=Path, default=Path("out"), help="folder of tables, CSV files and pictures"
     )
-    parser.add_argument("--out", type=Path, default=Path("out"))
     return parser
 
 
-def folders(arguments: argparse.Namespace, docs: Path = APPENDIX) -> list[Path]:
-    """Folders that get the CSV file and the picture. docs: that of the documentation."""
-    return [arguments.out, *([docs] if arguments.write_docs else [])]
-
-
-def write_block(arguments: argparse.Namespace, page: Path, name: str, text: str) -> None:
-    """Print a block of a page, and write it there with --write-docs. Raises as
-    soft_tendon_env.evaluation.pages.Page."""
+def write_tables(path: Path, text: str) -> None:
+    """Print tables in Markdown, and write them to a file."""
     print(f"\n{text}\n")
-    Page(str(page) if arguments.write_docs else None, [name]).write(name, text)
+    write_markdown(path, text)
 
 
 def cpu_times(action: Callable[[], object], repeats: int) -> list[float]:
@@ -76,17 +65,6 @@ def write_picture(figure: Figure, path: Path, dpi: int = 130) -> None:
     print(f"written: {path}")
 
 
-def processor() -> str:
-    """The processor's name."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(
-            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
-        )
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
-
-
 def machine() -> str:
-    """What the numbers depend on besides the code."""
-    return f"{processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, one thread"
+    """Text of what the numbers depend on besides the code."""
+    return f"{provenance.machine()}, one thread"

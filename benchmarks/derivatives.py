@@ -1,7 +1,7 @@
 """CPU time of derivatives relative to a plain step, and their error on every arm that ships and
 with every effect.
 
-    python benchmarks/derivatives.py [--quick] [--write-docs] [--out out]
+    python benchmarks/derivatives.py [--quick] [--out out]
 
 Control periods are 20 ms. docs/explanation/derivatives.md has the paper's arm at every preset; the
 CSV file has the other arms and the effects too, at `standard`.
@@ -27,7 +27,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import APPENDIX, markdown_table, parser_of, write_block, write_csv, write_picture
+from _results import markdown_table, parser_of, write_csv, write_picture, write_tables
 from _scenes import WITH_FIELDS
 
 import soft_tendon_env as ste
@@ -74,9 +74,10 @@ CASES = [
     *(("paper", name, table) for name, table in ARMS.items()),
     *(("three_tendon", name, table) for name, table in EFFECTS.items()),
 ]
-CHANGE, SEEDS = 0.05, 3
+CHANGE = 0.05
+SEEDS = 3
 LIVELY = 10  # periods of motion before costs are measured
-SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
+SENSORS = (0.25, 0.5, 0.75, 1.0)  # shares of the length
 HEADER = (
     "arm",
     "effect",
@@ -88,7 +89,6 @@ HEADER = (
     "by state [%]",
     "by tension [%]",
 )
-PAGE = APPENDIX.parent / "explanation" / "derivatives.md"
 
 
 def main() -> None:
@@ -109,10 +109,8 @@ def main() -> None:
         print(*rows[-1], flush=True)
     write_csv(arguments.out / "derivatives.csv", HEADER, rows)
     draw(rows, arguments.out / "derivatives.png")
-    write_block(
-        arguments,
-        PAGE,
-        "derivatives",
+    write_tables(
+        arguments.out / "derivatives.md",
         markdown_table(HEADER[2:], [row[2:] for row in rows[: len(PRESETS)]]),
     )
 

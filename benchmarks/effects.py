@@ -1,7 +1,7 @@
 """CPU time of effects, their compilation on first use, and the tip error without them: a section of
 docs/appendix/speed.md.
 
-    python benchmarks/effects.py [--quick] [--write-docs] [--out out]
+    python benchmarks/effects.py [--quick] [--out out]
 
 Costs are CPU times of an evaluation of the equation of motion of the paper's arm (10 coordinates, 6
 intervals per piece), measured in turns and divided by those without effects: medians. The row of
@@ -24,13 +24,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 
 import soft_tendon_env as ste
@@ -112,9 +110,11 @@ CASES = {
         {"effects.tendon_friction.coefficient": 0.2},
     ),
 }
-EVERYTHING, INSIDE = "all together", "loads inside"
+EVERYTHING = "all together"
+INSIDE = "loads inside"
 LEFT_OUT = ("disturbance",)  # of the page, not of the chart: it costs what gravity does
-INTERVALS, EVALUATIONS = 6, 1000
+INTERVALS = 6
+EVALUATIONS = 1000
 HEADER = ("effect", "evaluation", "in a step", "compilation [s]", "scene", "without it [mm]")
 
 FIRST_STEP = """
@@ -155,11 +155,10 @@ def main() -> None:
             else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
         )
         rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
-    for folder in folders(arguments):
-        write_csv(folder / "effects.csv", HEADER, rows)
-        draw(rows, folder / "effects.png")
+    write_csv(arguments.out / "effects.csv", HEADER, rows)
+    draw(rows, arguments.out / "effects.png")
     shown = [row for row in rows if row[0] not in LEFT_OUT]
-    write_block(arguments, APPENDIX / "speed.md", "effects", markdown_table(HEADER, shown))
+    write_tables(arguments.out / "effects.md", markdown_table(HEADER, shown))
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Tip error and CPU time per control period of the fidelity presets: a section of
 docs/appendix/speed.md.
 
-    python benchmarks/fidelity.py [--scenes paper ...] [--quick] [--write-docs] [--out out]
+    python benchmarks/fidelity.py [--scenes paper ...] [--quick] [--out out]
 
 Largest distance of the tip from a converged reference over 2 s, in the worst of three motions of
 each kind, of which no passive mode was made. Evaluations are the mean over the usual kinds. CPU
@@ -16,13 +16,11 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from _scenes import SOFT_ARMS
 from tqdm import tqdm
@@ -36,8 +34,11 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 KINDS = MOTIONS[:4]
 SHOWN = ("paper", "three_tendon", "helical")  # arms on the page
 SEEDS = range(100, 103)
-REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
-HELD, ROWS, STEPS = 5, 64, 400  # control periods
+REFERENCE = 5e-5  # share of the length
+WILD_REFERENCE = 2e-3  # share of the length
+HELD = 5  # control periods
+ROWS = 64
+STEPS = 400  # control periods
 HEADER = (
     "scene",
     "fidelity",
@@ -58,10 +59,9 @@ def main() -> None:
         for name in tqdm(arguments.scenes, desc="arms", leave=False)
         for row in measured(name, seeds, seconds, steps)
     ]
-    for folder in folders(arguments):
-        write_csv(folder / "fidelity.csv", HEADER, rows)
-        draw(rows, folder / "fidelity.png")
-    write_block(arguments, APPENDIX / "speed.md", "fidelity", table_of(rows))
+    write_csv(arguments.out / "fidelity.csv", HEADER, rows)
+    draw(rows, arguments.out / "fidelity.png")
+    write_tables(arguments.out / "fidelity.md", table_of(rows))
 
 
 def table_of(rows: list[tuple[str, ...]]) -> str:

@@ -1,7 +1,7 @@
 """Tip error of strain fields: no passive modes, Legendre moments, POD modes, explicit polynomials.
 A section of docs/appendix/accuracy.md.
 
-    python benchmarks/fields.py [--scenes paper ...] [--quick] [--write-docs] [--out out]
+    python benchmarks/fields.py [--scenes paper ...] [--quick] [--out out]
 
 Largest distance of the tip [mm] from a converged reference over 2 s, with converged time
 integration. No mode was made from these motions. Loaded arms have gravity, a payload and a tip
@@ -14,13 +14,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from _scenes import SOFT_ARMS
 from tqdm import tqdm
@@ -36,12 +34,13 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 OWN = (6, 9, 18)
-INTERVALS, STEP, COLUMNS = 16, 0.005, 4
-REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
-ANGULAR, STRAINS = (
-    ["torsion", "bend_y", "bend_z"],
-    ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
-)
+INTERVALS = 16
+STEP = 0.005  # [s]
+COLUMNS = 4
+REFERENCE = 5e-5  # share of the length
+WILD_REFERENCE = 2e-3  # share of the length
+ANGULAR = ["torsion", "bend_y", "bend_z"]
+STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 HEADER = ("scene", "strain fields", "coordinates", *(f"{kind} [mm]" for kind in KINDS))
 LOOKS = {
     "Legendre": ("#edae49", "s"),
@@ -64,10 +63,9 @@ def main() -> None:
         for name, scene in tqdm(cases, desc="arms", leave=False)
         for row in measured(name, scene, seeds, seconds)
     ]
-    for folder in folders(arguments):
-        write_csv(folder / "fields.csv", HEADER, rows)
-        draw(rows, folder / "fields.png")
-    write_block(arguments, APPENDIX / "accuracy.md", "strain fields", by_strain(rows))
+    write_csv(arguments.out / "fields.csv", HEADER, rows)
+    draw(rows, arguments.out / "fields.png")
+    write_tables(arguments.out / "fields.md", by_strain(rows))
 
 
 def by_strain(rows: list[tuple[str, ...]]) -> str:

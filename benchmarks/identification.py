@@ -28,7 +28,9 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 
 ASKED = ("segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio")
-HOLDS, NOISE, LARGEST = 20, 5e-4, 4.0  # [m], [N]
+HOLDS = 20
+NOISE = 5e-4  # [m]
+LARGEST = 4.0  # tension [N]
 SPREAD = 0.3  # of the logarithms of the first two
 NU = 0.9  # of the scene's Poisson ratio
 HEADER = (

@@ -2,7 +2,7 @@
 scene, and with their own.
 
     python benchmarks/identified_control.py [--robots 10] [--agents] [--workers 1] [--quick]
-    [--write-docs] [--out out]
+    [--out out]
 
 Each robot is another hanging arm with three tendons: stiffness and damping within 25 and 50 % of
 the drawing's, friction of the tendons, a base that is turned by about 3 degrees and shifted by
@@ -23,13 +23,12 @@ from typing import Any, Literal, NamedTuple
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv, write_picture
+from _results import machine, markdown_table, write_csv, write_picture, write_tables
 from tqdm import tqdm
 
 from soft_tendon_env import register
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.evaluation.metrics import root_mean_square
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.summaries import bootstrap_interval
 from soft_tendon_env.identification import Estimate, Marker, MarkerSet, identify
 from soft_tendon_env.identification.identify import randomize
@@ -41,26 +40,22 @@ from soft_tendon_env.scene.scene import Scene, rod_length, scene_to_dict
 from soft_tendon_env.tools.parallel import run_all
 
 DRAWING = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
-FRICTION, LATE = "effects.tendon_friction.coefficient", "effects.actuators.delay"
+FRICTION = "effects.tendon_friction.coefficient"
+LATE = "effects.actuators.delay"
 BEGINS = DRAWING.replace(
     {FRICTION: 0.1, LATE: 0.02}
 )  # with usual numbers of what the drawing does not know
 TIP = MarkerSet(markers={"tip": Marker(arc_length=rod_length(DRAWING))})
 ASKED = ("segments.*.young_modulus", "segments.*.damping", FRICTION, "base", DELAY)
-TRUE, BELIEVED = (
-    "fine",
-    "standard",
-)  # fidelities of robots, and of the models that are fitted and controlled with
+TRUE = "fine"  # fidelity of the robots
+BELIEVED = "standard"  # fidelity of the models that are fitted and controlled with
 NOISE = 5e-4  # [m]
-MOTIONS, STEPS, LARGEST = (
-    2,
-    8,
-    0.6,
-)  # logs; steps of each, of 0.3 to 0.8 s; share of the tensions' range
+MOTIONS = 2  # logs
+STEPS = 8  # of each, of 0.3 to 0.8 s
+LARGEST = 0.6  # share of the tensions' range
 STILL = 0.5  # [s] in which a robot that hangs still already is held
 SKIP = 1.0  # [s] that do not count
 TASK = "TipPose"
-DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "tutorials" / "robot.md", "identified control"
 CONTROLLER = "filtered:predictive"
 MODELS = ("drawing", "identified", "own")
 HEADER = (
@@ -127,14 +122,10 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--quick", action="store_true", help="two robots, short runs")
-    parser.add_argument(
-        "--write-docs", action="store_true", help=f"write the table into docs/tutorials/{DOCS.name}"
-    )
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     if arguments.quick:
         arguments.robots, arguments.seconds = 2, 1.2
-    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK])
     print(f"{machine()}; {arguments.robots} robots\n")
     arguments.out.mkdir(parents=True, exist_ok=True)
     general = (
@@ -154,8 +145,7 @@ def main() -> None:
         markdown_table(("parameter", "off at most", "truth in the interval"), recovery(found)),
         markdown_table(HEADER, rows),
     ]
-    print("", *tables, sep="\n\n")
-    page.write(BLOCK, "\n\n".join(tables))
+    write_tables(arguments.out / "identified_control.md", "\n\n".join(tables))
     write_csv(arguments.out / "identified_control.csv", HEADER, rows)
     draw(errors, arguments.out / "identified_control.png")
 

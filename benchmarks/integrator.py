@@ -1,7 +1,7 @@
 """Time-discretisation error and evaluations of the integrator, of fixed and of adaptive order: a
 section of docs/appendix/accuracy.md.
 
-    python benchmarks/integrator.py [--quick] [--write-docs] [--out out]
+    python benchmarks/integrator.py [--quick] [--out out]
 
 Motions of the paper's arm, with passive moments up to quadratic, last 2 s from rest, with control
 periods of 20 ms. The reference is the same model with 4 columns and steps of 0.5 ms, so that errors
@@ -14,13 +14,11 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from tqdm import tqdm
 
@@ -32,7 +30,8 @@ SCENE = ste.load_scene("paper").replace(
     {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]}
 )
 LOAD_SEED = 5  # part of the seed of random loads, which no kind of motion has
-SEEDS, SECONDS = 8, 2.0
+SEEDS = 8
+SECONDS = 2.0  # length of a motion
 FIXED = (3, 4, 5)  # columns
 TOLERANCES = (2e-6, 1e-5, 3e-5, 1e-4)
 STATED = {2e-6: (3e-4, 1e-3), 1e-5: (1e-3, 2e-3), 3e-5: (2e-3, 4e-3), 1e-4: (4e-3, 1e-2)}
@@ -84,11 +83,10 @@ def main() -> None:
     arguments = parser_of(__doc__).parse_args()
     seeds, seconds, mixed = (1, 0.1, 8) if arguments.quick else (SEEDS, SECONDS, MIXED)
     rows, kept = compared(seeds, seconds), how_often_kept(mixed, seconds)
-    for folder in folders(arguments):
-        write_csv(folder / "integrator.csv", HEADER, rows)
-        draw(rows, folder / "integrator.png")
+    write_csv(arguments.out / "integrator.csv", HEADER, rows)
+    draw(rows, arguments.out / "integrator.png")
     tables = f"{markdown_table(HEADER, rows)}\n\n{markdown_table(KEPT_HEADER, kept)}"
-    write_block(arguments, APPENDIX / "accuracy.md", "adaptive order", tables)
+    write_tables(arguments.out / "integrator.md", tables)
 
 
 def settings() -> dict[str, dict[str, object]]:

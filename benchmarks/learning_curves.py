@@ -1,7 +1,7 @@
 """Learning curves of the agents that ship for TipPose, over the seeds of their trainings: a picture
 and a CSV file of docs/results.
 
-    python benchmarks/learning_curves.py [--quick] [--write-docs] [--out out]
+    python benchmarks/learning_curves.py [--quick] [--out out]
 
 Errors are geometric means over the validation episodes of a training that did not diverge, with
 interquartile means and intervals over its seeds.
@@ -10,7 +10,7 @@ interquartile means and intervals over its seeds.
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from _results import folders, markdown_table, parser_of, write_csv, write_picture
+from _results import markdown_table, parser_of, write_csv, write_picture
 
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.evaluation.entrants import trained_alike
@@ -21,8 +21,8 @@ from soft_tendon_env.learning.curves import Curves, read_curves
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.policies.agent import find_agent
 
-TASK, ALGORITHMS = "TipPose", ("ppo", "sac", "apg")
-RESULTS = Path(__file__).parent.parent / "docs" / "results"
+TASK = "TipPose"
+ALGORITHMS = ("ppo", "sac", "apg")
 HEADER = ("training", "seeds", "steps", "minutes", "error [mm]", "low [mm]", "high [mm]")
 
 
@@ -55,9 +55,8 @@ def main() -> None:
     axes.set(xlabel="time of training [min]", ylabel="position [mm] RMS, validation episodes")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
-    for folder in folders(arguments, RESULTS):
-        write_csv(folder / "learning_curves.csv", HEADER, rows)
-        write_picture(figure, folder / "learning_curves.png")
+    write_csv(arguments.out / "learning_curves.csv", HEADER, rows)
+    write_picture(figure, arguments.out / "learning_curves.png")
     print(f"\n{markdown_table(HEADER, ends)}\n")
 
 

@@ -1,7 +1,7 @@
 """Error that each preset keeps on twelve arms that do not ship: a section of
 docs/appendix/accuracy.md.
 
-    python benchmarks/own_arms.py [--arms spring ...] [--quick] [--write-docs] [--out out]
+    python benchmarks/own_arms.py [--arms spring ...] [--quick] [--out out]
 
 Largest distance of the tip from full physics, at rest under twelve sets of tensions within limits
 and over 2 s in two motions of each usual kind, none of which the trial had. The trial's CPU time is
@@ -14,13 +14,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from tqdm import tqdm
 
@@ -31,7 +29,9 @@ from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_
 from soft_tendon_env.accuracy.trial import search
 from soft_tendon_env.scene.scene import Scene, rod_length
 
-RESTS, SEEDS, REFERENCE = 12, range(100, 102), 1e-4  # of the length
+RESTS = 12
+SEEDS = range(100, 102)
+REFERENCE = 1e-4  # share of the length
 SHOWN = "standard"  # in the page's table; the CSV file and the picture have all presets
 HEADER = (
     "arm",
@@ -173,11 +173,10 @@ def main() -> None:
         for name in tqdm(names, desc="arms", leave=False)
         for row in measured(name, count, seconds)
     ]
-    for folder in folders(arguments):
-        write_csv(folder / "own_arms.csv", HEADER, rows)
-        draw(rows, folder / "own_arms.png")
+    write_csv(arguments.out / "own_arms.csv", HEADER, rows)
+    draw(rows, arguments.out / "own_arms.png")
     shown = [row for row in rows if row[1] == SHOWN]
-    write_block(arguments, APPENDIX / "accuracy.md", "own arms", markdown_table(HEADER, shown))
+    write_tables(arguments.out / "own_arms.md", markdown_table(HEADER, shown))
 
 
 def measured(name: str, count: int, seconds: float) -> list[tuple[str, ...]]:

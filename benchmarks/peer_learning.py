@@ -2,7 +2,7 @@
 analytic policy gradient.
 
     python benchmarks/peer_learning.py [--ways theirs ours apg] [--seeds 1] [--steps 0] [--quick]
-    [--write-docs] [--out out]
+    [--out out]
 
 The task is `examples/follow_ball.py`, SoRoMoX's study of parallel reinforcement learning written
 anew. Times are of training, without compilation, to the first update at which the last 100 whole
@@ -21,20 +21,20 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from _results import machine, markdown_table, write_csv, write_picture
+from _results import machine, markdown_table, write_csv, write_picture, write_tables
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 import follow_ball
 
 EXAMPLE = "examples/follow_ball.py"
-ROWS, EPISODES = 64, 100
+ROWS = 64
+EPISODES = 100
 RETURNS = 0.0, 100.0
 THEIR_LOGS = (
     ("SoRoMoX, PPO, 512 environments, the better of two runs", "1,180", "1,842", "104"),
@@ -46,7 +46,6 @@ THEIRS = (
     "What their logs say, on a GPU that is not named (PyElastica: a CPU), of a rod with another"
     " damping of torsion, stretch and shear:"
 )
-DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "appendix" / "peers.md", "peer learning"
 HEADER = (
     "way",
     "seed",
@@ -212,12 +211,8 @@ def main() -> None:
         "--steps", type=int, default=0, help="of every training; 0: as many as each way has"
     )
     parser.add_argument("--quick", action="store_true", help="a few episodes, to try it")
-    parser.add_argument(
-        "--write-docs", action="store_true", help=f"write the tables into {DOCS.name}"
-    )
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK])
     torch.set_num_threads(1)
     steps = ROWS * follow_ball.PERIODS * 3 if arguments.quick else arguments.steps
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -231,8 +226,8 @@ def main() -> None:
     text = (
         f"{markdown_table(HEADER, rows)}\n\n{THEIRS}\n\n{markdown_table(THEIR_HEADER, THEIR_LOGS)}"
     )
-    print(f"{machine()}; {ROWS} arms with PPO, {follow_ball.ROWS} with APG\n\n{text}\n")
-    page.write(BLOCK, text)
+    print(f"{machine()}; {ROWS} arms with PPO, {follow_ball.ROWS} with APG")
+    write_tables(arguments.out / "peer_learning.md", text)
     write_csv(arguments.out / "peer_learning.csv", HEADER, rows)
     draw(curves, arguments.out / "peer_learning.png")
 

@@ -1,8 +1,8 @@
-"""This package beside MuJoCo, PyElastica and SoRoMoX on the paper's arm: accuracy against CPU time,
-and abrupt tensions.
+"""Accuracy against CPU time on the paper's arm: settings of this package, MuJoCo, PyElastica and
+SoRoMoX; and abrupt tensions.
 
-    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--quick] [--write-docs]
-    [--out out] where the extra `peers` is installed
+    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--quick] [--out out]
+    where the extra `peers` is installed
 
 The models, inputs, errors and times that are compared: docs/appendix/peers.md and the files of
 benchmarks/_peers. The reference has all six strains by polynomials of order 5 on each half of the
@@ -21,17 +21,16 @@ from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _peers.own import explicit
+from _peers import own
 from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
+from matplotlib.axes import Axes
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -53,10 +52,10 @@ COLOURS = {
 MOTIONS = ("smooth", "step", "redrawn")
 SEED = 0
 INTEGRATION = {"quadrature.intervals": 24, "integrator.columns": 4, "integrator.step": 5e-4}
-FULL_PHYSICS = {"strain": explicit(5), **INTEGRATION}
-ERROR_BARS = ({"strain": explicit(6), **INTEGRATION}, {**FULL_PHYSICS, "integrator.step": 1e-3})
+FULL_PHYSICS = {"strain": own.explicit(5), **INTEGRATION}
+ERROR_BARS = ({"strain": own.explicit(6), **INTEGRATION}, {**FULL_PHYSICS, "integrator.step": 1e-3})
 QUICK = {
-    "strain": explicit(2),
+    "strain": own.explicit(2),
     "quadrature.intervals": 4,
 }  # in place of full physics and its error bars
 ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11))}
@@ -64,6 +63,8 @@ ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11
 HARD_SECONDS = 0.4
 LEVELS = (10.0, 5.0, 2.0, 0.5)
 """Errors [mm] that the summary asks the cheapest setting for."""
+WORTH_A_ROW = 0.95
+"""Greatest share of the error of the one before that the next best setting may have."""
 HEADER = ("simulator", "setting", "input", "simulated [s]", "error [mm]", "CPU [ms/s]", "told")
 
 
@@ -112,26 +113,22 @@ def main() -> None:
     simulators, missing = load(arguments.peers)
     for name, why in missing.items():
         print(f"{name} is left out: {why}")
-    usual, hard = usual_inputs(arguments.quick), hard_inputs(arguments.quick)
-    runs = [
-        run
-        for simulator in simulators.values()
-        for run in measure_all(simulator, usual, hard, arguments.quick)
-    ]
-    for folder in folders(arguments):
-        write_csv(folder / "peers.csv", HEADER, [run.row() for run in runs])
-        draw(runs, folder / "peers.png")
-    write_block(
-        arguments,
-        APPENDIX / "peers.md",
-        "peers",
+    usual = usual_inputs(arguments.quick)
+    hard = hard_inputs(arguments.quick)
+    runs = list[Measured]()
+    for simulator in simulators.values():
+        runs += measure_all(simulator, usual, hard, arguments.quick)
+    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in runs])
+    draw(runs, arguments.out / "peers.png")
+    write_tables(
+        arguments.out / "peers.md",
         tables(runs, {**usual, **hard}, simulators, missing),
     )
 
 
 def load(names: Iterable[str]) -> tuple[dict[str, Simulator], dict[str, str]]:
     """The modules that can be imported, and why the others cannot."""
-    found: dict[str, Any] = {}
+    simulators: dict[str, Any] = {}
     missing = {}
     for name in names:
         try:
@@ -139,44 +136,49 @@ def load(names: Iterable[str]) -> tuple[dict[str, Simulator], dict[str, str]]:
         except ImportError as error:
             missing[name] = f"{error}"
         else:
-            found[module.NAME] = module
-    return found, missing
+            simulators[module.NAME] = module
+    return simulators, missing
 
 
 def usual_inputs(quick: bool) -> dict[str, Input]:
-    scene, seconds = ste.load_scene("paper"), 0.2 if quick else 2.0
-    return {
-        motion: with_reference(motion_tensions(scene, motion, SEED, seconds), quick)
-        for motion in MOTIONS
-    }
+    """The inputs of MOTIONS, with their references."""
+    scene = ste.load_scene("paper")
+    seconds = 0.2 if quick else 2.0
+    inputs = {}
+    for motion in MOTIONS:
+        tensions = motion_tensions(scene, motion, SEED, seconds)
+        inputs[motion] = with_reference(tensions, quick)
+    return inputs
 
 
 def hard_inputs(quick: bool) -> dict[str, Input]:
-    rows, inputs = round((0.06 if quick else HARD_SECONDS) / HOLD), {}
+    """The inputs of ABRUPT, with their references."""
+    seconds = 0.06 if quick else HARD_SECONDS
+    inputs = {}
     for name, tendons in ABRUPT.items():
-        tensions = np.zeros((rows, 10))
-        tensions[:, np.array(tendons) - 1] = float(name.split()[0])
+        tensions = np.zeros((round(seconds / HOLD), 10))
+        columns = np.array(tendons) - 1
+        tensions[:, columns] = float(name.split()[0])
         inputs[name] = with_reference(tensions, quick)
     return inputs
 
 
 def with_reference(tensions: Array, quick: bool) -> Input:
+    """The input with the tips of full physics, and how far finer models differ from them."""
+    models = (QUICK,) if quick else (FULL_PHYSICS, *ERROR_BARS)
     try:
-        tip, *others = (
-            tips(tensions, changes)
-            for changes in ((QUICK,) if quick else (FULL_PHYSICS, *ERROR_BARS))
-        )
+        reference, *others = (tips(tensions, changes) for changes in models)
     except ste.SimulationDiverged:
         return Input(tensions, None, np.nan)
-    return Input(
-        tensions, tip, max((largest_distance(tip, other) for other in others), default=np.nan)
-    )
+    distances = [largest_distance(reference, other) for other in others]
+    return Input(tensions, reference, max(distances, default=np.nan))
 
 
 def tips(tensions: Array, changes: dict[str, Any]) -> Array:
     """Tip positions (rows + 1, 3) [m] of this package's model with these changes of the scene."""
     model = ste.build_model(ste.load_scene("paper").replace(changes), "scene")
-    return ste.simulate(model, tensions, HOLD * len(tensions), HOLD).tip_pose[:, :3, 3]
+    motion = ste.simulate(model, tensions, HOLD * len(tensions), HOLD)
+    return motion.tip_pose[:, :3, 3]
 
 
 def largest_distance(tip: Array, reference: Array) -> float:
@@ -192,7 +194,8 @@ def measure_all(
     robust = simulator.QUICK[:1] if quick else simulator.HARD
     settings = simulator.QUICK if quick else simulator.settings()
     for setting in tqdm(dict.fromkeys((*settings, *robust)), desc=simulator.NAME):
-        yield from measure(simulator, setting, {**usual, **hard} if setting in robust else usual)
+        inputs = {**usual, **hard} if setting in robust else usual
+        yield from measure(simulator, setting, inputs)
 
 
 def measure(simulator: Simulator, setting: Setting, inputs: dict[str, Input]) -> Iterator[Measured]:
@@ -200,58 +203,62 @@ def measure(simulator: Simulator, setting: Setting, inputs: dict[str, Input]) ->
     run = simulator.prepare(ste.load_scene("paper"), setting)
     if run is None:
         return
-    for name, given in inputs.items():
-        rows = min(len(given.tensions), round(simulator.SECONDS / HOLD))
-        motion: Motion = run(given.tensions[:rows])
-        finite = bool(np.isfinite(motion.tip).all())
-        error = (
-            np.inf
-            if not finite
-            else np.nan
-            if given.tip is None
-            else largest_distance(motion.tip, given.tip)
-        )
-        seconds = HOLD * rows
+    longest = round(simulator.SECONDS / HOLD)
+    for name, case in inputs.items():
+        rows = min(len(case.tensions), longest)
+        motion: Motion = run(case.tensions[:rows])
         yield Measured(
             simulator.NAME,
             setting.label,
             name,
-            seconds,
-            error,
+            HOLD * rows,
+            error_of(motion, case),
             motion.cpu,
             motion.told,
             motion.restarted,
         )
 
 
+def error_of(motion: Motion, case: Input) -> float:
+    """Largest distance [m] of the tip from the reference: infinite where the motion is not finite,
+    NaN without a reference."""
+    if not np.isfinite(motion.tip).all():
+        return np.inf
+    if case.tip is None:
+        return np.nan
+    return largest_distance(motion.tip, case.tip)
+
+
 def front(runs: Iterable[Measured]) -> list[Measured]:
     """Those than which no other is both cheaper and nearer, cheapest first."""
+    finite = [run for run in runs if np.isfinite(run.error)]
     best: list[Measured] = []
-    for run in sorted(
-        (run for run in runs if np.isfinite(run.error)), key=lambda run: (run.cpu, run.error)
-    ):
-        if not best or run.error < 0.95 * best[-1].error:  # 5 %: what is worth a row
+    for run in sorted(finite, key=lambda run: (run.cpu, run.error)):
+        if not best or run.error < WORTH_A_ROW * best[-1].error:
             best.append(run)
     return best
 
 
-def of(runs: Iterable[Measured], simulator: str, name: str) -> list[Measured]:
+def select(runs: Iterable[Measured], simulator: str, name: str) -> list[Measured]:
+    """Runs of a simulator on an input."""
     return [run for run in runs if run.simulator == simulator and run.input == name]
 
 
 def millimetres(distance: float) -> str:
-    return (
-        "not finite"
-        if np.isinf(distance)
-        else "-"
-        if np.isnan(distance)
-        else f"{1e3 * distance:.3g}"
-    )
+    """Text of a distance [m]."""
+    if np.isinf(distance):
+        return "not finite"
+    return "-" if np.isnan(distance) else f"{1e3 * distance:.3g}"
 
 
 def milliseconds(cpu: float) -> str:
-    """About three digits."""
-    return f"{1e3 * cpu:,.{2 if cpu < 0.01 else 1 if cpu < 0.1 else 0}f}"
+    """Text of a time [s], of about three digits."""
+    digits = 0
+    if cpu < 0.1:
+        digits = 1
+    if cpu < 0.01:
+        digits = 2
+    return f"{1e3 * cpu:,.{digits}f}"
 
 
 def tables(
@@ -261,20 +268,16 @@ def tables(
     missing: dict[str, str],
 ) -> str:
     """The tables of the page, as Markdown."""
-    versions = ", ".join(
-        f"{name} {metadata.version(simulator.DISTRIBUTION)}"
-        for name, simulator in simulators.items()
-    )
-    bars = ", ".join(f"{name} {millimetres(given.error_bar)} mm" for name, given in inputs.items())
-    left_out = "".join(f" Not measured: {name} ({why})." for name, why in missing.items())
-    return "\n\n".join(
-        [
-            f"{versions}.{left_out}",
-            summary(runs, list(simulators)),
-            hard_table(runs, list(simulators)),
-            f"Error bars: {bars}.",
-        ]
-    )
+    versions = []
+    for name, simulator in simulators.items():
+        versions.append(f"{name} {metadata.version(simulator.DISTRIBUTION)}")
+    intro = f"{', '.join(versions)}."
+    for name, why in missing.items():
+        intro += f" Not measured: {name} ({why})."
+    bars = [f"{name} {millimetres(case.error_bar)} mm" for name, case in inputs.items()]
+    parts = [intro, summary(runs, list(simulators)), hard_table(runs, list(simulators))]
+    parts += [f"Error bars: {', '.join(bars)}.", settings_table(runs)]
+    return "\n\n".join(parts)
 
 
 def summary(runs: list[Measured], simulators: list[str]) -> str:
@@ -283,99 +286,81 @@ def summary(runs: list[Measured], simulators: list[str]) -> str:
     rows = []
     for name in MOTIONS:
         for level in LEVELS:
-            first, *others = (
-                cheapest(of(runs, simulator, name), level) for simulator in simulators
-            )
-            if first or any(others):
-                rows.append(
-                    (
-                        name,
-                        f"{level:g}",
-                        in_times(first, None),
-                        *(in_times(cpu, first) for cpu in others),
-                    )
-                )
+            times = []
+            for simulator in simulators:
+                run = cheapest(select(runs, simulator, name), level)
+                times.append(None if run is None else run.cpu)
+            if not any(times):
+                continue
+            first, *others = times
+            cells = [in_times(first, None), *(in_times(cpu, first) for cpu in others)]
+            rows.append((name, f"{level:g}", *cells))
     return markdown_table(("input", "within [mm]", *simulators), rows)
 
 
-def cheapest(runs: Iterable[Measured], level: float) -> float | None:
-    """CPU seconds per simulated second of the cheapest run within the error [mm]."""
-    return min((run.cpu for run in runs if 1e3 * run.error <= level), default=None)
+def settings_table(runs: list[Measured]) -> str:
+    """A row per input and error: this package's cheapest setting."""
+    rows = []
+    for name in MOTIONS:
+        for level in LEVELS:
+            run = cheapest(select(runs, own.NAME, name), level)
+            if run is not None:
+                cost = milliseconds(run.cpu)
+                rows.append((name, f"{level:g}", run.setting, cost, millimetres(run.error)))
+    header = ("input", "within [mm]", f"setting of {own.NAME}", "CPU [ms/s]", "error [mm]")
+    return markdown_table(header, rows)
+
+
+def cheapest(runs: Iterable[Measured], level: float) -> Measured | None:
+    """The cheapest run within the error [mm]."""
+    within = [run for run in runs if 1e3 * run.error <= level]
+    return min(within, key=lambda run: run.cpu, default=None)
 
 
 def in_times(cpu: float | None, first: float | None) -> str:
     """CPU time [ms/s], and as a multiple of `first` where there is one."""
     if cpu is None:
         return "-"
-    return (
-        milliseconds(cpu)
-        if first is None
-        else f"{milliseconds(cpu)} ({cpu / first:,.{int(cpu < 10 * first)}f}x)"
-    )
+    if first is None:
+        return milliseconds(cpu)
+    digits = 1 if cpu < 10 * first else 0
+    return f"{milliseconds(cpu)} ({cpu / first:,.{digits}f}x)"
 
 
 def hard_table(runs: list[Measured], simulators: list[str]) -> str:
     """A row per setting: errors on all inputs, or what happened instead."""
-    names, rows = (*MOTIONS, *ABRUPT), []
+    names = (*MOTIONS, *ABRUPT)
+    rows = []
     for simulator in simulators:
-        for setting in dict.fromkeys(
-            run.setting for run in runs if run.simulator == simulator and run.input in ABRUPT
-        ):
-            here = {
-                run.input: run
-                for run in runs
-                if (run.simulator, run.setting) == (simulator, setting)
-            }
-            rows.append((simulator, setting, *(outcome(here[name]) for name in names)))
+        of_simulator = [run for run in runs if run.simulator == simulator]
+        settings = dict.fromkeys(run.setting for run in of_simulator if run.input in ABRUPT)
+        for setting in settings:
+            by_input = {run.input: run for run in of_simulator if run.setting == setting}
+            rows.append((simulator, setting, *(outcome(by_input[name]) for name in names)))
     return markdown_table(("simulator", "setting", *(f"{name} [mm]" for name in names)), rows)
 
 
 def outcome(run: Measured) -> str:
     """Error [mm] of a run, or a word for what became of it; a star: the simulator said so."""
-    word = (
-        "restarted"
-        if run.restarted
-        else "stopped"
-        if np.isinf(run.error) and np.isnan(run.cpu)
-        else millimetres(run.error)
-    )
-    return f"{word}{'*' * bool(run.told)}"
+    word = millimetres(run.error)
+    if run.restarted:
+        word = "restarted"
+    elif np.isinf(run.error) and np.isnan(run.cpu):
+        word = "stopped"
+    star = "*" if run.told else ""
+    return f"{word}{star}"
 
 
 def draw(runs: list[Measured], picture: Path) -> None:
+    """Errors over CPU times, a panel per input."""
     figure, panels = plt.subplots(
         1, len(MOTIONS), figsize=(15, 5.5), constrained_layout=True, sharex=True, sharey=True
     )
     longest = max(run.seconds for run in runs)
     for axes, name in zip(panels, MOTIONS, strict=True):
         for simulator in dict.fromkeys(run.simulator for run in runs):
-            found = [run for run in of(runs, simulator, name) if np.isfinite(run.error)]
-            whole = all(run.seconds == longest for run in found)
-            colour, label = (
-                COLOURS[simulator],
-                (
-                    simulator
-                    if whole
-                    else f"{simulator}, first {found[0].seconds:g} s"
-                    if found
-                    else simulator
-                ),
-            )
-            for chosen, style in ((found, {"s": 10, "alpha": 0.3}), (front(found), {"s": 26})):
-                axes.scatter(
-                    *points(chosen),
-                    color=colour,
-                    facecolors=colour if whole else "none",
-                    linewidths=1.2,
-                    **style,
-                )
-            axes.plot(
-                *points(front(found)),
-                color=colour,
-                linewidth=2,
-                linestyle="-" if whole else ":",
-                label=label,
-            )
+            measured = select(runs, simulator, name)
+            draw_simulator(axes, simulator, measured, longest)
         axes.set(
             xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", title=name
         )
@@ -388,6 +373,22 @@ def draw(runs: list[Measured], picture: Path) -> None:
         " line: slower than the arm"
     )
     write_picture(figure, picture, dpi=110)
+
+
+def draw_simulator(axes: Axes, simulator: str, runs: list[Measured], longest: float) -> None:
+    """Dots of a simulator, hollow where it simulated less than `longest` [s], and its best."""
+    finite = [run for run in runs if np.isfinite(run.error)]
+    is_whole = all(run.seconds == longest for run in finite)
+    colour = COLOURS[simulator]
+    fill = colour if is_whole else "none"
+    label = simulator
+    if not is_whole:
+        label += f", first {finite[0].seconds:g} s"
+    best = points(front(finite))
+    dots = {"color": colour, "facecolors": fill, "linewidths": 1.2}
+    axes.scatter(*points(finite), s=10, alpha=0.3, **dots)
+    axes.scatter(*best, s=26, **dots)
+    axes.plot(*best, color=colour, linewidth=2, linestyle="-" if is_whole else ":", label=label)
 
 
 def points(runs: Iterable[Measured]) -> Array:

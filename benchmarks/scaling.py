@@ -1,7 +1,7 @@
 """Growth of cost with the size of the problem, memory per row, and what more cores should give: a
 section of docs/appendix/speed.md.
 
-    python benchmarks/scaling.py [--quick] [--write-docs] [--out out]
+    python benchmarks/scaling.py [--quick] [--out out]
 
 - One size changes at a time, with its consequences: each tendon of the statics-based strain is a
   coordinate, and each segment has its own intervals. Costs are the smallest CPU times of several
@@ -32,13 +32,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
 from _results import (
-    APPENDIX,
-    folders,
     markdown_table,
     parser_of,
-    write_block,
     write_csv,
     write_picture,
+    write_tables,
 )
 from own_arms import ARMS
 
@@ -125,16 +123,15 @@ def main() -> None:
         rows += cost_rows(
             f"rows, {fidelity}", "step of all rows", shares[fidelity].rows, shares[fidelity].whole
         )
-    for folder in folders(arguments):
-        write_csv(folder / "scaling.csv", HEADER, rows)
-        draw(rows, folder / "scaling.png")
+    write_csv(arguments.out / "scaling.csv", HEADER, rows)
+    draw(rows, arguments.out / "scaling.png")
     tables = (
         growth_table(rows),
         memory_table(quick),
         first_step_table(quick),
         cores_table(shares),
     )
-    write_block(arguments, APPENDIX / "speed.md", "scaling", "\n\n".join(tables))
+    write_tables(arguments.out / "scaling.md", "\n\n".join(tables))
 
 
 def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:

@@ -1,26 +1,26 @@
 """Scores of the environments as their ids make them: a table of docs/reference/environments.md.
 
-    python benchmarks/scores.py [--quick] [--write-docs] [--out out]
+    python benchmarks/scores.py [--quick] [--out out]
 
 Mean return of episodes of 10 s at `standard`, and mean over episodes of the RMS error after the
 first second, over the evaluation seeds.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from _results import markdown_table, parser_of, write_block, write_csv
+from _results import markdown_table, parser_of, write_csv, write_tables
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows
 from soft_tendon_env.policies import load_policy, policy_options
 
-PAGE = Path(__file__).parent.parent / "docs" / "reference" / "environments.md"
-PERIOD, SECONDS, FIDELITY = 0.02, 10.0, {"fidelity": "standard"}
+PERIOD = 0.02  # [s]
+SECONDS = 10.0  # length of an episode
+FIDELITY = {"fidelity": "standard"}
 LARGEST = {"idle": 0.0, "random": 1.0}  # action
 NAMED = {
     "PPO that ships": "ppo",
@@ -59,7 +59,7 @@ def main() -> None:
         for policy in tqdm([*LARGEST, *NAMED], leave=False)
     ]
     write_csv(arguments.out / "scores.csv", header, rows)
-    write_block(arguments, PAGE, "scores", markdown_table(header, rows))
+    write_tables(arguments.out / "scores.md", markdown_table(header, rows))
 
 
 def scores(task: str, name: str, seeds: Sequence[int], seconds: float) -> tuple[str, str]:

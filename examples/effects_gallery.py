@@ -21,7 +21,10 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 
-WITHOUT, WITH, THIRD, SOLID = "#8d99ae", "#c1121f", "#2e6f95", "#e0dccf"
+WITHOUT = "#8d99ae"
+WITH = "#c1121f"
+THIRD = "#2e6f95"
+SOLID = "#e0dccf"
 WEIGHT = {
     "effects.gravity.acceleration": [0.0, 0.0, -9.81]
 }  # across the arm, which points along x [m/s^2]

@@ -21,18 +21,14 @@ from soft_tendon_env.envs.tracking import POSITION
 from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 
-ID, ROWS = "TendonRod-FollowBall-v0", 32
-PERIOD, PERIODS, WINDOW = (
-    1.0 / 15.0,
-    105,
-    15,
-)  # [s] between actions; how many an episode has, and a gradient goes through
-LEAST, MOST = (
-    -2.5,
-    1.5,
-    # rewards of a period that count as 0 and 1: a tip that is further off or leaves faster than
-    # ever seen, and a hit
-)
+ID = "TendonRod-FollowBall-v0"
+ROWS = 32
+PERIOD = 1.0 / 15.0  # between actions [s]
+PERIODS = 105  # of an episode
+WINDOW = 15  # periods that a gradient goes through
+# Rewards of a period that count as 0 and 1.
+LEAST = -2.5  # a tip that is further off or leaves faster than ever seen
+MOST = 1.5  # a hit
 
 SCENE = ste.Scene(
     name="ball_arm",

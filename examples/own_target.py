@@ -28,12 +28,16 @@ class FigureEightCourse(PoseCourse):
         self.rate = rate
 
     def sample(self, times):
-        s, c, zero = 0.05 * np.sin(self.rate * times), np.cos(self.rate * times), 0.0 * times
-        pose, twist = np.tile(np.eye(4), (times.size, 1, 1)), np.zeros((times.size, 6))
-        pose[:, :3, 3] = np.stack([zero + 0.28, s, s * c], axis=1)
-        twist[:, 3:] = (
-            0.05 * self.rate * np.stack([zero, c, 2.0 * c * c - 1.0], axis=1)
-        )  # the tip's frame does not turn
+        size = 0.05  # of the eight [m]
+        angle = self.rate * times
+        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        pose[:, 0, 3] = 0.28
+        pose[:, 1, 3] = size * np.sin(angle)
+        pose[:, 2, 3] = size * np.sin(angle) * np.cos(angle)
+        # The tip's frame does not turn: its velocity is that of the position.
+        twist = np.zeros((times.size, 6))
+        twist[:, 4] = size * self.rate * np.cos(angle)
+        twist[:, 5] = size * self.rate * np.cos(2.0 * angle)
         return pose_samples(pose, twist)
 
 

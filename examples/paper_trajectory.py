@@ -277,12 +277,21 @@ def unique_legend(axes: plt.Axes) -> None:
 
 
 def equal_scales(axes: plt.Axes, trajectory: ste.Trajectory, model: ste.Model) -> None:
-    shapes = [model.backbone(q)[:, :3, 3] for q in trajectory.q[:: max(1, len(trajectory.q) // 20)]]
-    low, high = np.min(shapes, axis=(0, 1)) - 0.05, np.max(shapes, axis=(0, 1)) + 0.05
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    """Limits around the arm's shapes, with one scale for the three axes."""
+    margin = 0.05  # [m]
+    every = max(1, len(trajectory.q) // 20)
+    backbones = [model.backbone(q) for q in trajectory.q[::every]]
+    positions = np.array(backbones)[:, :, :3, 3]
+    low = positions.min(axis=(0, 1)) - margin
+    high = positions.max(axis=(0, 1)) + margin
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_zlim(low[2], high[2])
     axes.set_box_aspect(high - low, zoom=1.05)
-    for axis, apart in ((axes.xaxis, 0.2), (axes.yaxis, 0.2), (axes.zaxis, 0.1)):
-        axis.set_major_locator(MultipleLocator(apart))
+    # Distances of the ticks [m].
+    axes.xaxis.set_major_locator(MultipleLocator(0.2))
+    axes.yaxis.set_major_locator(MultipleLocator(0.2))
+    axes.zaxis.set_major_locator(MultipleLocator(0.1))
 
 
 def draw_tensions(axes: plt.Axes, duration: float) -> None:

@@ -1,10 +1,9 @@
 """Gallery of the scenes that ship: a picture of each, its first tendon pulled, and a page that
 describes them.
 
-    python examples/scene_gallery.py [SCENE ...] [--out out] [--write-docs]
+    python examples/scene_gallery.py [SCENE ...] [--out out/scenes] [--page out/scenes.md]
 
---write-docs writes docs/reference/scenes.md, with its pictures. A picture that is there is left as
-it is, unless its scene is named. Needs the extra `pictures`.
+A picture that is there is left as it is, unless its scene is named. Needs the extra `pictures`.
 """
 
 import argparse
@@ -16,11 +15,9 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
-from soft_tendon_env.evaluation.pages import stamp
+from soft_tendon_env.evaluation.tables import write_markdown
 from soft_tendon_env.scene.file import scene_names
 
-DOCS = Path(__file__).parents[1] / "docs"
-PICTURES = DOCS / "pictures" / "scenes"
 FIDELITY = "standard"
 SHARE = 0.5  # of its limit, with which the first tendon pulls
 SIZE = 1280, 960  # [pixels]
@@ -44,14 +41,15 @@ def main() -> None:
         "--out", type=Path, default=Path("out/scenes"), help="folder of the pictures"
     )
     parser.add_argument(
-        "--write-docs", action="store_true", help="write docs/reference/scenes.md and its pictures"
+        "--page", type=Path, default=Path("out/scenes.md"), help="the page, for docs/reference"
     )
     arguments = parser.parse_args()
-    if unknown := {*arguments.scenes} - {*scene_names()}:
+    unknown = {*arguments.scenes} - {*scene_names()}
+    if unknown:
         parser.error(
             f"{min(unknown)!r} is not among the scenes that ship: {', '.join(scene_names())}"
         )
-    folder = PICTURES if arguments.write_docs else arguments.out
+    folder = arguments.out
     folder.mkdir(parents=True, exist_ok=True)
     drawn = [
         name
@@ -60,10 +58,7 @@ def main() -> None:
     ]
     for name in tqdm(drawn, desc="scenes", unit="scene"):
         with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
-    if arguments.write_docs:
-        page = DOCS / "reference" / "scenes.md"
-        page.write_text("\n".join([HEAD, stamp(), *map(section, scene_names())]) + "\n")
-        print(f"written: {page}")
+    write_markdown(arguments.page, "\n".join([HEAD, *map(section, scene_names())]))
 
 
 def picture(name: str) -> np.ndarray:

@@ -88,10 +88,14 @@ def read_hold(path: Path) -> np.ndarray:
     others = np.delete(inside, mount, axis=0)
 
     def stray(order: tuple[int, ...]) -> float:
-        chain = np.diff(np.vstack([BASE, others[list(order)]]), axis=0)
-        return float(((np.linalg.norm(chain, axis=1) - LINKS) ** 2).sum())
+        """How far the distances along the chain are from those between the markers, squared."""
+        points_in_order = others[list(order)]
+        chain = np.diff(np.vstack([BASE, points_in_order]), axis=0)
+        distances = np.linalg.norm(chain, axis=1)
+        return float(((distances - LINKS) ** 2).sum())
 
-    return others[list(min(itertools.permutations(range(4)), key=stray))]
+    best = min(itertools.permutations(range(4)), key=stray)
+    return others[list(best)]
 
 
 def write_inputs(folder: Path, out: Path) -> int:

@@ -6,7 +6,8 @@ from scipy.optimize import minimize
 
 import soft_tendon_env as ste
 
-PERIOD, PERIODS = 0.02, 25  # [s], number
+PERIOD = 0.02  # [s]
+PERIODS = 25
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}  # [m/s^2]
 
 

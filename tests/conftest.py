@@ -160,11 +160,14 @@ def _same(a, b):
         return have_same_keys and all(_same(a[key], b[key]) for key in a)
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(_same, a, b))
-    if isinstance(a, np.ndarray) and a.dtype == object:
-        return isinstance(b, np.ndarray) and _same(a.tolist(), b.tolist())
     if isinstance(a, np.ndarray):
-        are_alike = a.dtype == b.dtype and a.shape == b.shape
-        return are_alike and a.tobytes() == b.tobytes()
+        are_alike = isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape
+        if not are_alike:
+            return False
+        if a.dtype == object:
+            return _same(a.tolist(), b.tolist())
+        # by their bytes, so that NaN is the same as NaN
+        return a.tobytes() == b.tobytes()
     return type(a) is type(b) and bool(np.all(a == b))
 
 

@@ -11,8 +11,6 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TINY = {
-    "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
-    "accuracy_against_time": ("--quick", "--repeats", "1"),
     "derivatives": ("--quick",),
     "effects": ("--quick",),
     "fidelity": ("--quick", "--scenes", "three_tendon"),

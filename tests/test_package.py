@@ -44,6 +44,15 @@ def test_every_public_name_is_there():
     assert scope.keys() >= set(public.__all__)
 
 
+def test_modules_but_the_package_itself_write_the_names_that_they_have():
+    """None is made when it is asked for, so that editors and type checkers find its definition."""
+    lazy = []
+    for path in (ROOT / "soft_tendon_env").rglob("*.py"):
+        if re.search(r"^ {0,4}def __getattr__\(name", path.read_text(), re.MULTILINE):
+            lazy.append(path.relative_to(ROOT).as_posix())
+    assert lazy == ["soft_tendon_env/__init__.py"]
+
+
 def test_one_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()

@@ -32,7 +32,8 @@ from .simulator import HOLD, Array, Motion, Run, cpu_time
 NAME = "PyElastica"
 DISTRIBUTION = "pyelastica"
 SECONDS = 0.2
-BENDING, SHEAR = [1, 2, 0], [4, 5, 3]
+BENDING = [1, 2, 0]
+SHEAR = [4, 5, 3]
 """This package's strains in the order of PyElastica's directors, y, z, x of the section: bending
 and torsion; shear and stretch."""
 

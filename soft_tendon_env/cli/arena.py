@@ -1,19 +1,24 @@
 """`soft-tendon arena`: learned and model-based policies on the same tasks, with the same
 information, on arms that no model matches."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from tyro.conf import Fixed, Suppress
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
+from soft_tendon_env.cli.options import PUBLISHED
+from soft_tendon_env.evaluation.benchmark import (
+    Benchmark,
+    BenchmarkPolicy,
+    benchmark_tables,
+    standings_by_regime,
+)
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import records, write_csv
+from soft_tendon_env.evaluation.tables import records, write_csv, write_markdown
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
@@ -31,31 +36,38 @@ class Arena(Benchmark):
     picture."""
 
     config: str = Field(
-        default="published",
+        default=PUBLISHED,
         description="TOML file of a Benchmark, or a name that ships; other options override it",
     )
     policies: tuple[str, ...] = Field(
         default=(),
         description="policies to compare in place of the file's, by their names for evaluate",
     )
-    write_docs: str | None = Field(
-        default=None, description="file in which tables go between <!-- arena TASK --> and its end"
-    )
     out: str = Field(default="out/arena", description="folder for results")
 
-    @staticmethod
-    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of the file of --config, checked, with the entrants of --policies in place of its
-        own. Raises ConfigurationError."""
-        path = Path(given.get("config", "published"))
+    # They have no option: those of --policies, or of the file.
+    entrants: Suppress[Fixed[tuple[BenchmarkPolicy, ...]]] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_entrants(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """The entrants of --policies in place of the file's."""
+        policies = values.get("policies")
+        if not policies:
+            return values
+        entrants = tuple(BenchmarkPolicy(policy=policy) for policy in policies)
+        return {**values, "entrants": entrants}
+
+    @classmethod
+    def read_file(cls, config: str) -> "Arena":
+        """The configuration of a file, or of one that ships. Raises ConfigurationError."""
+        path = Path(config)
         shipped = CONFIGS / f"{path}.toml"
         if not path.exists() and shipped.exists():
             path = shipped
         table = read_toml(path)
-        if "policies" in given:
-            table["entrants"] = [{"policy": policy} for policy in given["policies"]]
         Benchmark.parse(table, str(path))
-        return table
+        return cls(**table)
 
 
 def run(settings: Arena) -> None:
@@ -63,8 +75,6 @@ def run(settings: Arena) -> None:
     with mistakes():
         require("pictures")
         out = Path(settings.out)
-        marker = f"arena {settings.task}"
-        page = Page(settings.write_docs, [marker])
         cells, notes = settings.cells()
         experiment = Experiment(cells, out / "cells")
         check_cluster(settings.cluster)
@@ -87,23 +97,18 @@ def run(settings: Arena) -> None:
     text = f"{benchmark_tables(settings, standings)}\n\n{legend}"
     print(f"\n{text}\n")
 
-    # A page of the documentation has the picture and its CSV file beside it.
-    picture = out / "arena.png"
-    if settings.write_docs is not None:
-        picture = Path(settings.write_docs).with_suffix(".png")
     rows = []
     panels = {}
     for regime, of_regime in standings.items():
         rows += [{"regime": regime, **row} for row in records(of_regime)]
         panels[f"information: {regime}"] = of_regime
-    for path in {out / "arena.csv", picture.with_suffix(".csv")}:
-        write_csv(path, rows)
-    draw_errors(panels, picture)
+    write_csv(out / "arena.csv", rows)
+    draw_errors(panels, out / "arena.png")
 
     parts = [f"{episodes.capitalize()}."]
     parts += [f"Note: {note}." for note in notes]
-    parts += [f"![Errors of all policies by setting and regime]({picture.name})", text]
-    page.write(marker, "\n\n".join(parts))
+    parts += ["![Errors of all policies by setting and regime](arena.png)", text]
+    write_markdown(out / "arena.md", "\n\n".join(parts))
 
 
 def _hours(cell: Cell) -> float:

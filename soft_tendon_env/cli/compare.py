@@ -7,11 +7,10 @@ from pathlib import Path
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.cli.options import TASK
+from soft_tendon_env.cli.options import TASK, EnvironmentArguments
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, tables
 from soft_tendon_env.evaluation.entrants import agents_of
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import Settings, TaskName
 from soft_tendon_env.policies.names import ALL
@@ -23,37 +22,26 @@ POLICIES = (
 )
 
 
-class Compare(Settings):
+class Compare(EnvironmentArguments, Settings):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with
     every episode, CSV, and a picture."""
 
-    tasks: tuple[TaskName, ...] = Field(
+    task: tuple[TaskName, ...] = Field(
         default_factory=lambda: tuple(IDS),
         min_length=1,
         description=TASK,
-        json_schema_extra={"flag": "--task"},
     )
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1, description=POLICIES)
-    write_docs: str | None = Field(
-        default=None,
-        description="file in which tables go between <!-- compare TASK --> and its end",
-    )
     out: str = Field(default="out/compare", description="folder for results")
 
 
 def run(settings: Compare) -> None:
     """Compare, print and write, task by task."""
-    with mistakes():
-        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
-    for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
-        page.write(f"compare {task}", text)
+    play(settings, settings.task, settings.policies, settings.out)
 
 
-def play(
-    settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str
-) -> dict[str, str]:
-    """Play policies under every model error, print and write results; returns tables by task.
-    Raises Mistake."""
+def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str) -> None:
+    """Play policies under every model error, print and write results. Raises Mistake."""
     folder = Path(out)
     with mistakes():
         require("pictures")
@@ -69,13 +57,10 @@ def play(
 
     episodes = f"{settings.episodes} episodes of {settings.seconds:g} s"
     print(f"{episodes}; {machine()}")
-    texts = dict[str, str]()
     for task, experiment in experiments.items():
         experiment.play(task, settings.workers, settings.cluster)
         standings, summaries = comparison.standings_of(experiment, files[task])
         errors = tables.error_table(standings)
-        texts[task] = f"{episodes.capitalize()}.\n\n{errors}"
-
         print(f"\n## {task}\n")
         if len(files[task]) > 1:
             print(f"{errors}\n\n{tables.ERRORS_LEGEND}\n")
@@ -84,5 +69,5 @@ def play(
         results = comparison.results_record(settings, task, arms[task], standings, summaries)
         write_json(folder / f"{task}.json", {**origin(), **results})
         tables.write_csv(folder / f"{task}.csv", tables.records(standings))
+        tables.write_markdown(folder / f"{task}.md", f"{episodes.capitalize()}.\n\n{errors}")
         draw_errors({task: standings}, folder / f"{task}.png")
-    return texts

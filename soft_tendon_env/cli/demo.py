@@ -25,10 +25,9 @@ from soft_tendon_env.evaluation.comparison import (
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Experiment
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.settings import Settings, Workers
 from soft_tendon_env.evaluation.summaries import Summary
-from soft_tendon_env.evaluation.tables import summary_cells, summary_table
+from soft_tendon_env.evaluation.tables import summary_cells, summary_table, write_markdown
 from soft_tendon_env.policies.agent import AGENT
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import Rollout
@@ -58,8 +57,8 @@ the tip falls below 1 % of the arm's length, here 10 mm, and stays there to the 
 
 
 class Demo(Workers):
-    """Print the errors of controllers and agents, and write a picture and a recording for the Rerun
-    viewer."""
+    """Print the errors of controllers and agents, and write them, a picture and a recording for the
+    Rerun viewer."""
 
     episodes: int = Field(
         default=len(EVALUATION_SEEDS),
@@ -68,12 +67,9 @@ class Demo(Workers):
         description="number of random targets",
     )
     seconds: Positive = Field(default=10.0, description="length of an episode [s]")
-    write_docs: str | None = Field(
-        default=None, description="file in which tables go between <!-- demo --> and <!-- /demo -->"
-    )
     out: str = Field(
         default="out",
-        description="folder of the picture, the recording and the episodes that were played",
+        description="folder of tables, picture, recording and the episodes that were played",
     )
 
 
@@ -82,7 +78,6 @@ def run(settings: Demo) -> None:
     out, known = Path(settings.out), controllers_of(TASK)
     with mistakes():
         require("pictures", "recording")
-        page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
         from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
 
@@ -103,7 +98,8 @@ def run(settings: Demo) -> None:
     shown = f"{play(settings, file, out)}\n\n{NOTES}"
     print(f"{shown}\n")
     trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
-    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}")
+    report = f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}"
+    write_markdown(out / "demo.md", report)
     print(opening_hint(out / "demo.rrd"))
 
 

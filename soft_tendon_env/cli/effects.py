@@ -5,6 +5,7 @@ import sys
 
 from pydantic import Field
 from pydantic.fields import FieldInfo
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import Mistake
 from soft_tendon_env.effects import EFFECTS, Effect
@@ -15,9 +16,7 @@ class Effects(Configuration):
     """List the registered effects: the table of a scene that switches each on, what it does, its
     parameters with units and defaults."""
 
-    name: str | None = Field(
-        default=None, description="by default all of them", json_schema_extra={"flag": "name"}
-    )
+    name: Positional[str | None] = Field(default=None, description="by default all of them")
 
 
 def run(settings: Effects) -> None:

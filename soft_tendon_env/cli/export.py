@@ -4,14 +4,14 @@ MuJoCo, checked against the original."""
 import json
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.cli.options import TASK
+from soft_tendon_env.cli.options import TASK, EnvironmentArguments
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
@@ -19,7 +19,6 @@ from soft_tendon_env.policies.agent import find_agent, is_agent, load_agent, rea
 from soft_tendon_env.policies.weights import WEIGHTS
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError, describe
 
@@ -28,18 +27,24 @@ WHAT = (
     " shipped scene's name, or a TOML file"
 )
 
+TIP_POSE = "TipPose"
+"""Task of an agent, by default."""
+LINKS = 20
+"""Links of a chain, by default: twice as many divide the distance to the rod's tip by four."""
 
-class Export(Configuration):
+
+class Export(EnvironmentArguments):
     """Write a trained agent as one ONNX file, or with --mjcf the arm of a scene for MuJoCo, and
     compare it with the original."""
 
-    agent_or_scene: str = Field(description=WHAT)
-    task: TaskName = Field(default="TipPose", description=TASK)
-    options: dict[str, Any] = Field(default={})
+    agent_or_scene: Positional[str] = Field(description=WHAT)
+    task: TaskName | None = Field(default=None, description=f"{TASK}; by default {TIP_POSE}")
     mjcf: bool = Field(
         default=False, description="write the arm of a scene as a chain of rigid links in MJCF"
     )
-    links: int = Field(default=20, ge=2, le=200, description="links of the chain")
+    links: int | None = Field(
+        default=None, ge=2, le=200, description=f"links of the chain, by default {LINKS}"
+    )
     out: str | None = Field(
         default=None, description="file; by default out/agent.onnx, or out/SCENE.xml"
     )
@@ -58,15 +63,16 @@ def run(settings: Export) -> None:
 
 def _check_options(settings: Export) -> None:
     """Raises ValueError for options of the other kind of export, and for what is no agent."""
-    of_the_other = {"links": "--links"}
-    word = "without"
-    if settings.mjcf:
-        of_the_other = {"task": "--task", "options": "--scene, --fidelity, --target or --set"}
-        word = "with"
-    wrong = [text for field, text in of_the_other.items() if field in settings.model_fields_set]
-    if wrong:
-        raise ValueError(f"{' and '.join(wrong)} cannot be given {word} --mjcf")
     name = settings.agent_or_scene
+    wrong = []
+    if settings.mjcf and settings.task is not None:
+        wrong.append("--task")
+    if settings.mjcf and settings.options:
+        wrong.append("--scene, --fidelity, --target or --set")
+    if wrong:
+        raise ValueError(f"{' and '.join(wrong)} cannot be given with --mjcf")
+    if not settings.mjcf and settings.links is not None:
+        raise ValueError("--links cannot be given without --mjcf")
     if not settings.mjcf and not is_agent(name):
         raise ValueError(
             f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship;"
@@ -82,11 +88,10 @@ def export_arm(settings: Export) -> None:
         scene = load_scene(settings.agent_or_scene)
         path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
         writable_folder(path.parent)
-    mujoco_chain(scene, settings.links).write(path, encoding="utf-8")
-    print(
-        f"written: {path} ({settings.links} links)\nleft out:"
-        f" {', '.join(exportable(scene)[1]) or 'nothing'}\n"
-    )
+    links = LINKS if settings.links is None else settings.links
+    mujoco_chain(scene, links).write(path, encoding="utf-8")
+    left_out = ", ".join(exportable(scene)[1]) or "nothing"
+    print(f"written: {path} ({links} links)\nleft out: {left_out}\n")
     if find_spec("mujoco") is None:
         print('to compare the tips, MuJoCo must be there: pip install "soft_tendon_env[mujoco]"')
         return
@@ -115,13 +120,15 @@ def export_policy(settings: Export) -> None:
     """Write the agent as ONNX and compare it with the original. Raises UserError where the file is
     another policy."""
     name = settings.agent_or_scene
+    task = TIP_POSE if settings.task is None else settings.task
     path = Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")
         from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
 
-        folder = find_agent(name, settings.task)
-        env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
+        folder = find_agent(name, task)
+        options = {**read_config(folder).options, **settings.options}
+        env = gym.make(IDS[task], **options)
         policy = load_agent(name, env)
         about = {"name": name, "weights_sha256": digest(folder / WEIGHTS)}
         model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})

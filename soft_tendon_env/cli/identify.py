@@ -4,6 +4,7 @@ held-out errors and findings."""
 from pathlib import Path
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
@@ -12,13 +13,14 @@ from soft_tendon_env.identification.identify import FIDELITY, identify, save_est
 from soft_tendon_env.tools.types import GivenLength
 
 DATA = (
-    "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or,"
+    "CSV, .mat or .npz files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y,"
+    " MARKER_z) or,"
     " with time, a sample of a motion"
 )
 KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds"
 HELD_OUT = (
     "held-out recordings that judge the fit: a share, 0 for none, a column that marks them, or a"
-    " CSV file"
+    " file"
 )
 
 
@@ -26,14 +28,9 @@ class Identify(ArmSettings):
     """Identify an arm from measured marker positions: parameters of its scene by least squares,
     judged on held-out data."""
 
-    data: tuple[str, ...] = Field(min_length=1, description=DATA)
-    markers: str = Field(
-        description="TOML file: markers' places on the arm, frame and columns",
-        json_schema_extra={"flag": "--markers"},
-    )
-    parameters: tuple[str, ...] = Field(
-        min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"}
-    )
+    data: Positional[tuple[str, ...]] = Field(min_length=1, description=DATA)
+    markers: str = Field(description="TOML file: markers' places on the arm, frame and columns")
+    parameters: tuple[str, ...] = Field(min_length=1, description=KEYS)
     held_out: str = Field(default=SHARE, description=HELD_OUT)
     fit_to: int | None = Field(
         default=None,

@@ -3,7 +3,7 @@
 A command is a module with a function `run(settings)`, whose annotation is the class of its options;
 it is imported when it is called. One of a user's own is a function of its arguments under
 `@register("command", "name", description="what it does")`. Where that class has a method
-`read_file(given)`, it reads values of a file, which options override.
+`read_file(config)`, it reads the file of --config, which other options override.
 """
 
 import importlib

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require
-from soft_tendon_env.cli.options import POLICY, TASK
+from soft_tendon_env.cli.options import POLICY, TASK, EnvironmentArguments
 from soft_tendon_env.evaluation import comparison, provenance, tables
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
@@ -14,11 +15,11 @@ from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.policies.names import PolicyName
 
 
-class Record(EpisodeSettings):
+class Record(EnvironmentArguments, EpisodeSettings):
     """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm
     of its name."""
 
-    policies: tuple[str, ...] = Field(min_length=1, description=POLICY)
+    policies: Positional[tuple[str, ...]] = Field(min_length=1, description=POLICY)
     task: TaskName = Field(default="TipPose", description=TASK)
     seeds: Seeds = Field(
         default=EVALUATION_SEEDS[:1],

@@ -7,7 +7,6 @@ from typing import Annotated
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.tools.configuration import Configuration
 
 LONGEST = 10.0
@@ -23,10 +22,6 @@ class ReproducePaper(Configuration):
             ge=1.0, le=LONGEST, description="end every motion after this time [s], to try it out"
         ),
     ] = LONGEST
-    write_docs: str | None = Field(
-        default=None,
-        description="file in which all goes between <!-- figures --> and <!-- /figures -->",
-    )
     out: str = Field(default="out/paper", description="folder of pictures and numbers")
 
 
@@ -34,12 +29,7 @@ def run(settings: ReproducePaper) -> None:
     """Draw, print and write."""
     with mistakes():
         require("pictures")
-        if settings.write_docs is not None and settings.seconds < LONGEST:
-            raise ValueError(f"--write-docs needs all {LONGEST:g} seconds")
-        page = Page(settings.write_docs, ["figures"])
         out = writable_folder(Path(settings.out))
-    from soft_tendon_env.paper.reproduce import document, reproduce
+    from soft_tendon_env.paper.reproduce import reproduce
 
-    results = reproduce(settings.seconds, out)
-    if settings.write_docs is not None:
-        page.write("figures", document(results))
+    reproduce(settings.seconds, out)

@@ -8,8 +8,10 @@ from typing import Any
 
 import gymnasium as gym
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require
+from soft_tendon_env.cli.options import EnvironmentArguments
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.tracking import error_unit
@@ -42,11 +44,11 @@ POLICY = (
 )
 
 
-class Run(EpisodeSettings):
+class Run(EnvironmentArguments, EpisodeSettings):
     """Run a policy on a robot in real time, print its errors as measured and the jitter of the
     loop, and write a log."""
 
-    policy: str = Field(description=POLICY)
+    policy: Positional[str] = Field(description=POLICY)
     robot: str = Field(
         default=SIMULATED,
         description="class of the robot, MODULE:CLASS; by default a simulated arm in real time",

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.evaluation.tables import markdown_table
@@ -18,7 +19,7 @@ class Scenes(Configuration):
     """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a
     commented example of the format."""
 
-    name: str | None = Field(default=None, description=NAME, json_schema_extra={"flag": "name"})
+    name: Positional[str | None] = Field(default=None, description=NAME)
 
 
 def run(settings: Scenes) -> None:

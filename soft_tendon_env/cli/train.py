@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
@@ -17,6 +18,9 @@ ENGINE = (
     " alone)"
 )
 
+RUNNERS = 2
+"""Processes with environments of a training of RLlib, by default."""
+
 
 class Train(Configuration):
     """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every
@@ -25,7 +29,7 @@ class Train(Configuration):
     STOPPED: ClassVar[str] = (
         "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
     )
-    config: str = Field(
+    config: Positional[str] = Field(
         description=(
             f"a training that ships ({', '.join(config_names())}), or the path of a TOML file"
         )
@@ -45,11 +49,14 @@ class Train(Configuration):
         default=False, description="go on from the last checkpoint in the folder, if there is one"
     )
     engine: Literal["sb3", "rllib"] = Field(default="sb3", description=ENGINE)
-    runners: int = Field(
-        default=2,
+    runners: int | None = Field(
+        default=None,
         ge=0,
         le=10_000,
-        description="RLlib's processes with environments; 0: the process that learns has all",
+        description=(
+            f"RLlib's processes with environments, by default {RUNNERS}; 0: the process that learns"
+            " has all"
+        ),
     )
     cluster: str | None = Field(
         default=None,
@@ -61,10 +68,14 @@ def run(settings: Train) -> None:
     """Train, and say what is done."""
     with ExitStack() as stack:
         with mistakes():
-            of_rllib = sorted({"runners", "cluster"} & settings.model_fields_set)
-            if settings.engine == "sb3" and of_rllib:
-                lines = [f"--{name} is for --engine rllib" for name in of_rllib]
-                raise ValueError("\n".join(lines))
+            if settings.engine == "sb3":
+                of_rllib = {"--cluster": settings.cluster, "--runners": settings.runners}
+                lines = []
+                for option, value in of_rllib.items():
+                    if value is not None:
+                        lines.append(f"{option} is for --engine rllib")
+                if lines:
+                    raise ValueError("\n".join(lines))
             require("agents" if settings.engine == "sb3" else "rllib")
             from soft_tendon_env.learning.monitor import TrainingCallback
             from soft_tendon_env.learning.train import checkpoint_to_resume, learn, model_of
@@ -102,8 +113,7 @@ def rllib_training(
     ValueError, OSError."""
     from soft_tendon_env.learning.rllib import RllibTraining, make_config
 
-    make_config(training, settings.runners)
-    stack.enter_context(
-        ray_cluster(settings.cluster, settings.runners, f"{settings.runners} runners")
-    )
-    return RllibTraining(training, writable_folder(folder), settings.runners, checkpoint)
+    runners = RUNNERS if settings.runners is None else settings.runners
+    make_config(training, runners)
+    stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
+    return RllibTraining(training, writable_folder(folder), runners, checkpoint)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from pydantic import Field
+from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
@@ -16,7 +17,7 @@ SEARCH = "tune_"
 class Tune(Configuration):
     """Search for the best parameters of a training or a controller."""
 
-    config: str = Field(
+    config: Positional[str] = Field(
         description=(
             f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file"
         )

@@ -119,8 +119,9 @@ class ExtendedKalmanFilter:
         self.greatest_latency = greatest_latency
         self.uncertainty = uncertainty
         self.start = checked_array("tension", setting.tension, (model.tendon_count,))
-        for name, value in {"latency": self.latency, **uncertainty._asdict()}.items():
-            checked_number(name, value, 0.0, "a number, at least 0")
+        checked_number("latency", self.latency, 0.0, "a number, at least 0")
+        for name, value in uncertainty._asdict().items():
+            checked_number(f"uncertainty.{name}", value, 0.0, "a number, at least 0")
         self.needs = tuple(setting.observed)
         longest = self.latency if greatest_latency is None else greatest_latency
         # commands that acted in the last period: two, where one took over from another

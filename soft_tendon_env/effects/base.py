@@ -48,6 +48,7 @@ class Discretisation:
     radius: Callable[[Array], Array]
     # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
     hull: Callable[[Array], Array]
+    has_corners: Callable[[Array], Array]  # whether that outline is a rectangle, else an ellipse
     discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
     # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
     elasticity: Callable[[Array], Array]
@@ -60,6 +61,17 @@ class Discretisation:
     # all of the scene, for those that depend on another one, as buoyancy on gravity
     effects: "Effects"
     step: float  # [s], the longest time step of the scene's integrator
+
+    def half_widths(self, arc_length: Array) -> Array:
+        """Returns half widths of the rod's outline along y and z.
+
+        Args:
+            arc_length: Arc lengths (m,) [m].
+
+        Returns:
+            Half widths (2, m) [m].
+        """
+        return 0.5 * self.hull(arc_length)[:2]
 
 
 class Configured(NamedTuple):

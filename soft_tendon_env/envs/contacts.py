@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects.contact.samples import sample_radius
+from soft_tendon_env.effects.contact.samples import sample_outlines
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
@@ -16,32 +16,26 @@ own weight makes."""
 
 
 class Depth(NamedTuple):
-    """How deep a ball of the arm is in an obstacle."""
+    """How deep a sample of the arm is in an obstacle."""
 
     depth: float  # [m], negative outside
-    sample: int  # number of the ball
+    sample: int  # number of the sample
     name: str  # of the obstacle, as messages have it
 
 
-def deepest(
-    model: Model,
-    positions: Array,
-    radius: Array,
-    standing: bool = False,
-) -> Depth:
-    """Depth of the ball that is deepest in an obstacle at time 0.
+def deepest(model: Model, poses: Array, standing: bool = False) -> Depth:
+    """Depth of the sample of the arm that is deepest in an obstacle at time 0.
 
     Args:
         model: of the arm.
-        positions: (m, 3) [m] of the balls.
-        radius: (m,) [m] of the balls.
+        poses: (m, 4, 4) of the samples.
         standing: look at obstacles that stand still alone.
 
     Returns:
         The depth; minus infinity where there is no obstacle.
     """
     contact = model.scene.effects.contact
-    gaps = contact.distances(positions) - radius
+    gaps = contact.gaps(model.discretisation, poses)
     depths = [Depth(-np.inf, 0, "")]
     for i, obstacle in enumerate(contact.obstacles):
         if standing and obstacle.moves:
@@ -58,9 +52,8 @@ def why_inside(model: Model, q: Array) -> str:
     if contact is None:
         return ""
     places = contact.sample_places(model.discretisation)
-    radius = sample_radius(model.discretisation, places)
-    positions = np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3])
-    depth, sample, name = deepest(model, positions, radius)
+    radius = sample_outlines(model.discretisation, places).radius
+    depth, sample, name = deepest(model, model.backbone_at(q, places))
     if not depth > INSIDE * radius[sample]:
         return ""
     place = f"{places[sample]:.3g} m along it"
@@ -82,17 +75,12 @@ class ObstacleFreeSpace:
         places = scene.effects.contact.sample_places(model.discretisation)
         no_sensors = np.empty(0)
         self._places = model.grid.places(places, no_sensors)
-        self._radius = sample_radius(model.discretisation, places)
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether the arm is clear of standing obstacles at coordinates q (m, n): (m,)."""
         no_motion = np.zeros_like(q)
         reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
-        positions = np.ascontiguousarray(reading.backbone[..., :3, 3])
         model = self._arms.model
-        depths = []
-        for balls in positions:
-            depth, _, _ = deepest(model, balls, self._radius, standing=True)
-            depths.append(depth)
+        depths = [deepest(model, poses, standing=True).depth for poses in reading.backbone]
         is_clear = np.array(depths) < 0.0
         return has_strain & is_clear

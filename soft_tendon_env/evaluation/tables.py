@@ -184,3 +184,10 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
                 cells[key] = None if is_missing else value
             writer.writerow(cells)
     print(f"written: {path}")
+
+
+def write_markdown(path: Path, text: str) -> None:
+    """Write a Markdown file, and print its path. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"{text}\n", encoding="utf-8")
+    print(f"written: {path}")

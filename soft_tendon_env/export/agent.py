@@ -269,8 +269,9 @@ class _ControlPeriod(torch.nn.Module):
         self.inputs = dict(zip(measured, tensors, strict=True))
         for name, value in states.items():
             self.inputs[name] = value.double()
-        # those that are looked at for a lost sensor: what the agent reads
-        self.watched = [*measured]
+        # inputs that the agent reads, of which measurements are looked at for a lost sensor; none
+        # before the first trace has shown them
+        self.read = set[str]()
         self.outputs = ["action"]
         for name in states:
             self.outputs.append(f"next_{name}")
@@ -318,13 +319,25 @@ class _ControlPeriod(torch.nn.Module):
             "integral": total,
             "memory": memory,
         }
-        before = {**rows, "command": command, "last_action": last_action}
-        is_lost = self._is_lost(rows)
-        outputs = [torch.where(is_lost, last_action, action)[0]]
-        for name, state in states.items():
-            if state is not None:
-                outputs.append(torch.where(is_lost, before[name], state)[0])
-        return tuple(outputs)
+        # an output of its own, though the same as what is remembered
+        results: dict[str, Tensor | None] = {"action": 1.0 * action, **states}
+        if self.read:
+            held_action = self._held_action(command, last_action)
+            before = {**rows, "command": command, "last_action": held_action, "action": held_action}
+            is_lost = self._is_lost(rows)
+            for name, value in results.items():
+                if value is not None:
+                    results[name] = torch.where(is_lost, before[name], value)
+        return tuple(value[0] for value in results.values() if value is not None)
+
+    def _held_action(self, command: Tensor, last_action: Tensor) -> Tensor:
+        """Action of a lost measurement (1, n_a): the last one, or one that leaves the command."""
+        if "last_action" in self.read:
+            return last_action
+        if self.episodes.options.action == "increment":
+            return torch.zeros_like(last_action)
+        share = (command - self.scale.least) / (self.scale.greatest - self.scale.least)
+        return 2.0 * share - 1.0
 
     def _is_lost(self, rows: Parts) -> Tensor:
         """Whether a measurement is not finite, as of a sensor that is lost.
@@ -333,7 +346,7 @@ class _ControlPeriod(torch.nn.Module):
         """
         # x - x is NaN for what is not finite, which is not equal to 0
         differences = torch.zeros((), dtype=torch.float64)
-        for name in self.watched:
+        for name in [name for name in MEASUREMENTS if name in self.read]:
             differences = differences + (rows[name] - rows[name]).abs().sum()
         return torch.logical_not(differences == 0.0)
 
@@ -425,9 +438,7 @@ def export_agent(
     agent, integral = _parts_of(policy)
     module = _ControlPeriod(episodes, agent, integral).eval()
     # first to see what the agent reads, with nothing looked at for a lost sensor
-    module.watched = []
-    read = _drop_unused_inputs(_trace(module))
-    module.watched = [name for name in MEASUREMENTS if name in read]
+    module.read = _drop_unused_inputs(_trace(module))
     model = _trace(module)
     used = _drop_unused_inputs(model)
     model.ir_version = IR_VERSION

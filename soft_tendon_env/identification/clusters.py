@@ -82,8 +82,9 @@ def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
     count = cluster.max(initial=-1) + 1
     out_count = round(share * count)
     # the middle cluster of each of as many equal stretches of the data as are held out
-    chosen = (np.arange(out_count) + 0.5) * count / max(out_count, 1)
-    return np.asarray(np.isin(cluster, chosen.astype(int)))
+    middles = (np.arange(out_count) + 0.5) * count / max(out_count, 1)
+    chosen = middles.astype(int)
+    return np.asarray(np.isin(cluster, chosen))
 
 
 def clusters(recordings: Sequence[Recording]) -> Array:
@@ -121,16 +122,21 @@ def same_commands(recordings: Sequence[Recording]) -> Array:
     rows = list[Array]()
     for recording in recordings:
         last = len(recording.command) - 1
-        rows.append(recording.command[np.minimum(samples, last)])
+        held_on = np.minimum(samples, last)
+        rows.append(recording.command[held_on])
     commands = np.array(rows)  # (recordings, samples, n_a)
     spread = SAME * np.ptp(commands, axis=(0, 1))
     exact = EXACT * np.abs(commands).max()
-    tolerance = np.maximum(spread, exact) + np.finfo(float).tiny
+    tiny = np.finfo(float).tiny
+    tolerance = np.maximum(spread, exact) + tiny
     cluster = np.full(len(recordings), -1)
     while (cluster < 0).any():
         # the first that has no cluster makes one, of all that are near
         first = np.argmax(cluster < 0)
-        distance = np.abs(commands - commands[first]) / tolerance
-        is_near = distance.max(axis=2).mean(axis=1) <= 1.0
-        cluster[is_near & (cluster < 0)] = cluster.max() + 1
+        difference = np.abs(commands - commands[first])
+        of_tendons = difference / tolerance
+        of_samples = of_tendons.max(axis=2)
+        is_near = of_samples.mean(axis=1) <= 1.0
+        is_free = cluster < 0
+        cluster[is_near & is_free] = cluster.max() + 1
     return cluster

@@ -8,11 +8,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from soft_tendon_env.identification.markers import UNITS, MarkerSet
+from soft_tendon_env.identification.markers import COUNTS, UNITS, Column, MarkerSet
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.tables import Table, read_table
 
+MOST_SHOWN = 200  # columns up to which an error lists them
+LONGEST_NAME = 60  # letters of a column's name up to which it is one
 OPTIONAL_COLUMNS = {"time", "hold"}  # of which a file needs one, unless [columns] names them
+
+
+class Expected(NamedTuple):
+    """Column that should hold a quantity, as `[columns]` says."""
+
+    name: str
+    key: str  # of `[columns]`
+    entry: Column
+    si_unit: str  # of the quantity, "" of text
 
 
 class Source(NamedTuple):
@@ -41,12 +52,12 @@ def read_columns(
         FileNotFoundError: for a file that is missing.
     """
     expected = _expected_columns(markers, units)
-    table = read_table(path, [source.column for source in expected.values()])
+    table = read_table(path, [column.name for column in expected.values()])
     sources = dict[str, Source]()
-    for quantity, (column, factor) in expected.items():
-        header_name = _header_name(table, column)
+    for quantity, column in expected.items():
+        header_name = _header_name(table, column.name)
         if header_name is not None:
-            sources[quantity] = Source(header_name, factor)
+            sources[quantity] = Source(header_name, _factor(column, header_name, table))
     _check_complete(table, expected, sources, OPTIONAL_COLUMNS - markers.columns.keys())
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
@@ -63,12 +74,14 @@ def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
     return [match for match in map(pattern.fullmatch, quantities) if match is not None]
 
 
-def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Source]:
+def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str, Expected]:
     """Columns by quantity as `[columns]` names them, otherwise by the quantity's own name.
 
     Raises ValueError for keys that are no quantities, and for units.
     """
-    expected = {quantity: Source(quantity, 1.0) for quantity in units}
+    expected = {
+        quantity: Expected(quantity, quantity, Column(), unit) for quantity, unit in units.items()
+    }
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
@@ -79,19 +92,51 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
             )
         for match in matches:
             quantity = match[0]
-            si_unit = units[quantity]
-            factors = {si_unit: 1.0, **UNITS.get(si_unit, {})}
-            unit = si_unit if column.unit is None else column.unit
-            if unit not in factors:
-                raise ValueError(
-                    f"columns.{key}.unit is {unit!r}: it should be one of {', '.join(factors)}"
-                )
+            _check_unit(key, column, units[quantity])
             # a * in the column's name is what * stands for in the key, if there is one
             name = column.name or quantity
             if "*" in key:
                 name = name.replace("*", match[1])
-            expected[quantity] = Source(name, column.sign * factors[unit])
+            expected[quantity] = Expected(name, key, column, units[quantity])
     return expected
+
+
+def _check_unit(key: str, column: Column, si_unit: str) -> None:
+    """Raises ValueError for a unit or a scale that a quantity cannot have.
+
+    Counts need a scale.
+    """
+    has_scale = "scale" in column.model_fields_set
+    if not si_unit and (column.unit or has_scale):
+        raise ValueError(f"columns.{key} is text: it has neither a unit nor a scale")
+    allowed = [*UNITS.get(si_unit, {si_unit: 1.0}), COUNTS]
+    if column.unit is not None and column.unit not in allowed:
+        raise ValueError(
+            f"columns.{key}.unit is {column.unit!r}: it should be one of {', '.join(allowed)}"
+        )
+    if column.unit == COUNTS and not has_scale:
+        raise ValueError(
+            f"columns.{key}.unit is {COUNTS!r}: scale should say how many {si_unit} a count is"
+        )
+
+
+def _factor(expected: Expected, column: str, table: Table) -> float:
+    """Factor that makes SI units of a column's numbers.
+
+    Raises ValueError where the file itself gives another unit than `[columns]`.
+    """
+    units = UNITS.get(expected.si_unit, {})
+    entry = expected.entry
+    of_file = table.units.get(column)
+    if of_file is not None and of_file not in units:
+        of_file = None  # of another kind of quantity, such as a unit of what is counted
+    unit = entry.unit or of_file or expected.si_unit
+    if of_file is not None and unit != of_file:
+        raise ValueError(
+            f"{table.where}: column {column} is in {of_file}, says the file, and"
+            f" columns.{expected.key}.unit is {unit!r}: they should be the same"
+        )
+    return entry.sign * entry.scale * units.get(unit, 1.0)
 
 
 def _header_name(table: Table, column: str) -> str | None:
@@ -99,24 +144,29 @@ def _header_name(table: Table, column: str) -> str | None:
 
     Raises ValueError for several.
     """
+    if column in table.header:
+        return column
+    numbered = [name for name in table.header if name.rpartition(".")[0] == column]
+    if f"{column}.0" in numbered:
+        raise ValueError(
+            f"{table.where}: column {column} is there {len(numbered)} times: [columns] names one of"
+            f" them by {', '.join(numbered)}"
+        )
     matches = [name for name in table.header if name.casefold() == column.casefold()]
-    exact = matches.count(column)
-    if exact:
-        matches = [column] * exact
     if len(matches) > 1:
-        raise ValueError(f"{table.where}: column {column} is there {len(matches)} times")
+        raise ValueError(f"{table.where}: column {column} is there as {' and as '.join(matches)}")
     return matches[0] if matches else None
 
 
 def _check_complete(
     table: Table,
-    expected: Mapping[str, Source],
+    expected: Mapping[str, Expected],
     sources: Mapping[str, Source],
     optional: set[str],
 ) -> None:
     """Raises ValueError where a table lacks columns, of `time` and `hold` both."""
     absent = expected.keys() - sources.keys() - optional
-    missing = sorted(expected[quantity].column for quantity in absent)
+    missing = sorted(expected[quantity].name for quantity in absent)
     if not missing and not sources.keys() & OPTIONAL_COLUMNS:
         missing = sorted(OPTIONAL_COLUMNS)
     if missing:
@@ -124,7 +174,22 @@ def _check_complete(
             f"there is no column {', '.join(missing)}: [columns] of the markers' file gives columns"
             " other names"
         )
-        raise ValueError(f"{table.where}: {text}; {not_among(missing[0], table.header)}")
+        raise ValueError(f"{table.where}: {text}; {_columns_there(missing[0], table)}")
+
+
+def _columns_there(missing: str, table: Table) -> str:
+    """End of an error about a missing column: those of the table, or that there is none."""
+    # what is no table is not shown
+    longest = max(map(len, table.header), default=0)
+    is_long = len(table.header) > MOST_SHOWN or longest > LONGEST_NAME
+    first_row = [cell for _, cells in table.rows[:1] for cell in cells]
+    has_numbers = any(character.isdigit() for cell in first_row for character in cell)
+    if is_long or not has_numbers:
+        return (
+            f"the line that seems to be the header has {len(table.header)} cells, the longest of"
+            f" {longest} letters, and {len(table.rows)} rows beneath it: is the file a table?"
+        )
+    return not_among(missing, table.header)
 
 
 def _check_decimal_marks(table: Table, columns: Sequence[str]) -> None:
@@ -133,8 +198,9 @@ def _check_decimal_marks(table: Table, columns: Sequence[str]) -> None:
     marks = dict[str, str]()  # the last row with each
     for where, cells in table.rows:
         for place in places:
+            is_date = ":" in cells[place]
             for mark in ",.":
-                if mark in cells[place]:
+                if mark in cells[place] and not is_date:
                     marks[mark] = where
     if len(marks) > 1:
         raise ValueError(

@@ -129,8 +129,10 @@ def _root_mean_square(estimate: Fit) -> float:
     The degrees of freedom that the data decided are left out.
     """
     data = estimate.information
-    posterior = np.linalg.pinv(data + np.diag(estimate.prior), hermitian=True)
-    decided = float(np.trace(posterior @ data))  # parameters: the priors decide the others
+    prior = np.diag(estimate.prior)
+    posterior = np.linalg.pinv(data + prior, hermitian=True)
+    share_of_data = posterior @ data
+    decided = float(np.trace(share_of_data))  # parameters: the priors decide the others
     residual = estimate.residual
     freedom = max(residual.size - decided, 1.0)
     squares = residual @ residual
@@ -197,17 +199,18 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
     reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
-    linear = stdtrit(reading_freedom, tail) * np.sqrt(_variances(estimate))
+    deviation = np.sqrt(variances(estimate))
+    linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
-    deviations = _bootstrap(estimate, readings.cluster).std(axis=0)
-    bootstrap = stdtrit(cluster_freedom, tail) * deviations
+    draws = _bootstrap(estimate, readings.cluster)
+    bootstrap = stdtrit(cluster_freedom, tail) * draws.std(axis=0)
     wider = np.maximum(linear, bootstrap)
     between_bounds = np.ptp(bounds, axis=1)  # where the data say nothing
     reach = np.where(np.isfinite(linear), wider, between_bounds)
     least, greatest = bounds.T
-    lower = np.clip(estimate.x - reach, least, greatest)
-    upper = np.clip(estimate.x + reach, least, greatest)
+    lower = np.maximum(estimate.x - reach, least)
+    upper = np.minimum(estimate.x + reach, greatest)
     # the value of a factor of a negative number falls with its coordinate
     values = [
         sorted((parameter.at(x_low), parameter.at(x_high)))
@@ -223,18 +226,27 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     )
 
 
-def _variances(estimate: Fit) -> Array:
-    """Variances (k,) of the coordinates, of data and priors; infinite without information."""
+def variances(estimate: Fit) -> Array:
+    """Variances of the coordinates, of data and priors.
+
+    Args:
+        estimate: of `fit`.
+
+    Returns:
+        Variances (k,), infinite without information.
+    """
     total = estimate.information + np.diag(estimate.prior)
     information, directions = np.linalg.eigh(total)
-    largest = max(information[-1], np.finfo(float).tiny)
-    is_empty = information <= SINGULAR * largest
-    empty = directions[:, is_empty]
-    known = directions[:, ~is_empty]
+    tiny = np.finfo(float).tiny
+    largest = max(information[-1], tiny)
+    is_known = information > SINGULAR * largest
+    empty = directions[:, ~is_known]
+    known = directions[:, is_known]
     # parameters with a part of an empty direction
     is_part = np.abs(empty) > np.sqrt(SINGULAR)
     is_free = is_part.any(axis=1)
-    variances = (known**2 / information[~is_empty]).sum(axis=1)
+    parts = known**2 / information[is_known]
+    variances = parts.sum(axis=1)
     return np.where(is_free, np.inf, variances)
 
 
@@ -244,7 +256,8 @@ def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
     The least known direction comes first.
     """
     information, directions = np.linalg.eigh(estimate.information)
-    is_seen = information > max(SEEN, SINGULAR * information[-1])
+    least = max(SEEN, SINGULAR * information[-1])
+    is_seen = information > least
     unseen = directions[:, ~is_seen]
     identified = (np.abs(unseen) < UNSEEN).all(axis=1)
     return identified, [*unseen.T]
@@ -262,23 +275,30 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     curvature = list[Array]()
     gradient = list[Array]()
     for i in range(clusters):
-        J = estimate.jacobian[cluster == i]
-        r = estimate.residual[cluster == i]
-        curvature.append(weight * J.T @ J)
-        gradient.append(weight * J.T @ r)
+        is_drawn = cluster == i
+        J = estimate.jacobian[is_drawn]
+        r = estimate.residual[is_drawn]
+        weighted = weight * J.T
+        curvature.append(weighted @ J)
+        gradient.append(weighted @ r)
     # how often each cluster is drawn, with as many draws as there are clusters
     shares = np.full(clusters, 1.0 / clusters)
-    times = random.multinomial(clusters, shares, size=RESAMPLES).astype(float)
+    draws = random.multinomial(clusters, shares, size=RESAMPLES)
+    times = draws.astype(float)
     # b, of the priors' centres that are drawn too
     k = estimate.x.size
     normal = random.normal(size=(RESAMPLES, k))
-    prior_draw = normal * np.sqrt(estimate.prior)
+    prior_root = np.sqrt(estimate.prior)
+    prior_draw = normal * prior_root
     # (J^T J + P) step = J^T r + P x - b
     P = estimate.prior
-    A = np.einsum("dr,rij->dij", times, np.array(curvature)) + np.diag(P)
-    right = times @ np.array(gradient) + P * estimate.x - prior_draw
+    data_part = np.einsum("dr,rij->dij", times, np.array(curvature))
+    A = data_part + np.diag(P)
+    gradient_part = times @ np.array(gradient)
+    right = gradient_part + P * estimate.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
     A += ridge[:, None, None] * np.eye(k)
-    step = np.linalg.solve(A, right[..., None])
+    columns = right[..., None]
+    step = np.linalg.solve(A, columns)
     return estimate.x - step[..., 0]

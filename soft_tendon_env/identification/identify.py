@@ -38,6 +38,7 @@ from soft_tendon_env.tools.types import Array
 # of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the
 # parameters
 FIDELITY = "fine"
+FILES = (".csv", ".tsv", ".txt", ".mat", ".npz")  # endings by which held-out data are a file
 LOOK = (
     "Look at units and signs of the commands, at the unit of time, at [frame], at the scene's"
     " stiffness and at the parameters' bounds."
@@ -87,10 +88,10 @@ def identify(
 
     Args:
         scene: the arm as it is known.
-        data: CSV files, see identification.recordings.
+        data: CSV, .mat or .npz files, see identification.recordings.
         markers: TOML file, see identification.markers, or what was read from it.
         parameters: as `KEY` or `KEY=LOW..HIGH`, see identification.parameters.
-        held_out: a share of the recordings, a column, see identification.clusters, or a CSV file of
+        held_out: a share of the recordings, a column, see identification.clusters, or a file of
             others.
         fit_to: greatest number of recordings to fit to, evenly over the data; None: all.
         fidelity: of the fitted model, whose errors go into the parameters.
@@ -126,7 +127,7 @@ def identify(
         before_fit = fitted.errors(nominal)
         before_held_out = judge.errors(nominal)
         spread = intervals(estimate, fitted)
-        texts = findings(estimate, spread.unseen, fitted, noise)
+        texts = findings(estimate, spread.unseen, fitted, noise, judge)
     except NoHoldError as error:
         # of the arm as it is given, or of one at the edge of those that hold the data
         advice = misread_text(fitted, None, noise) or LOOK
@@ -152,7 +153,7 @@ def _read_parts(
 ) -> tuple[list[Recording], list[Recording]]:
     """Recordings to fit to, at most `fit_to`, and held-out ones, as `identify` is given them."""
     recordings = read_recordings(paths, scene, markers)
-    if held_out.endswith(".csv"):
+    if held_out.lower().endswith(FILES):
         fit_part = recordings
         judge_part = read_recordings([Path(held_out)], scene, markers)
     else:

@@ -18,7 +18,7 @@ from soft_tendon_env.tools.configuration import (
     Problem,
     read_toml,
 )
-from soft_tendon_env.tools.types import Array, NotNegative, Quaternion, Triple
+from soft_tendon_env.tools.types import Array, NotNegative, Positive, Quaternion, Triple
 
 TOLERANCE = 1e-9  # relative, by which a marker may be beyond the tip: of round-off
 MILLIMETRES = 10.0  # rod's lengths from which on a place is in another unit, likely mm
@@ -29,6 +29,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
 }
 """Units of columns as factors of the SI unit that their quantity has."""
+COUNTS = "counts"
+"""Unit of a converter's or an encoder's numbers: `scale` says how many SI units a count is."""
 
 
 class Marker(Configuration):
@@ -61,7 +63,8 @@ class Column(Configuration):
     """
 
     name: str | None = None  # of the column; None: the quantity's own
-    unit: str | None = None  # one of `UNITS`; None: the SI unit
+    unit: str | None = None  # one of `UNITS`, or `COUNTS`; None: that of the file, or the SI unit
+    scale: Positive = 1.0  # of `unit` in 1 of the column's numbers: N per count, m per tick
     sign: Literal[1, -1] = 1
 
 

@@ -1,4 +1,4 @@
-"""Data that were misread: another reading of axes, signs or units that explains them far better."""
+"""Data that were misread: another reading of axes, signs, units or markers explains them better."""
 
 import itertools
 import math
@@ -20,10 +20,11 @@ EXACT = 1e-6
 BETTER = 3.0  # factor by which it explains them far better
 FEW = 12  # holds, evenly over the data
 SAMPLES = 60  # of the motion
+FEW_MARKERS = 4  # of which all orders are tried
 
 
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
-    """Finding where another reading of axes, signs or units explains the data far better.
+    """Finding where another reading of axes, signs, units or markers explains the data far better.
 
     Args:
         readings: of the data as they are read.
@@ -38,12 +39,14 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     # readings are ranked at the scene's own numbers, and only the best of them is fitted
     text, read = _best_reading(plants, few)
     estimate_x = np.zeros(len(plants.parameters)) if x is None else x
-    distance = _distance(_simulate(plants, few, estimate_x), few)
+    simulated = _simulate(plants, few, estimate_x)
+    distance = _distance(simulated, few)
     try:
         estimate = fit(Readings(plants, read), noise)
     except ValueError:  # the arm does not hold that reading either
         return None
-    fitted_distance = _distance(_simulate(plants, read, estimate.x), read)
+    simulated = _simulate(plants, read, estimate.x)
+    fitted_distance = _distance(simulated, read)
     least = max(fitted_distance, EXACT * plants.model.length)
     if not BETTER * least < distance:
         return None
@@ -61,14 +64,17 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
     motions = [recording for recording in recordings if recording.period]
     stride = math.ceil(len(holds) / FEW) or 1
     chosen = holds[::stride] + motions[:1]
-    return [
-        replace(
+    beginnings = list[Recording]()
+    for recording in chosen:
+        beginning = replace(
             recording,
             command=recording.command[:SAMPLES],
             positions=recording.positions[:SAMPLES],
+            session=None,
+            row=0,
         )
-        for recording in chosen
-    ]
+        beginnings.append(beginning)
+    return beginnings
 
 
 def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str, list[Recording]]:
@@ -85,13 +91,26 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
         R = frame.rotation @ S @ frame.rotation.T
         read = list[Recording]()
         for recording in recordings:
-            positions = (recording.positions - frame.translation) @ R.T + frame.translation
+            inside = recording.positions - frame.translation
+            positions = inside @ R.T + frame.translation
             read.append(replace(recording, positions=positions))
-        candidates.append((_distance(simulated, read), text, read))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
+    for text, order in _orders([*plants.markers.markers]).items():
+        read = list[Recording]()
+        for recording in recordings:
+            positions = recording.positions[:, order]
+            read.append(replace(recording, positions=positions))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
     for text, factor in command_factors(plants).items():
-        read = [replace(recording, command=factor * recording.command) for recording in recordings]
+        read = list[Recording]()
+        for recording in recordings:
+            command = factor * recording.command
+            read.append(replace(recording, command=command, session=None))
         simulated = _simulate(plants, read, nominal)
-        candidates.append((_distance(simulated, read), text, read))
+        distance = _distance(simulated, read)
+        candidates.append((distance, text, read))
     _, text, read = min(candidates, key=lambda candidate: candidate[0])
     return text, read
 
@@ -111,8 +130,9 @@ def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Arra
 
 def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
     """Mean distance [m] of simulated markers from those of recordings."""
-    measured = np.concatenate([recording.positions for recording in recordings])
-    distance = np.linalg.norm(simulated - measured, axis=-1)
+    positions = [recording.positions for recording in recordings]
+    error = simulated - np.concatenate(positions)
+    distance = np.linalg.norm(error, axis=-1)
     return float(np.nanmean(distance))
 
 
@@ -123,7 +143,8 @@ def _axes() -> dict[str, Array]:
     all_signs = itertools.product((1, -1), repeat=3)
     for order, signs in itertools.product(orders, all_signs):
         exchange = np.eye(3)[list(order)]
-        S = np.array(signs)[:, None] * exchange
+        column = np.array(signs)[:, None]
+        S = column * exchange
         axes = list[str]()
         for axis, sign in zip(order, signs, strict=True):
             name = "xyz"[axis]
@@ -133,6 +154,29 @@ def _axes() -> dict[str, Array]:
             text += " (a mirror image: the frame of the data is left-handed)"
         matrices[text] = S
     return matrices
+
+
+def _orders(names: Sequence[str]) -> dict[str, list[int]]:
+    """Other orders of the markers: all of them for a few, otherwise two exchanged."""
+    orders = dict[str, list[int]]()
+    own_order = [*range(len(names))]
+    for first, second in itertools.combinations(own_order, 2):
+        order = own_order.copy()
+        order[first] = second
+        order[second] = first
+        text = f"markers {names[first]} and {names[second]} exchanged"
+        orders[text] = order
+    if len(names) > FEW_MARKERS:
+        return orders
+    for permutation in itertools.permutations(own_order):
+        moved = [i for i in own_order if permutation[i] != i]
+        if len(moved) <= 2:  # their own order, and the exchanges above
+            continue
+        before = ", ".join(names[i] for i in moved)
+        after = ", ".join(names[permutation[i]] for i in moved)
+        text = f"markers {before} read as {after}"
+        orders[text] = [*permutation]
+    return orders
 
 
 def command_factors(plants: Plants) -> dict[str, float]:
@@ -150,7 +194,8 @@ def command_factors(plants: Plants) -> dict[str, float]:
     current = 1.0
     for key, column in plants.markers.columns.items():
         if matches_of(key, commands) and column.unit:
-            current = UNITS[unit][column.unit]
+            # counts are in the SI unit once their scale has been taken
+            current = UNITS[unit].get(column.unit, 1.0)
             break
     factors = {
         f"commands in {name}": factor / current

@@ -6,8 +6,9 @@ Those of the measurement are of markers and commands.
 see scene.parameters. Numbers other than zero are estimated as a factor (in logarithm), others and
 angles of tendons as a difference. Where the arm stands and how it is measured are others, of which
 a wildcard is a parameter for each match: `base.rotation` [deg] and `base.position` [m] of the
-scene, `markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset` and `commands.delay` [s];
-all but the delay have a normal prior, which bounds take the place of.
+scene, `markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset`, `commands.delay` [s] and
+`commands.backlash` [m or N]; all but the last two have a normal prior, which bounds take the place
+of.
 """
 
 import contextlib
@@ -37,6 +38,8 @@ OFFSET = 0.025  # of that of a marker's offset, as a share of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the tendon's range
 DELAY = "commands.delay"  # name of the delay, which the scene has as effects.actuators.delay
 LONGEST_DELAY = 0.5  # its upper bound [s]
+BACKLASH = "commands.backlash"  # name of the half-width of the play of all commands
+WIDEST_BACKLASH = 0.05  # its upper bound, as a share of the least of the tendons' ranges
 HALVINGS = 40  # by which the scene's own bounds are sought, to 1e-12 of the distance
 
 
@@ -49,6 +52,7 @@ class Quantity(Enum):
     COMMAND_GAIN = auto()
     COMMAND_OFFSET = auto()
     COMMAND_DELAY = auto()
+    COMMAND_BACKLASH = auto()  # one for all tendons
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,8 @@ class Parameter:
     prior: float | None  # standard deviation, of factors in parts of the value; None: no prior
     is_factor: bool
     quantity: Quantity = Quantity.SCENE
-    # entry of the quantity's array: (axis,) of the base, (marker, axis), or (tendon,) of commands
+    # entry of the quantity's array: (axis,) of the base, (marker, axis), or (tendon,) of commands;
+    # () stands for all entries
     index: tuple[int, ...] = ()
 
     @property
@@ -211,7 +216,7 @@ def _of_markers(markers: MarkerSet, length: float) -> list[Parameter]:
 
 
 def _of_commands(scene: Scene) -> list[Parameter]:
-    """Offsets, gains and the delay of the commands."""
+    """Offsets, gains, the delay and the backlash of the commands."""
     spans = np.ptp(command_limits(scene), axis=1)
     offsets = [
         _difference(
@@ -248,7 +253,17 @@ def _of_commands(scene: Scene) -> list[Parameter]:
         is_factor=False,
         quantity=Quantity.COMMAND_DELAY,
     )
-    return [*offsets, *gains, delay]
+    backlash = Parameter(
+        BACKLASH,
+        of_scene=None,
+        value=0.0,
+        low=0.0,
+        high=WIDEST_BACKLASH * float(spans.min()),
+        prior=None,
+        is_factor=False,
+        quantity=Quantity.COMMAND_BACKLASH,
+    )
+    return [*offsets, *gains, delay, backlash]
 
 
 def _difference(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.identification.backlash import after_play
 from soft_tendon_env.identification.clusters import clusters
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import Parameter, Quantity
@@ -40,6 +41,7 @@ class Measurement(NamedTuple):
     offsets: Array  # (m, 3) of the markers [m]
     gain: Array  # (n_a,) of the commands
     offset: Array  # (n_a,) of the commands, after the gain
+    backlash: Array  # (n_a,) half-width of the commands' play, before the gain
 
     def positions(self, poses: Array) -> Array:
         """Positions (..., m, 3) [m] of markers in the world.
@@ -105,12 +107,14 @@ class Plants:
             offsets=self.markers.offsets,
             gain=np.ones(n_a),
             offset=np.zeros(n_a),
+            backlash=np.zeros(n_a),
         )
         arrays = {
             Quantity.BASE_POSITION: measurement.position,
             Quantity.MARKER_OFFSET: measurement.offsets,
             Quantity.COMMAND_GAIN: measurement.gain,
             Quantity.COMMAND_OFFSET: measurement.offset,
+            Quantity.COMMAND_BACKLASH: measurement.backlash,
         }
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             if parameter.quantity in arrays:
@@ -131,14 +135,19 @@ class Readings:
         self.recordings = sorted(recordings, key=lambda recording: bool(recording.period))
         # equilibrium of each that was found last, from which the next one is sought
         self._rests: list[Array | None] = [None] * len(recordings)
+        # commands after the play of a width, by files and widths: most parameters leave them
+        self._arriving = dict[tuple[int, bytes], Array]()
+        # coordinates of the parameters that were simulated last, and the poses there: residuals,
+        # derivatives and errors are asked for at the same ones
+        self._last_x = b""
+        self._last_poses: Array = np.empty((0, 0, 4, 4))
         has_motions = any(recording.period for recording in recordings)
         self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]
         self.ends = np.cumsum(samples)
         nothing = np.empty((0, len(plants.markers.markers), 3))  # its shape, without recordings
-        self.measured = np.concatenate(
-            [nothing, *(recording.positions for recording in self.recordings)]
-        )
+        positions = [recording.positions for recording in self.recordings]
+        self.measured = np.concatenate([nothing, *positions])
         self.seen = np.isfinite(self.measured)
         sample_cluster = np.repeat(clusters(self.recordings), samples)
         reading_cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)
@@ -158,8 +167,18 @@ class Readings:
         """
         if poses is None:
             poses = self._poses(x)
-        simulated = self.plants.measurement(x).positions(poses)
-        return np.asarray((simulated - self.measured)[self.seen])
+        measurement = self.plants.measurement(x)
+        error = measurement.positions(poses) - self.measured
+        return np.asarray(error[self.seen])
+
+    def by_recording(self, readings: Array) -> list[Array]:
+        """Readings (N,) as an array (samples, m, 3) for each recording.
+
+        It is NaN where a marker was not seen.
+        """
+        whole = np.full(self.measured.shape, np.nan)
+        whole[self.seen] = readings
+        return np.split(whole, self.ends[:-1])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates.
@@ -172,8 +191,8 @@ class Readings:
         columns = list[Array]()
         for i, parameter in enumerate(self.plants.parameters):
             least, greatest = parameter.bounds
-            low = np.clip(x[i] - h, least, greatest)
-            high = np.clip(x[i] + h, least, greatest)
+            low = max(x[i] - h, least)
+            high = min(x[i] + h, greatest)
             residuals = list[Array]()
             for value in (low, high):
                 coordinates = x.copy()
@@ -183,7 +202,9 @@ class Readings:
                 moved_poses = self._poses(coordinates, near) if moves else poses
                 residuals.append(self.residual(coordinates, moved_poses))
             low_residual, high_residual = residuals
-            columns.append((high_residual - low_residual) / (high - low))
+            change = high_residual - low_residual
+            columns.append(change / (high - low))
+        self._last_x = b""  # holds that were solved beside x have moved the rests from there
         return np.stack(columns, axis=-1)
 
     def _near_holds(self, x: Array) -> list[Near | None]:
@@ -204,29 +225,53 @@ class Readings:
 
         It is NaN without any. Raises as `positions`.
         """
-        distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
+        error = self.positions(x) - self.measured
+        distance = np.linalg.norm(error, axis=-1)
         # without recordings there is one empty part
         parts = np.split(distance, self.ends[:-1])
-        return {
-            recording.name: mean_of_finite(part.ravel())
-            for recording, part in zip(self.recordings, parts, strict=False)
-        }
+        errors = dict[str, float]()
+        for recording, part in zip(self.recordings, parts, strict=False):
+            errors[recording.name] = mean_of_finite(part.ravel())
+        return errors
 
     def _arms(self, x: Array) -> list[tuple[Model, Array]]:
         """The model at coordinates x (k,), with the commands (samples, n_a) of each recording."""
-        scene = self.plants.scene_at(x, self.plants.scene)
-        model = self.plants.model.with_scene(scene)
-        measurement = self.plants.measurement(x)
-        return [
-            (model, measurement.gain * recording.command + measurement.offset)
-            for recording in self.recordings
-        ]
+        plants = self.plants
+        scene = plants.scene_at(x, plants.scene)
+        model = plants.model.with_scene(scene)
+        measurement = plants.measurement(x)
+        arms = list[tuple[Model, Array]]()
+        for recording in self.recordings:
+            arriving = self._arriving_command(recording, measurement.backlash)
+            command = measurement.gain * arriving + measurement.offset
+            arms.append((model, command))
+        return arms
+
+    def _arriving_command(self, recording: Recording, backlash: Array) -> Array:
+        """Commands (samples, n_a) of a recording after the play of a half-width (n_a,).
+
+        The play depends on all that its file has before.
+        """
+        if not backlash.any():
+            return recording.command
+        session = recording.session
+        if session is None:
+            session = recording.command
+        key = id(session), backlash.tobytes()
+        if key not in self._arriving:
+            self._arriving[key] = after_play(session, backlash)
+        arriving = self._arriving[key]
+        last = recording.row + len(recording.command)
+        return arriving[recording.row : last]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
         """Poses (samples, m, 4, 4) of markers' sections from the base's place.
 
         Those of holds `near` others are linear. Raises NoHoldError.
         """
+        key = x.tobytes()
+        if not near and key == self._last_x:
+            return self._last_poses
         arms = self._arms(x)
         simulated = list[Array]()  # coordinates (n,) of each sample
         with erring_actuators():  # by the gains and offsets that are looked for
@@ -238,9 +283,14 @@ class Readings:
                     simulated.append(moved)
         model = arms[0][0] if arms else self.plants.model
         places = self.plants.markers.arc_lengths
-        poses = np.array([model.backbone_at(q, places) for q in simulated])
-        poses = poses.reshape(-1, places.size, 4, 4)  # its shape, also without recordings
-        poses[..., :3, 3] -= self.plants.measurement(x).position
+        samples = [model.backbone_at(q, places) for q in simulated]
+        # its shape, also without recordings
+        poses = np.array(samples).reshape(-1, places.size, 4, 4)
+        measurement = self.plants.measurement(x)
+        poses[..., :3, 3] -= measurement.position
+        if not near:
+            self._last_x = key
+            self._last_poses = poses
         return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
@@ -298,10 +348,12 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
         # springs of tendons that follow the arm stand in parallel with it (Woodbury's identity)
         terms = model.terms(q, np.zeros_like(q), u)
         columns = terms.actuation[:, pulls]
-        spring_compliance = np.diag(1.0 / model.arm.effects.transmission.stiffness[pulls])
+        stiffness = model.arm.effects.transmission.stiffness[pulls]
+        spring_compliance = np.diag(1.0 / stiffness)
         response = compliance @ columns
         stretch = columns.T @ compliance
-        forces = np.linalg.solve(spring_compliance + columns.T @ response, stretch)
+        in_parallel = spring_compliance + columns.T @ response
+        forces = np.linalg.solve(in_parallel, stretch)
         compliance = compliance - response @ forces
     return Near(q, compliance, pulls)
 
@@ -332,7 +384,8 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
     if not path.elastic:
         return command, np.zeros(command.size, dtype=bool)
     stretch = command - path.length + model.tendon_lengths(q)
-    u = np.clip(path.stiffness * stretch, 0.0, path.strength)
+    unbounded = path.stiffness * stretch
+    u = np.clip(unbounded, 0.0, path.strength)
     # a slack tendon, and one at its drive's strength, keep their tension as the arm moves
     is_taut = u > 0.0
     is_held = u < path.strength

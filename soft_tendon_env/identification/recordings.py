@@ -7,9 +7,12 @@ was not seen. The table `[columns]` of the markers' file gives quantities other 
 may name a column `group`, of recordings whose errors are common.
 """
 
+import contextlib
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,7 @@ from soft_tendon_env.identification.columns import Source, read_columns
 from soft_tendon_env.identification.markers import UNITS, MarkerSet
 from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.tables import Table
+from soft_tendon_env.tools.tables import Table, read_number
 from soft_tendon_env.tools.types import COMMANDS, Array
 
 REACH = 1.5  # share of the rod's length, from its base, within which a marker may be
@@ -29,6 +32,7 @@ UNEVEN = 0.3  # share of the sample period by which times may be off equal steps
 SHORTEST_USUAL = 1e-3
 LONGEST_USUAL = 1.0
 LONGEST = 4.0  # sample period [s] from which on the unit of time is wrong
+LOST = 1e20  # number from which on it is a tracker's sign, as NDI's -3.697314e28 for a lost tool
 LATEST = 1e11  # time [s] from which on it is: in the year 5000, for seconds since 1970
 
 
@@ -47,6 +51,9 @@ class Recording:
     period: float  # [s] between samples, 0 for a hold
     columns: Mapping[str, str]  # cells of its first row, by the header
     group: str = ""  # its cell in the column of groups, if there is one
+    # commands (rows, n_a) of its whole file in order, its own among them; None: its own alone
+    session: Array | None = None
+    row: int = 0  # of its first sample in the session
 
 
 def read_recordings(
@@ -69,13 +76,13 @@ def read_recordings(
     recordings = list[Recording]()
     for path in paths:
         recordings += _read(Path(path), scene, markers)
-    names = [recording.name for recording in recordings]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(
-            f"hold {twice[0]!r} is there {names.count(twice[0])} times: every hold should have a"
-            " name of its own"
-        )
+    times = Counter(recording.name for recording in recordings)
+    for name in sorted(times):
+        if times[name] > 1:
+            raise ValueError(
+                f"hold {name!r} is there {times[name]} times: every hold should have a name of its"
+                " own"
+            )
     return recordings
 
 
@@ -85,7 +92,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     rows = [where for where, _ in table.rows]
     command = _commands(table, sources, scene)
     positions = _positions(table, sources, markers)
-    times = table.numbers([sources["time"]]).ravel() if "time" in sources else None
+    times = _times(table, sources["time"]) if "time" in sources else None
     from_base = positions - scene.base.position
     _check_reach(from_base, rod_length(scene), path, next(iter(markers.markers)))
     if "hold" in sources:
@@ -110,6 +117,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
             period=period,
             columns=columns,
             group=columns[sources["group"].column] if "group" in sources else "",
+            row=samples[0],
+            session=command,
         )
         check_commands(recording, scene)
         recordings.append(recording)
@@ -157,12 +166,57 @@ def _commands(table: Table, sources: Mapping[str, Source], scene: Scene) -> Arra
 def _positions(table: Table, sources: Mapping[str, Source], markers: MarkerSet) -> Array:
     """Positions (rows, m, 3) [m] of markers in the world, NaN where they were not seen."""
     columns = [sources[name] for name in _position_names(markers)]
-    inside = table.numbers(columns).reshape(len(table.rows), -1, 3)
+    numbers = table.numbers(columns)
+    inside = numbers.reshape(len(table.rows), -1, 3)
+    # of a tool that NDI's trackers lost
+    largest = np.abs(inside).max(axis=2)
+    is_lost = largest > LOST
+    inside[is_lost] = np.nan
     # three zeros are what some trackers write for what was not seen; a marker may be at the base
     is_zero = (inside == 0.0).all(axis=2)
-    inside[is_zero & (markers.arc_lengths > 0.0)] = np.nan
+    is_beyond_base = markers.arc_lengths > 0.0
+    inside[is_zero & is_beyond_base] = np.nan
     frame = markers.frame
-    return np.asarray(inside @ frame.rotation.T + frame.translation)
+    turned = inside @ frame.rotation.T
+    return np.asarray(turned + frame.translation)
+
+
+def _times(table: Table, source: Source) -> Array:
+    """Times (rows,) [s] of a column of numbers, or of dates and times of day by ISO 8601.
+
+    Raises ValueError.
+    """
+    place = table.header.index(source.column)
+    times = np.empty(len(table.rows))
+    for row, (where, cells) in enumerate(table.rows):
+        text = cells[place]
+        if ":" in text:
+            times[row] = _iso_seconds(where, source.column, text)
+        else:
+            times[row] = read_number(where, source.column, text, source.factor)
+    return times
+
+
+def _iso_seconds(where: str, name: str, text: str) -> float:
+    """Seconds since 1970 of a date and time; of a time alone, since midnight. Raises ValueError."""
+    with contextlib.suppress(ValueError):
+        of_day = time.fromisoformat(text)
+        since_midnight = timedelta(
+            hours=of_day.hour,
+            minutes=of_day.minute,
+            seconds=of_day.second,
+            microseconds=of_day.microsecond,
+        )
+        return since_midnight.total_seconds()
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError(
+            f"{where}: {name} is {text!r}: it should be a number, or a time by ISO 8601"
+        ) from error
+    # a time without a zone is read as UTC: only differences matter
+    in_zone = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return in_zone.timestamp()
 
 
 def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
@@ -238,7 +292,8 @@ def check_commands(recording: Recording, scene: Scene) -> None:
     unit = scene.effects.command_unit
     for i, (least, greatest) in enumerate(command_limits(scene)):
         values = recording.command[:, i]
-        outside = values[(values < least) | (values > greatest)]
+        is_outside = (values < least) | (values > greatest)
+        outside = values[is_outside]
         if outside.size:
             name = f"{COMMANDS[unit]}_{i}"
             text = (
@@ -246,7 +301,8 @@ def check_commands(recording: Recording, scene: Scene) -> None:
                 f" {least:g} to {greatest:g} {unit}"
             )
             largest = float(np.abs(values).max())
-            guess = _unit_guess(name, largest, max(-least, greatest), unit)
+            most = max(-least, greatest)
+            guess = _unit_guess(name, largest, most, unit)
             raise ValueError(f"{recording.where}: {text}{guess}")
 
 

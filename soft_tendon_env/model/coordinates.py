@@ -3,6 +3,8 @@
 They are actuation and passive fields, independent tensions and explicit bases.
 """
 
+import math
+
 import numpy as np
 
 from soft_tendon_env.effects.base import Effects
@@ -18,14 +20,18 @@ from soft_tendon_env.mechanics.types import (
 )
 from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid, make_rod
 from soft_tendon_env.scene.passive_fields import fields_of
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.scene.strain import STRAINS, ExplicitBasis, Snapshots, mode_fields
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-# intervals of each piece on which coordinates are counted: their number does not depend on it
+# intervals of each piece on which coordinates are counted, at least
 COUNTING_INTERVALS = 6
+# intervals of a resolving quadrature for the shortest wavelength of the geometry
+PER_WAVE = 4.0
+# intervals of a resolving quadrature for each Legendre function of a field
+PER_FUNCTION = 3
 # size of what is left of a unit vector beside a basis, up to which the basis spans it
 SPANNED = 1e-6
 # share of a tension in an independent combination, up to which it is round-off
@@ -72,10 +78,31 @@ def effects_outside(scene: Scene) -> Effects:
 
 
 def coordinate_count(scene: Scene) -> int:
-    """How many coordinates the strain of a scene has."""
-    grid = make_grid(scene, COUNTING_INTERVALS)
+    """How many coordinates the strain of a scene has.
+
+    They are counted where the points of the quadrature tell all of its fields apart.
+    """
+    grid = make_grid(scene, max(COUNTING_INTERVALS, resolving_intervals(scene)))
     stress_free = at_points(scene, grid)
     return make_strain(scene, grid, stress_free).size
+
+
+def resolving_intervals(scene: Scene) -> int:
+    """Intervals per piece on which no wave of the geometry and no field looks like another one.
+
+    On fewer ones quadratures could agree with each other and be both wrong.
+    """
+    wavelengths = [tendon.routing.wavelength() for tendon in scene.tendons]
+    for segment in scene.segments:
+        tapers = segment.shape.tapers()
+        for taper in tapers.values():
+            wavelengths.append(taper.wavelength())
+    shortest_wave = min(wavelengths)
+    pieces = np.diff(breakpoints(scene))
+    waves = PER_WAVE * pieces.max() / shortest_wave
+    functions = scene.strain.highest_order + 1
+    intervals = max(math.ceil(waves), PER_FUNCTION * functions)
+    return min(intervals, MOST_INTERVALS)
 
 
 def make_strain(

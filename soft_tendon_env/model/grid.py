@@ -452,6 +452,9 @@ def _discretisation(
     def segment_hull(segment: Segment, places: Array) -> ArrayLike:
         return segment.shape.hull(places, segment.length)
 
+    def segment_corners(segment: Segment, places: Array) -> ArrayLike:
+        return np.full((1, places.size), segment.shape.has_corners)
+
     def line_mass(arc_length: Array) -> Array:
         _, _, inertia = screw_matrices(scene, arc_length)
         return inertia[:, 3]
@@ -464,6 +467,7 @@ def _discretisation(
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
         hull=lambda arc_length: along_rod(scene, arc_length, segment_hull),
+        has_corners=lambda arc_length: along_rod(scene, arc_length, segment_corners)[0] > 0.0,
         discs=disc_rows(scene),
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=line_mass,

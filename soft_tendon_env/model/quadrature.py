@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.types import Implicit
+from soft_tendon_env.model.coordinates import resolving_intervals
 from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
 from soft_tendon_env.model.grid import mass_moment_over_nodes, mass_moment_over_points
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
+from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene
 from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.types import Array
 
@@ -28,10 +29,6 @@ MASS_TOLERANCE = 0.02
 LEAST_INERTIA = 0.1
 # share of the largest up to which a combination of coordinates has no inertia on any quadrature
 NO_INERTIA = 1e-9
-# intervals of the finer quadrature for the shortest wavelength of the geometry
-PER_WAVE = 4.0
-# intervals of the finer quadrature for each Legendre function of a field
-PER_FUNCTION = 3
 # sets of tendons at their limits that are tried
 CORNERS = 32
 # of the worst tensions without loads, how many equilibria are solved under
@@ -90,7 +87,7 @@ class QuadratureTest:
         least, greatest = self.limits.T
         self.slack = np.clip(0.0, least, greatest)
         self.tensions = _tensions_to_try(self.limits, self.slack)
-        self.resolving = _resolving_intervals(scene)
+        self.resolving = resolving_intervals(scene)
 
     def search(self, intervals: int) -> QuadratureEstimate:
         """The estimate for the first number of intervals from this one on that suffices.
@@ -244,24 +241,6 @@ def _tensions_to_try(limits: Array, slack: Array) -> list[Array]:
     tensions.append(slack)
     distinct = {tension.tobytes(): tension for tension in tensions}
     return list(distinct.values())
-
-
-def _resolving_intervals(scene: Scene) -> int:
-    """Intervals per piece that a finer quadrature has at least.
-
-    Coarser ones could agree with each other and be both wrong.
-    """
-    wavelengths = [tendon.routing.wavelength() for tendon in scene.tendons]
-    for segment in scene.segments:
-        tapers = segment.shape.tapers()
-        for taper in tapers.values():
-            wavelengths.append(taper.wavelength())
-    shortest_wave = min(wavelengths)
-    pieces = np.diff(breakpoints(scene))
-    waves = PER_WAVE * pieces.max() / shortest_wave
-    functions = scene.strain.highest_order + 1
-    intervals = max(math.ceil(waves), PER_FUNCTION * functions)
-    return min(intervals, MOST_INTERVALS)
 
 
 def _mass_error(coarse: Model, fine: Model) -> float:

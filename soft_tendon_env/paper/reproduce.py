@@ -14,12 +14,13 @@ from types import ModuleType
 from typing import Any
 
 from soft_tendon_env.evaluation.provenance import write_json
+from soft_tendon_env.evaluation.tables import write_markdown
 from soft_tendon_env.paper import shape, tip, validation
 from soft_tendon_env.paper.report import Claim, Result
 
 
-def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
-    """Draw the figures into a folder, print their tables, and write numbers.json.
+def reproduce(seconds: float, out: Path) -> None:
+    """Draw the figures into a folder, print their tables, and write paper.md and numbers.json.
 
     Raises OSError.
     """
@@ -34,11 +35,11 @@ def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
     print(f"\n{missed} of {len(claims)} claims missed")
     content = {"claims": [claim._asdict() for claim in claims], **numbers}
     write_json(out / "numbers.json", content)
-    return results
+    write_markdown(out / "paper.md", document(results))
 
 
 def document(results: Mapping[ModuleType, Result]) -> str:
-    """The sections of docs/appendix/paper.md."""
+    """Report of all figures in Markdown: a section for each, with its tables."""
     sections = list[str]()
     for module, result in results.items():
         title, _, text = (module.__doc__ or "").partition("\n\n")

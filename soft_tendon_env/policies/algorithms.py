@@ -55,7 +55,8 @@ def _checked_algorithm(name: str, algorithm: Any, *, network: Kind | None = None
             f"the algorithm {name!r} should be a subclass of Stable-Baselines3's BaseAlgorithm, not"
             f" {shown(algorithm)}"
         )
-    policy = algorithm.policy_aliases[policy_name(algorithm, has_goals=False)]  # type: ignore[attr-defined]
+    learner: Any = algorithm
+    policy = learner.policy_aliases[policy_name(learner, has_goals=False)]
     class_name = f"{policy.__module__}.{policy.__qualname__}"
     if class_name not in POLICY_CLASSES:
         classes = ", ".join(known.rpartition(".")[2] for known in POLICY_CLASSES)

@@ -72,9 +72,14 @@ class Taper(AlongRod):
 
     @abstractmethod
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Size [m] and its derivative along the rod [-], both of the shape of the arc lengths.
+        """Computes the size and its derivative along the rod.
 
-        They are at `arc_length` [m] from the segment's start.
+        Args:
+            arc_length: (...) [m] from the segment's start.
+            segment_length: of the segment [m].
+
+        Returns:
+            Size [m] and derivative [-], each (...).
         """
 
 
@@ -146,6 +151,14 @@ class TendonRouting(AlongRod):
     Arc lengths are measured from the rod's base; y, z span the section.
     """
 
+    @property
+    def direction(self) -> float | None:
+        """Direction [rad] from y towards z in which `radius` is that of the rod's outline.
+
+        By default there is none: `radius` is then that of the circle around the section.
+        """
+        return None
+
     @abstractmethod
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
@@ -154,7 +167,7 @@ class TendonRouting(AlongRod):
 
         Args:
             arc_length: (m,) [m] from the rod's base.
-            radius: (m,) of the rod there [m].
+            radius: (m,) of the rod there [m], see `direction`.
             radius_slope: (m,) d radius/dX there [-].
             ends: the tendon's first and last arc length [m].
 
@@ -163,7 +176,11 @@ class TendonRouting(AlongRod):
         """
 
     def turn_rate(self) -> float:
-        """Greatest angle per arc length [rad/m] by which the tendon winds around the axis."""
+        """Returns the greatest angle per arc length by which the tendon winds around the axis.
+
+        Returns:
+            The rate [rad/m], 0 for one that does not wind.
+        """
         return 0.0
 
 
@@ -208,24 +225,29 @@ class ConvergingRouting(TendonRouting):
 
 @register("routing", "surface")
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius.
+    """Tendon at a fixed fraction of the way from the axis to the rod's outline.
 
-    That is the radius of the circle around its section, so that it follows a taper.
+    It follows a taper, and stays inside of a flat section up to the fraction 1.
 
-    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
+    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z,
+    with the distance r of the outline in that direction.
     """
 
     type: Literal["surface"] = "surface"
     fraction: NotNegative = 1.0
     angle: Number
 
+    @property
+    def direction(self) -> float:
+        """Direction [rad] in which the outline's distance counts."""
+        return float(np.deg2rad(self.angle))
+
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        angle = np.deg2rad(self.angle)
-        unit = np.array([np.cos(angle), np.sin(angle)])
-        direction = self.fraction * unit
-        return np.outer(radius, direction), np.outer(radius_slope, direction)
+        unit = np.array([np.cos(self.direction), np.sin(self.direction)])
+        way = self.fraction * unit
+        return np.outer(radius, way), np.outer(radius_slope, way)
 
 
 @register("routing", "helix")

@@ -17,7 +17,7 @@ from pydantic_core.core_schema import ValidationInfo
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.routing import Ends, Routing, Size
 from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Tube
-from soft_tendon_env.scene.strain import AnyStrain, StaticsBased
+from soft_tendon_env.scene.strain import STRAINS, AnyStrain, StaticsBased
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
@@ -471,7 +471,15 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
         Offset (y, z) [m], and its slope d/dX [-], each (m, 2).
     """
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
-    radius, radius_slope = rod_radius(scene, arc_length)
+    direction = tendon.routing.direction
+    if direction is None:
+        radius, radius_slope = rod_radius(scene, arc_length)
+    else:
+        radius, radius_slope = along_rod(
+            scene,
+            arc_length,
+            lambda segment, places: segment.shape.outline_radius(direction, places, segment.length),
+        )
     ends = tendon_ends(scene, tendon)
     return tendon.routing.offset_and_slope(arc_length, radius, radius_slope, ends)
 
@@ -482,18 +490,20 @@ def extrapolation_columns(scene: Scene) -> int:
     It is the scene's, or what its damping allows.
 
     On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability
-    function). A damping ratio of 0.0029 at omega h = 0.64 outweighs that. Where every segment has
-    0.01 there, 3 columns are chosen, or up to 6 with a tolerance; elsewhere 2.
+    function). A damping ratio of 0.0029 at omega h = 0.64 outweighs that. Where every strain of
+    every segment has 0.01 there, 3 columns are chosen, or up to 6 with a tolerance; elsewhere 2.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns
     omega = GROWTH_ANGLE / scene.integrator.step
+    free = [STRAINS.index(strain) for strain in scene.strain.free]
     ratios = list[float]()
     for segment in scene.segments:
-        # in bending about y, at the segment's start
-        matrices = segment.screw_matrices(np.zeros(1))
-        stiffness, viscosity = matrices[:2, 1, 0]
-        ratios.append(0.5 * omega * viscosity / stiffness)
+        # at the segment's start: Kelvin and Voigt's times are the same all along a segment, but of
+        # torsion and shear others than of bending
+        elasticity, viscosity, _ = segment.screw_matrices(np.zeros(1))[..., 0]
+        retardation = viscosity[free] / elasticity[free]
+        ratios.append(0.5 * omega * float(retardation.min()))
     if min(ratios) < ENOUGH_DAMPING:
         return SAFE_COLUMNS
     return DAMPED_COLUMNS if scene.integrator.tolerance is None else MOST_COLUMNS

@@ -48,10 +48,12 @@ class Section(Configuration):
     Attributes:
         sizes: names of the fields that are sizes.
         has_material: whether it is of one material, whose numbers the segment has then.
+        has_corners: whether the outline is the rectangle of its widths, else it is their ellipse.
     """
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
     has_material: ClassVar[bool] = True
+    has_corners: ClassVar[bool] = False
 
     @abstractmethod
     def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
@@ -123,6 +125,19 @@ class Section(Configuration):
         """
         values, slopes = self.at(arc_length, length)
         return values[0], slopes[0]
+
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Returns how far the outline is from the axis in a direction.
+
+        Args:
+            angle: From y towards z [rad].
+            arc_length: From the start of the segment (m,) [m].
+            length: Of the segment [m].
+
+        Returns:
+            Distance [m], and its derivative along the rod [-], each (m,).
+        """
+        return self.outer_radius(arc_length, length)
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Computes widths, perimeter and area of the outline.
@@ -256,6 +271,8 @@ class Rectangle(Flat):
     Torsion is Timoshenko and Goodier's (170), summed to round-off.
     """
 
+    has_corners: ClassVar[bool] = True
+
     type: Literal["rectangle"] = "rectangle"
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
@@ -289,6 +306,19 @@ class Rectangle(Flat):
         perimeter = 2.0 * (width + height)
         area = width * height
         return np.stack([width, height, perimeter, area])
+
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the way from the axis to the side that a direction meets."""
+        values, slopes = self.at(arc_length, length)
+        half_y, half_z = 0.5 * values[:2]
+        slope_y, slope_z = 0.5 * slopes[:2]
+        along_y = abs(np.cos(angle))
+        along_z = abs(np.sin(angle))
+        # the direction leaves through a side across y where its slope is below the diagonal's
+        meets_y = half_z * along_y >= half_y * along_z
+        radius = np.where(meets_y, half_y, half_z) / np.where(meets_y, along_y, along_z)
+        slope = np.where(meets_y, slope_y, slope_z) / np.where(meets_y, along_y, along_z)
+        return radius, slope
 
     def outline(self, circle: Array) -> Array:
         """Returns points of the square that the outline is in parts of half its widths."""
@@ -326,6 +356,18 @@ class Ellipse(Flat):
         perimeter = np.pi * (3 * (a + b) - np.sqrt(mixed))
         area = np.pi * a * b
         return np.stack([2.0 * a, 2.0 * b, perimeter, area])
+
+    def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
+        """Computes the radius of the ellipse in a direction."""
+        values, slopes = self.at(arc_length, length)
+        a, b = 0.5 * values
+        a_slope, b_slope = 0.5 * slopes
+        # 1 / r^2 = (cos / a)^2 + (sin / b)^2
+        along_y = np.cos(angle) ** 2 / a**2
+        along_z = np.sin(angle) ** 2 / b**2
+        radius = 1.0 / np.sqrt(along_y + along_z)
+        slope = radius**3 * (along_y * a_slope / a + along_z * b_slope / b)
+        return radius, slope
 
 
 def _both(value: Any) -> Any:

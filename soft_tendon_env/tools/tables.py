@@ -1,16 +1,24 @@
-"""Tables from CSV files in their dialects: rows of text, each with where it stands."""
+"""Tables from CSV files in their dialects, and from arrays of MATLAB and NumPy.
+
+A table has rows of text, each with where it stands.
+Trackers write a block of lines above the table: OptiTrack Motive and Vicon Nexus give names over
+three columns X, Y, Z, which become `NAME X`, and Nexus a line of units beneath the header.
+"""
 
 import contextlib
 import csv
 import math
 import warnings
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.tools.array_tables import ARRAY_FILES, read_arrays
+from soft_tendon_env.tools.file_kinds import check_is_text
 from soft_tendon_env.tools.files import read_text
+from soft_tendon_env.tools.table_headers import column_names, length_unit, unit_of
 from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
@@ -22,20 +30,25 @@ COMMENTS = ("#", "%")
 it."""
 ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 """Cells that hold no number."""
+SHOWN = 40
+"""Letters of a cell that an error shows."""
 PREAMBLE = 100
 """Lines among which the header is looked for."""
+BLOCK = 6
+"""Lines after an empty one among which it is too, of another part of the file."""
 
 
 class Table(NamedTuple):
     """Table of text.
 
     where: the header stands, with the separator that was recognised; rows: where each stands, and
-    its cells.
+    its cells; units: that the file itself gives, by columns.
     """
 
     where: str
     header: list[str]
     rows: list[tuple[str, list[str]]]
+    units: Mapping[str, str]
 
     def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
         """Numbers (rows, columns) of columns by name, times their factors.
@@ -64,26 +77,32 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
         with contextlib.suppress(ValueError):  # it stays NaN, which is refused below
             value = float(text.replace(",", ".")) * factor
     if not math.isfinite(value):
+        shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
         raise ValueError(
-            f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is"
+            f"{where}: {name} is {shown!r}: it should be a finite number, or empty where there is"
             " none"
         )
     return value
 
 
 def read_table(path: Path, names: Collection[str] = ()) -> Table:
-    """The table of a CSV file.
+    """The table of a CSV file, or of a .mat or .npz file.
 
     Its header is the line with most of the `names`, by default the first that is no comment. Its
     separator is a comma, semicolon, tab, bar or spaces. Blank lines and comments (#, %) are left
     out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
     """
+    if path.suffix.lower() in ARRAY_FILES:
+        header, array_rows = read_arrays(path)
+        return Table(str(path), header, array_rows, {})
+    check_is_text(path)
     text = read_text(path, "replace")  # bytes that are no text are no numbers
     lines = _whole_lines(path, text)
     place, separator, header = _header(lines, {name.casefold() for name in names})
     where = f"{path}, line {place + 1}"
     if len(header) > 1:
         where += f" (separated by {separator!r})"
+    units = _units_above(lines[:place], separator, header)
 
     rows = list[tuple[str, list[str]]]()
     for i in range(place + 1, len(lines)):
@@ -96,15 +115,51 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
             raise ValueError(f"{where_row} cannot be read: {error}") from error
         if not any(cells):
             continue
+        if _is_title(lines, i, separator):
+            break
         # A spreadsheet writes empty cells beyond the header's.
         if not any(cells[len(header) :]):
             cells = cells[: len(header)]
+        if not rows and _is_line_of_units(cells):
+            units = dict(zip(header, map(unit_of, cells), strict=False))
+            continue
         if len(cells) != len(header):
             raise ValueError(
                 f"{where_row}: there are {len(cells)} cells, the header has {len(header)}: {where}"
             )
         rows.append((where_row, cells))
-    return Table(where, header, rows)
+    return Table(where, header, rows, {name: unit for name, unit in units.items() if unit})
+
+
+def _units_above(above: Sequence[str], separator: str, header: Sequence[str]) -> dict[str, str]:
+    """Units of columns by the lines above the header: Motive has one for all lengths."""
+    unit = length_unit(_cells_of_block(above, separator))
+    places = [name for name in header if name.endswith((" X", " Y", " Z"))]
+    return {name: unit for name in places if "Rotation" not in name}
+
+
+def _is_line_of_units(cells: Sequence[str]) -> bool:
+    """Whether the cells of a row have units and no number, as beneath the header of Nexus."""
+    return any(unit_of(cell) for cell in cells) and not any(_is_number(cell) for cell in cells)
+
+
+def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
+    """Whether another table begins with line i, as Nexus writes it.
+
+    An empty line is before it, and its sample rate alone in the one after.
+    """
+    if not 0 < i < len(lines) - 1 or any(_cells(lines[i - 1], separator)):
+        return False
+    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in lines[i : i + 2])
+    return len(title) == len(rate) == 1 and _is_number(rate[0]) and not _is_number(title[0])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -120,10 +175,11 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
-    """Place of the header among the lines, its separator and its cells."""
+    """Place of the header among the lines, its separator and the names of its columns."""
     best = 0, ",", list[str]()
     best_score = -1
-    for place, line in enumerate(lines[:PREAMBLE]):
+    for place in _header_places(lines):
+        line = lines[place]
         is_comment = line.startswith(COMMENTS)
         text = line.lstrip("".join(COMMENTS) + " \t") if is_comment else line
         separator = max(SEPARATORS, key=text.count)
@@ -133,6 +189,9 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             cells = _cells(text, separator)
         except csv.Error:  # which the reader tells, where this line is one of the table
             continue
+        while cells and not cells[-1]:  # empty cells behind the last name
+            cells = cells[:-1]
+        cells = column_names(cells, _cells_of_block(lines[:place], separator))
         score = len(names.intersection(cell.casefold() for cell in cells))
         # A comment counts by its names alone: without any it is below the first other line.
         if is_comment:
@@ -140,11 +199,27 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
         if any(cells) and score > best_score:
             best = place, separator, cells
             best_score = score
+    return best
 
-    place, separator, header = best
-    while header and not header[-1]:  # empty cells behind the last name
-        header = header[:-1]
-    return place, separator, header
+
+def _header_places(lines: Sequence[str]) -> list[int]:
+    """Lines that may be a header: the first ones, and those after an empty line."""
+    places = [*range(min(PREAMBLE, len(lines)))]
+    since_empty = BLOCK
+    for place, line in enumerate(lines):
+        since_empty = since_empty + 1 if line.strip() else 0
+        if place >= PREAMBLE and 0 < since_empty <= BLOCK:
+            places.append(place)
+    return places
+
+
+def _cells_of_block(above: Sequence[str], separator: str) -> list[list[str]]:
+    """Cells of the last lines above a header."""
+    block = list[list[str]]()
+    for line in above[-BLOCK:]:
+        with contextlib.suppress(csv.Error):  # a line that is no row names no column
+            block.append(_cells(line, separator))
+    return block
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:

@@ -10,7 +10,8 @@ from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.reference_model import LEVELS, part_borders, reference_model
 from soft_tendon_env.scene.file import load_scene
 
-ARM, PAPER = load_scene("three_tendon"), load_scene("paper")
+ARM = load_scene("three_tendon")
+PAPER = load_scene("paper")
 GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "step": 20.0}
 
 

@@ -10,7 +10,6 @@ import pytest
 from soft_tendon_env.cli import errors
 
 TEXTS = {
-    "docs.md": "no markers",
     "key.toml": "episods = 3",
     "markers.toml": "[markers.tip]\narc_length = 0.3\n",
     "holds.csv": (
@@ -79,7 +78,6 @@ OPTIONS = [
         "compare --policies feedforward --task TipPose --cluster 127.0.0.1:1",
         "Ray",
     ),  # is not there, or does not answer
-    ("compare --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     (
         "run feedforward --seconds 0.01",
         "seconds is 0.01: it should be at least one control period, 0.02 s, and skip",
@@ -93,7 +91,7 @@ OPTIONS = [
         "sweep ppo_tip_pose other/ppo_tip_pose.toml",
         "has two files ppo_tip_pose.toml, whose runs would share a folder",
     ),
-    ("reproduce-paper --seconds 2 --write-docs docs.md", "--write-docs needs all 10 seconds"),
+    ("reproduce-paper --seconds 11", "--seconds is 11: it should be less than or equal to 10"),
     ("effects gravty", "name is 'gravty': did you mean 'gravity'?"),
     (
         "effects own_drag",

@@ -4,7 +4,8 @@ from outside by name."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference, controllers_of
+from soft_tendon_env.control.catalogue import PRESETS
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -104,3 +105,32 @@ def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, l
         np.testing.assert_array_equal(decision.tension, [1.0, 2.0, 5.0])
         assert decision.report["singular"] == 1.0
     assert_sound(controller.act(now, decision.memory), limits_of(model))
+
+
+@pytest.mark.parametrize(
+    ("name", "ahead"), [("predictive", 7), ("long_horizon_predictive", 25), ("feedforward", 2)]
+)
+def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
+    """Six intervals of one period, twelve of two, and the period that begins."""
+    entry = controllers_of("TipPose")[name]
+    assert entry.looks_ahead == ahead
+    if name == "predictive":
+        longer = entry.with_parameters({"horizon": 3, "hold": 4})
+        assert longer.looks_ahead == 13
+        assert longer.parameters == {**entry.parameters, "horizon": 3, "hold": 4}
+
+
+def test_controllers_have_their_numbers_as_parameters():
+    parameters = controllers_of("TipPose")["tracking"].parameters
+    assert parameters == {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
+    shapes = controllers_of("Shape")["tracking"].parameters
+    assert shapes == {"settling_time": 0.4, "damping": 10.0}
+    assert controllers_of("Shape")["feedforward"].parameters == {}
+
+
+def test_presets_are_their_controllers_with_other_numbers():
+    entries = controllers_of("TipPose")
+    for name, (base, added, numbers) in PRESETS.items():
+        preset = entries[name]
+        assert preset.parameters == {**entries[base].parameters, **numbers}
+        assert preset.description == entries[base].description + added

@@ -1,19 +1,18 @@
-"""The implicit step against its formula, gains by the poles that were asked for, the quadratic
-program against another solver."""
+"""The implicit step against its formula and its balance of forces, gains by the poles that were
+asked for."""
 
 import itertools
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 
-from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import (
     DECADES,
     discrete_gains,
     implicit_inertia,
     implicit_step,
 )
+from soft_tendon_env.model.terms import Terms
 
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -108,32 +107,78 @@ def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
             )
 
 
-@pytest.fixture(params=range(12))
-def problem(request):
-    """A random full-rank task |A x - b|^2 with bounds: A (m + 2, m), b, least, greatest."""
-    rng = np.random.default_rng(request.param)
-    size = rng.integers(1, 13)
-    A, b = rng.normal(size=(size + 2, size)), 3.0 * rng.normal(size=size + 2)
-    unit = 10.0 ** rng.uniform(-3.0, 3.0)
-    return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
-
-
-def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
-    """Where bounds are loose the slope is zero, at the least it does not fall inwards, at the
-    greatest neither."""
-    A, b, least, greatest = problem
-    found = allocate(A.T @ A, -A.T @ b, least, greatest)
-    assert found.solved
-    np.testing.assert_allclose(
-        found.x, lsq_linear(A, b, (least, greatest), method="bvls", tol=1e-14).x, atol=1e-7
+@pytest.fixture
+def terms():
+    """Terms of an arm of four coordinates and two tendons among effects that are stiff and damp, as
+    random numbers."""
+    rng = np.random.default_rng(5)
+    M, D, G, stiffness, damping = (
+        factor @ factor.T + np.eye(4) for factor in rng.normal(size=(5, 4, 4))
     )
-    slope = A.T @ (A @ found.x - b) / np.trace(A.T @ A)
-    at_least, at_greatest = found.x - least < 1e-9, greatest - found.x < 1e-9
-    assert (found.x >= least).all()
-    assert (found.x <= greatest).all()
-    assert (slope[at_least] > 0.0).all()
-    assert (slope[at_greatest] < 0.0).all()
-    np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
-    np.testing.assert_allclose(
-        found.multipliers, -slope * slope.size, atol=1e-9
-    )  # what the bounds push back with
+    bias, elastic, external = rng.normal(size=(3, 4))
+    return Terms(
+        mass=M,
+        bias=bias,
+        damping=D,
+        stiffness=G,
+        actuation=rng.normal(size=(4, 2)),
+        elastic_force=elastic,
+        external_force=external,
+        tip_pose=np.eye(4),
+        tip_jacobian=np.zeros((6, 4)),
+        tip_bias=np.zeros(6),
+        external_stiffness=stiffness,
+        external_damping=damping,
+    )
+
+
+@pytest.mark.parametrize("h", [0.01, 0.3])
+def test_the_step_balances_the_linearised_equation_of_motion(terms, h):
+    """At its end, with forces linearised about its beginning: those of the effects change with the
+    rates by -D_F (v+ - v), and both stiffnesses act on the way h v+."""
+    rng = np.random.default_rng(0)
+    v, u = rng.normal(size=4), rng.normal(size=2)
+    step = implicit_step(terms, v, h)
+    end = step.free + step.response @ u
+    way = h * end
+    of_arm = terms.elastic_force + terms.stiffness @ way + terms.damping @ end + terms.bias
+    of_effects = (
+        terms.external_force - terms.external_stiffness @ way - terms.external_damping @ (end - v)
+    )
+    force = terms.actuation @ u - of_arm + of_effects
+    np.testing.assert_allclose(terms.mass @ (end - v) / h, force, rtol=1e-9, atol=1e-9)
+    inertia = implicit_inertia(terms, h)
+    np.testing.assert_allclose(step.metric, step.response.T @ inertia @ step.response, rtol=1e-9)
+
+
+def test_a_singular_step_is_an_error(terms):
+    nothing = np.zeros((4, 4))
+    names = ("mass", "damping", "stiffness", "external_stiffness", "external_damping")
+    singular = terms._replace(**dict.fromkeys(names, nothing))
+    with pytest.raises(np.linalg.LinAlgError, match="singular"):
+        implicit_step(singular, np.zeros(4), 0.02)
+
+
+@pytest.mark.parametrize("name", ["settling_time", "damping", "period", "integral_time"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "short"])
+def test_what_is_no_positive_number_is_named(name, value):
+    numbers = {"settling_time": 0.5, "damping": 1.0, "period": 0.02, "integral_time": 0.5}
+    with pytest.raises((TypeError, ValueError), match=f"{name} should be a positive number"):
+        discrete_gains(**{**numbers, name: value})
+
+
+def test_short_periods_give_the_gains_of_the_continuous_loop():
+    """s^3 + kd s^2 + kp s + ki has the three poles; to first order in the period: ten times
+    shorter, ten times nearer."""
+    natural = DECADES / 0.5 / 0.8
+    pair = np.roots([1.0, 2.0 * 0.8 * natural, natural**2])
+    _, kd, kp, ki = np.poly([*pair, -DECADES / 0.4]).real
+    off = []
+    for period in (1e-4, 1e-5):
+        gains = discrete_gains(0.5, 0.8, period, 0.4)
+        off.append(np.array(gains) / [kp, kd, ki] - 1.0)
+    np.testing.assert_allclose(off[0] / off[1], 10.0, rtol=0.02)
+
+
+def test_errors_settle_to_two_percent():
+    assert np.exp(-DECADES) == pytest.approx(0.02, rel=0.1)

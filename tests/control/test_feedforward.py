@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from soft_tendon_env import static_equilibrium, tension_for_tip_pose
-from soft_tendon_env.control import ControllerInput, Reference, controllers_of
-from soft_tendon_env.control.feedforward import StaticFeedforward
+from soft_tendon_env import Simulation, static_equilibrium, tension_for_tip_pose
+from soft_tendon_env.control import (
+    ControllerInput,
+    ControllerOutput,
+    Reference,
+    controllers_of,
+)
+from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
 
@@ -70,6 +75,141 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
             np.testing.assert_allclose(tip, found.tip_pose, atol=5e-3 * max(model.length, 1.0))
 
 
+@pytest.mark.parametrize("arm", ["redundant", "loads inside"])
+def test_moving_tips_are_followed(build, limits_of, arm):
+    """A period ahead, from the second period on."""
+    model = build(*ARMS[arm])
+    limits = limits_of(model)
+    phase = np.arange(model.tendon_count)
+    waves = [1.0 + np.sin(0.1 * k + phase) for k in range(16)]
+    tensions = [0.15 * limits[:, 1] * wave for wave in waves]
+    poses = np.stack([static_equilibrium(model, tension).tip_pose for tension in tensions])
+    times = PERIOD * np.arange(2.0)
+    windows = [poses[k : k + 2] for k in range(15)]
+    targets = [Reference(times, window, window[:, :3, 3]) for window in windows]
+    objective = TipPose(0.1 * model.length)
+    controller = StaticFeedforward(model, limits, PERIOD, objective)
+    path = followed_equilibria(controller, model, targets)
+    tips = np.stack([model.tip_pose(q)[:3, 3] for q in path])
+    positions = poses[:, :3, 3]
+    away = np.linalg.norm(tips - positions[1:], axis=1)
+    assert away.max() < 2e-3 * model.length
+    extent = np.ptp(positions, axis=0)
+    assert np.linalg.norm(extent) > 0.02 * model.length
+
+
+def input_for(model, target):
+    """Of an arm whose measurements are not looked at."""
+    n = model.coordinate_count
+    return ControllerInput(
+        np.zeros(n), np.zeros(n), np.eye(4), np.zeros(model.tendon_count), target
+    )
+
+
+def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
+    """Those that were asked for, where there is no choice."""
+    model = build("three_tendon")
+    target = holding(model, [2.0, 0.5, 0.1])
+    controller = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition())
+    decision = controller.act(input_for(model, target))
+    at_rest = model.rest_coordinates(decision.tension)
+    np.testing.assert_allclose(at_rest, decision.memory.q, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(decision.memory.tip_pose, model.tip_pose(at_rest), atol=1e-6)
+    np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)
+
+
+def test_of_tensions_that_do_the_same_the_least_are_taken(build, limits_of):
+    """Four tendons around the arm: alternating ones pull against one another, which is let go."""
+    model = build("four_tendon")
+    limits = limits_of(model)
+    tight = np.array([3.0, 2.0, 1.0, 1.5])
+    pose = static_equilibrium(model, tight).tip_pose
+    target = Reference(np.zeros(1), tip_position=pose[None, :3, 3])
+    controller = StaticFeedforward(model, limits, PERIOD, TipPosition())
+    now, memory = input_for(model, target), None
+    for _ in range(60):
+        decision = controller.act(now, memory)
+        memory = decision.memory
+    assert np.linalg.norm(memory.tip_pose[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
+    alternating = np.array([1.0, -1.0, 1.0, -1.0])
+    assert alternating @ tight == 0.5
+    assert alternating @ decision.tension == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_period_looks_at_a_fifth_of_the_length_at_most(build, limits_of, holding, far):
+    """However far the target is; the tip goes on its way there."""
+    model = build("three_tendon")
+    controller = StaticFeedforward(model, 10.0 * limits_of(model), PERIOD, TipPosition())
+    near = holding(model, [0.5, 0.0, 0.0])
+    start = controller.act(input_for(model, near)).memory
+    after = controller.act(input_for(model, far), start).memory
+    way = after.tip_pose[:3, 3] - start.tip_pose[:3, 3]
+    share = np.linalg.norm(way) / model.length
+    assert 0.05 < share < 0.3
+    before = np.linalg.norm(FAR - start.tip_pose[:3, 3])
+    assert np.linalg.norm(FAR - after.tip_pose[:3, 3]) < before
+
+
+def test_every_step_lowers_errors_and_efforts(build, limits_of, far):
+    """Never more of both together: half a square metre and square newtons by their weight."""
+    model = build("three_tendon")
+    controller = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition())
+    memory = controller.act(input_for(model, far)).memory
+    effort = 1e-9
+    errors = [np.linalg.norm(controller.error(memory, far))]
+    costs = [controller._cost(memory, far, effort)]
+    expected = errors[0] ** 2 + effort * np.sum(memory.tension**2)
+    assert costs[0] == pytest.approx(expected, rel=1e-12)
+    for _ in range(5):
+        memory = controller.act(input_for(model, far), memory).memory
+        errors.append(np.linalg.norm(controller.error(memory, far)))
+    assert (np.diff(errors) <= 1e-9).all()
+
+
+class Listener:
+    """A controller that holds still and keeps what it is told."""
+
+    def act(self, now, memory=None):
+        self.now, self.memory = now, memory
+        return ControllerOutput(np.zeros(3), "memory", {"singular": 0.0})
+
+
+def test_a_governor_moves_what_is_out_of_reach_by_as_much_as_that(build, limits_of, far):
+    """All but a margin of a two-thousandth of the length, towards the nearest pose, and tells the
+    tensions that hold it."""
+    model = build("three_tendon")
+    statics = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition())
+    listener = Listener()
+    governor = ReferenceGovernor(statics, listener)
+    decision = governor.act(input_for(model, far))
+    nearest, controller_memory = decision.memory
+    assert controller_memory == "memory"
+    distance = np.linalg.norm(FAR - nearest.tip_pose[:3, 3])
+    margin = 0.0005 * model.length
+    assert decision.report["out_of_reach"] == pytest.approx(distance - margin, rel=1e-9)
+    told = listener.now.reference
+    np.testing.assert_array_equal(told.tension, nearest.tension)
+    way = told.tip_position[0] - nearest.tip_pose[:3, 3]
+    assert np.linalg.norm(way) == pytest.approx(margin, rel=1e-6)
+    np.testing.assert_allclose(way / margin, (FAR - nearest.tip_pose[:3, 3]) / distance, atol=1e-6)
+    governor.act(input_for(model, far), decision.memory)
+    assert listener.memory == "memory"
+
+
+def test_a_governor_leaves_what_is_within_reach(build, limits_of, holding):
+    model = build("three_tendon")
+    target = holding(model, [2.0, 0.5, 0.1])
+    statics = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition())
+    listener = Listener()
+    governor = ReferenceGovernor(statics, listener)
+    memory = None
+    for _ in range(3):
+        decision = governor.act(input_for(model, target), memory)
+        memory = decision.memory
+    assert decision.report["out_of_reach"] == 0.0
+    np.testing.assert_array_equal(listener.now.reference.tip_position, target.tip_position)
+
+
 @pytest.fixture
 def far():
     """Beyond the length of every arm here."""
@@ -98,6 +238,27 @@ def least_miss(objective, model, target, limits):
 
     starts = (limits[:, 0] + share * np.ptp(limits, axis=1) for share in (0.01, 0.3))
     return min(minimize(cost, start, method="L-BFGS-B", bounds=limits).fun for start in starts)
+
+
+@pytest.mark.parametrize(("task", "name"), [("TipPose", "tracking"), ("Reach", "predictive")])
+def test_nothing_is_wound_up(build, limits_of, drive, holding, far, task, name):
+    """From the same motion, a memory of a second out of reach settles about as fast as none."""
+    model = build("three_tendon")
+    limits = limits_of(model)
+    near = holding(model, 0.2 * limits[:, 1])
+    controller = controllers_of(task)[name].make(model, limits, PERIOD)
+    simulation = Simulation(model)
+    memory = drive(controller, simulation, far, 50).memory
+    beginning = simulation.state
+    took = []
+    for start in (memory, None):
+        simulation.reset(beginning.q, beginning.q_dot)
+        tip = drive(controller, simulation, near, 75, start).tip[:, :3, 3]
+        away = np.linalg.norm(tip - near.tip_position[0], axis=1)
+        assert away[0] > 0.05 * model.length
+        took.append(PERIOD * np.flatnonzero(away > 0.02 * away[0])[-1])
+    assert took[1] < 1.2
+    assert took[0] < 1.5 * took[1] + PERIOD
 
 
 @pytest.mark.parametrize("scene", ["three_tendon", *LONG])

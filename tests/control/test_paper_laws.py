@@ -4,8 +4,11 @@ independence of coordinates."""
 import numpy as np
 import pytest
 
+from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.paper_laws import (
     Gains,
+    PaperShape,
+    PaperTipPose,
     ShapeTarget,
     TipPoseTarget,
     energy_left_inverse,
@@ -14,7 +17,7 @@ from soft_tendon_env.control.paper_laws import (
     shape_tension,
     tip_pose_tension,
 )
-from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, pose_error
+from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
 from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 
 GAINS = Gains(10_000.0, 1000.0)
@@ -99,3 +102,70 @@ def test_shape_laws_are_the_printed_ones(build, random_state):
         wanted.tension + 100.0 * B.T @ (q_bar_dot - q_dot) + 1000.0 * B.T @ (q_bar - q)
     )  # (38)
     np.testing.assert_allclose(shape_tension(model, q, q_dot, wanted, gains), expected)
+
+
+@pytest.mark.parametrize("scene", ["paper", "paper_16dof", "four_tendon"])
+def test_left_inverses_undo_the_actuation(build, random_state, scene):
+    """Of redundant tendons the least tensions that do as much; in between is the force next to a
+    given one, in the norm of the stiffness or of the coordinates."""
+    model = build(scene)
+    terms = model.terms(*random_state(model, 0))
+    B = terms.actuation
+    force = np.random.default_rng(0).normal(size=len(B))
+    norms = {energy_left_inverse: np.linalg.inv(terms.stiffness), euclidean_left_inverse: None}
+    for left_inverse, norm in norms.items():
+        tension = left_inverse(terms) @ force
+        np.testing.assert_allclose(B @ left_inverse(terms) @ B, B, atol=1e-8 * np.abs(B).max())
+        off = force - B @ tension
+        weighted = off if norm is None else norm @ off
+        np.testing.assert_allclose(B.T @ weighted, 0.0, atol=1e-6 * np.abs(B.T @ force).max())
+
+
+def test_tips_that_cannot_be_accelerated_everywhere_are_refused(build, random_state):
+    model = build("three_tendon")
+    q, q_dot = random_state(model, 0)
+    with pytest.raises(ValueError, match="in 3 of 6 directions"):
+        tip_pose_tension(model.terms(q, q_dot), q_dot, on_circle(0.3), GAINS)
+
+
+def test_the_controller_of_tips_is_the_law_within_limits(build, random_state):
+    """With kp = 10,000 and kd = 1,000, of the target's motion: its twist and the twist's derivative
+    from three poses. The tip is where it is measured."""
+    model = build("paper")
+    q, q_dot = random_state(model, 0)
+    period = 1e-4
+    times = period * np.arange(3.0)
+    twist, acceleration = (
+        np.array([0.5, -0.3, 0.2, 0.1, 0.2, -0.1]),
+        np.array([30.0, -20.0, 10.0, 5.0, -8.0, 6.0]),
+    )
+    start = on_circle(0.4).pose
+    poses = [start]
+    for time in times[:2] + 0.5 * period:
+        poses.append(moved_pose(poses[-1], period * (twist + time * acceleration)))
+    measured = moved_pose(model.tip_pose(q), np.array([0.02, 0.01, -0.03, 0.01, -0.02, 0.01]))
+    terms = model.terms(q, q_dot)._replace(tip_pose=measured)
+    target = TipPoseTarget(start, twist, acceleration)
+    law = tip_pose_tension(terms, q_dot, target, GAINS)
+    now = ControllerInput(q, q_dot, measured, np.zeros(10), Reference(times, np.stack(poses)))
+    wide = np.tile([-1e9, 1e9], (10, 1))
+    tension = PaperTipPose(model, wide, period).act(now).tension
+    np.testing.assert_allclose(tension, law, rtol=1e-5, atol=1e-5 * np.abs(law).max())
+    still = tip_pose_tension(terms, q_dot, target._replace(acceleration=np.zeros(6)), GAINS)
+    assert np.abs(still - law).max() > 1e-3 * np.abs(law).max()
+
+
+@pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
+def test_the_controller_of_shapes_is_the_law(build, holding, random_state, scene):
+    """With kp = 1,000 and kd = 100, of the target's rate over the period."""
+    model = build(scene)
+    q, q_dot = random_state(model, 0)
+    first, second = np.arange(10.0), 3.0 + 0.5 * np.arange(10.0)
+    path = np.concatenate([holding(model, tension).q for tension in (first, second)])
+    target = ShapeTarget(first, (second - first) / 0.02)
+    law = shape_tension(model, q, q_dot, target, Gains(1000.0, 100.0))
+    reference = Reference(np.array([0.0, 0.02]), q=path)
+    now = ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(10), reference)
+    wide = np.tile([-1e9, 1e9], (10, 1))
+    tension = PaperShape(model, wide, 0.02).act(now).tension
+    np.testing.assert_allclose(tension, law, rtol=1e-6, atol=1e-6 * np.abs(law).max())

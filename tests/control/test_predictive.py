@@ -11,8 +11,9 @@ import pytest
 
 from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
+from soft_tendon_env.control.dynamics import implicit_inertia
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
-from soft_tendon_env.control.predictive import Predictive, Tuning
+from soft_tendon_env.control.predictive import Plan, Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
 from soft_tendon_env.policies import make_policy, observation_options
 
@@ -101,6 +102,143 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, kind, holdin
         slope.append((costs[0] - costs[1]) / (2.0 * apart))
     off = np.linalg.norm(gradient - slope) / np.linalg.norm(slope)
     assert off < 0.1
+
+
+@pytest.mark.parametrize("kind", OBJECTIVES)
+def test_the_plan_that_is_remembered_is_better_than_holding_on(model, kind, holding):
+    now, objective = near(model, holding, 0), OBJECTIVES[kind](model)
+    better = Predictive(model, WIDE, PERIOD, objective).act(now).memory.tension
+    held = np.tile(now.tension, (len(better), 1))
+    before, after = (predicted_cost(model, objective, now, plan) for plan in (held, better))
+    assert after < 0.7 * before
+
+
+@pytest.mark.parametrize("hold", [1, 3])
+def test_the_plan_is_the_least_of_errors_efforts_and_changes(model, holding, hold):
+    """Of the linearised errors, the squares of the tensions and those of their changes from the
+    last tensions on, by their weights; measured by what a tension does to the task."""
+    now = near(model, holding, 1)
+    tuning = Tuning(horizon=4, hold=hold, effort=0.1, smoothness=0.3)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition(), tuning)
+    simulation = Simulation(model)
+    simulation.reset(now.q, now.q_dot)
+    plan = np.tile(now.tension, (4, 1))
+    rollout = simulation.rollout(plan, hold * PERIOD)
+    hessian, gradient = controller._program(rollout, np.ones(10), now)
+    unit = np.trace(hessian) / plan.size
+    better = controller.act(now).memory.tension
+
+    def cost(tensions):
+        step = (tensions - plan).ravel()
+        changes = np.diff(tensions, axis=0, prepend=now.tension[None])
+        weighted = 0.1**2 * np.sum(tensions**2) + 0.3**2 * np.sum(changes**2)
+        return 0.5 * step @ hessian @ step + gradient @ step + 0.5 * unit * weighted
+
+    rng = np.random.default_rng(0)
+    least = cost(better)
+    for size in (1e-3, 0.1):
+        for _ in range(10):
+            aside = size * rng.normal(size=plan.shape)
+            # a least of a quadratic: both sides cost more, by as much
+            more, less = cost(better + aside) - least, cost(better - aside) - least
+            assert more == pytest.approx(less, rel=1e-3)
+            assert more > 0.0
+
+
+def test_bounds_hold_for_the_whole_plan(model, holding, drive):
+    limits, target = np.tile([2.0, 9.0], (10, 1)), holding(model, np.linspace(-10.0, 20.0, 10))
+    controller = Predictive(model, limits, PERIOD, Shape(model))
+    motion = drive(controller, model, target, 20)
+    plan = motion.memory.tension
+    assert plan.shape == (controller.horizon, 10)
+    assert plan.min() == pytest.approx(2.0)
+    assert plan.max() == pytest.approx(9.0)
+    assert 0.0 < motion.reports[-1]["limited"] <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("hold", "expected"),
+    [(1, [1.0, 2.0, 2.0]), (2, [0.5, 1.5, 2.0]), (4, [0.25, 1.25, 2.0])],
+)
+def test_a_plan_goes_on_by_a_period_a_period(model, hold, expected):
+    """Where its intervals last two, tensions are half those of the next interval; its end is held
+    on."""
+    tuning = Tuning(horizon=3, hold=hold)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition(), tuning)
+    alike = np.ones(10)
+    tension = np.outer([0.0, 1.0, 2.0], alike)
+    multipliers = np.zeros(30)
+    response = np.zeros((10, 10))
+    memory = Plan(tension, multipliers, 0.0 * alike, response, None, None)
+    continued = controller._continued(alike, memory)
+    np.testing.assert_allclose(continued, np.outer(expected, alike))
+    assert tuning.looks_ahead == 3 * hold + 1
+
+
+def test_displaced_measurements_are_followed(model, holding):
+    """The same tensions as for a target that is displaced the other way."""
+    now = near(model, holding, 1)
+    step = np.array([0.01, -0.02, 0.03])
+    measured = now.tip_pose.copy()
+    measured[:3, 3] += step
+    position = now.reference.tip_position - step
+    moved = Reference(now.reference.ahead, tip_position=position)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition())
+    beside = controller.act(now._replace(tip_pose=measured)).tension
+    of_moved = controller.act(now._replace(reference=moved)).tension
+    np.testing.assert_allclose(beside, of_moved, rtol=1e-9)
+    assert np.abs(beside - controller.act(now).tension).max() > 0.1
+
+
+def test_the_observer_takes_a_share_of_what_tensions_explain(model, random_state):
+    """Rates that a constant tension too many would have made: of that tension the share."""
+    q, q_dot = random_state(model, 0)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition(), Tuning(observer=0.4))
+    inertia = implicit_inertia(model.terms(q, 0.0 * q), PERIOD)
+    rng = np.random.default_rng(0)
+    response = np.linalg.solve(inertia, rng.normal(size=(10, 10)))
+    before, unknown = rng.normal(size=(2, 10))
+    memory = Plan(np.zeros((6, 10)), np.zeros(60), before, response, q_dot, None)
+    reference = Reference(np.zeros(1))
+    now = ControllerInput(q, q_dot + response @ unknown, model.tip_pose(q), np.zeros(10), reference)
+    disturbance = controller._observe(memory, now)
+    np.testing.assert_allclose(disturbance, before + 0.4 * unknown, rtol=1e-6)
+    unpredicted = memory._replace(rates=None)
+    np.testing.assert_array_equal(controller._observe(unpredicted, now), before)
+
+
+def test_what_a_period_s_tension_does_is_remembered(model, holding):
+    """Against differences of the simulation, whatever an interval of the plan lasts."""
+    now = near(model, holding, 2)
+    simulation = Simulation(model)
+    ends = []
+    for sign in (1.0, -1.0):
+        simulation.reset(now.q, now.q_dot)
+        simulation.step(now.tension + sign * np.eye(10)[3], PERIOD)
+        ends.append(simulation.state.q_dot)
+    slope = (ends[0] - ends[1]) / 2.0
+    controller = Predictive(model, WIDE, PERIOD, TipPosition())
+    response = controller.act(now).memory.response[:, 3]
+    assert np.linalg.norm(response - slope) < 0.15 * np.linalg.norm(slope)
+
+
+def test_predictive_control_that_is_told_of_the_inputs_needs_no_observer(model, holding, drive):
+    """Also where gain and offset pass the limits; a wrong word leaves an error."""
+    error = InputError(1.0 + 0.2 * np.cos(np.arange(10.0)), 1.5 * np.sin(np.arange(10.0)))
+    nothing = InputError(np.ones(10), np.zeros(10))
+    target = holding(model, 12.0 + 4.0 * np.sin(np.arange(10.0)))
+    off = []
+    for told in (error, nothing):
+        controller = Predictive(model, WIDE, PERIOD, TipPose(0.1))
+        controller.act = lambda now, memory, act=controller.act, told=told: act(
+            now._replace(input_error=told), memory
+        )
+        motion = drive(
+            controller, model, target, 50, act=lambda tension: error.gain * tension + error.offset
+        )
+        off.append(np.linalg.norm(motion.tip[-1, :3, 3] - target.tip_position[0]))
+    assert off[0] < 1e-4
+    assert off[1] > 1e-3
 
 
 @pytest.mark.parametrize("hold", [1, 2])

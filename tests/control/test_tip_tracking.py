@@ -4,7 +4,8 @@ at long ones."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
+from soft_tendon_env.control import ControllerInput, InputError, Reference, tip_tracking
+from soft_tendon_env.control.dynamics import implicit_step
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import (
     Gains,
@@ -15,7 +16,7 @@ from soft_tendon_env.control.paper_laws import (
 )
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeTracking
-from soft_tendon_env.control.tip_tracking import TipTracking
+from soft_tendon_env.control.tip_tracking import TipMemory, TipTracking
 
 PERIOD = 0.02
 WIDE = np.tile([-100.0, 100.0], (10, 1))
@@ -181,3 +182,129 @@ def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(
     assert off[0] > 0.05 * model.length
     assert off[-10:].max() < 1e-3 * model.length
     assert took < 2.5 * settling_time
+
+
+ERROR = InputError(1.0 + 0.2 * np.cos(np.arange(10.0)), 1.5 * np.sin(np.arange(10.0)))
+INTEGRAL = 1e-4 * np.array([3.0, -2.0, 1.0, 4.0, -1.0, 2.0])
+
+
+@pytest.fixture
+def moving(model, random_state):
+    """An arm in motion, beside what its model says, and a target in motion, faster in the second
+    period than in the first."""
+    q, q_dot = random_state(model, 0)
+    start = model.tip_pose(random_state(model, 1)[0])
+    path = [start, moved_pose(start, PERIOD * TWIST)]
+    path.append(moved_pose(path[-1], 1.5 * PERIOD * TWIST))
+    poses = np.stack(path)
+    measured = moved_pose(model.tip_pose(q), np.array([0.02, -0.01, 0.03, 0.002, 0.001, -0.001]))
+    reference = Reference(PERIOD * np.arange(3.0), poses, poses[:, :3, 3])
+    return ControllerInput(q, q_dot, measured, np.zeros(10), reference)
+
+
+@pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])
+@pytest.mark.parametrize("integral_time", [None, 0.5])
+@pytest.mark.parametrize("error", [None, ERROR], ids=["exact", "erring"])
+def test_the_law_holds_over_the_period(model, moving, monkeypatch, objective, integral_time, error):
+    """The velocity at its end is the present one, what the gains ask for, and what the target's
+    velocity gains: its mean over this period and the next differ by a period's acceleration."""
+    monkeypatch.setattr(tip_tracking, "FREE", 1e-7)
+    limits = np.tile([-1e9, 1e9], (10, 1))
+    tracking = TipTracking(
+        model, limits, PERIOD, objective, settling_time=0.3, integral_time=integral_time
+    )
+    terms = model.terms(moving.q, moving.q_dot)
+    aim, later = (objective.aim(moving, terms, time, PERIOD) for time in (0.0, PERIOD))
+    integral = INTEGRAL[: aim.error.size]
+    output = tracking.act(moving._replace(input_error=error), TipMemory(integral, np.zeros(10)))
+    acting = output.tension
+    if error is not None:
+        acting = error.gain * acting + error.offset
+    step = implicit_step(terms, moving.q_dot, PERIOD)
+    velocity = aim.jacobian @ (step.free + step.response @ acting) + PERIOD * aim.bias
+    acceleration = (later.velocity - aim.velocity) / PERIOD
+    # the mean over a period is the velocity in its middle: at present, that of the period before
+    target_velocity = aim.velocity - PERIOD * acceleration
+    present = aim.jacobian @ moving.q_dot
+    gains = tracking.gains
+    feedback = gains.kp * aim.error + gains.kd * (target_velocity - present) + gains.ki * integral
+    expected = present + PERIOD * (acceleration + feedback)
+    np.testing.assert_allclose(velocity, expected, atol=1e-4 * np.abs(expected - present).max())
+    assert output.report["singular"] == 0.0
+    # nothing is refused: the integral is that of the error
+    np.testing.assert_allclose(
+        output.memory.integral, integral + PERIOD * aim.error, atol=1e-5 * np.abs(integral).max()
+    )
+
+
+def test_the_integral_waits_for_what_limits_refuse(model, near):
+    """Where nothing of what is asked for can be done, it moves by less than the error, in the loop
+    that the gains close."""
+    q = np.zeros(10)
+    now = ControllerInput(q, q, model.tip_pose(q), np.zeros(10), near)
+    integrals = {}
+    for greatest in (1e6, 0.01):
+        limits = np.tile([-greatest, greatest], (10, 1))
+        tracking = TipTracking(model, limits, PERIOD, TipPose(0.1), integral_time=0.5)
+        memory = None
+        for _ in range(50):
+            memory = tracking.act(now, memory).memory
+        integrals[greatest] = memory.integral
+    error = TipPose(0.1).error(q, now.tip_pose, near, 0.0)
+    np.testing.assert_allclose(integrals[1e6], 50 * PERIOD * error, rtol=0.05, atol=1e-4)
+    assert np.linalg.norm(integrals[0.01]) < 0.3 * np.linalg.norm(integrals[1e6])
+
+
+def test_the_integral_removes_what_weak_tendons_leave(model, near, drive):
+    """Tensions that arrive at nine tenths."""
+    away = {}
+    for integral_time in (None, 0.5):
+        controller = TipTracking(model, WIDE, PERIOD, TipPose(0.1), integral_time=integral_time)
+        motion = drive(controller, model, near, 250, act=lambda tension: 0.9 * tension)
+        away[integral_time] = np.linalg.norm(motion.tip[-1, :3, 3] - near.tip_position[0])
+    assert away[None] > 1e-2 * model.length
+    assert away[0.5] < 0.01 * away[None]
+
+
+def test_a_task_with_more_directions_than_tendons_is_singular(build, holding):
+    """Its integral grows in the directions alone in which tensions move the tip."""
+    arm = build("three_tendon")
+    target = holding(arm, np.array([1.0, 0.5, 0.2]))
+    goal = holding(arm, np.array([1.2, 0.4, 0.3]))
+    now = ControllerInput(target.q[0], np.zeros(3), target.tip_pose[0], np.zeros(3), goal)
+    limits = np.tile([-1e6, 1e6], (3, 1))
+    outputs = {}
+    for objective in (TipPose(0.03), TipPosition()):
+        outputs[objective] = TipTracking(arm, limits, PERIOD, objective, integral_time=1.0).act(now)
+    assert [output.report["singular"] for output in outputs.values()] == [1.0, 0.0]
+    terms = arm.terms(now.q, now.q_dot)
+    aim = TipPose(0.03).aim(now, terms, 0.0, PERIOD)
+    task = aim.jacobian @ implicit_step(terms, now.q_dot, PERIOD).response
+    open_ways, _, _ = np.linalg.svd(task)
+    integral = outputs[TipPose(0.03)].memory.integral
+    np.testing.assert_allclose(open_ways[:, 3:].T @ integral, 0.0, atol=1e-9)
+    assert np.linalg.norm(open_ways[:, :3].T @ integral) > 0.0
+
+
+@pytest.mark.parametrize("error", [None, ERROR], ids=["exact", "erring"])
+def test_known_static_tensions_are_kept_at_the_target(model, near, error):
+    """Nothing to do: what holds the target goes on, by commands that arrive as it."""
+    now = ControllerInput(near.q[0], np.zeros(10), near.tip_pose[0], HELD, near, input_error=error)
+    tension = TipTracking(model, WIDE, PERIOD, TipPose(0.1)).act(now).tension
+    if error is not None:
+        tension = error.gain * tension + error.offset
+    np.testing.assert_allclose(tension, HELD, rtol=1e-6)
+
+
+def test_tracking_that_is_told_of_the_inputs_needs_no_integral(model, near, drive):
+    off = {}
+    for told in (ERROR, None):
+        tracking = TipTracking(model, WIDE, PERIOD, TipPose(0.1))
+        tracking.act = lambda now, memory, act=tracking.act, told=told: act(
+            now._replace(input_error=told), memory
+        )
+        motion = drive(
+            tracking, model, near, 50, act=lambda tension: ERROR.gain * tension + ERROR.offset
+        )
+        off[told is None] = np.linalg.norm(motion.tip[-1, :3, 3] - near.tip_position[0])
+    assert off[False] < 0.02 * off[True]

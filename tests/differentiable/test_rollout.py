@@ -9,7 +9,7 @@ import pytest
 import torch
 from gymnasium.error import ResetNeeded
 
-from soft_tendon_env import build_model, load_scene
+from soft_tendon_env import build_model, load_scene, register
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.differentiable import (
     GradientWarning,
@@ -22,7 +22,7 @@ from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.observation import HISTORY
+from soft_tendon_env.envs.observation import HISTORY, Group
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SHIPPED = ["TipPose", "Shape", "Reach"]
@@ -213,6 +213,24 @@ def test_effects_whose_states_follow_the_motion_are_refused_backward():
 def assert_refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
     with pytest.raises(kind, match=match):
         rollout(env, policy, **{"periods": 2, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (lambda seen: np.sin(seen.tip_pose[:, :3, 3]), "'own' uses NumPy, and gives ndarray"),
+        (lambda seen: seen.tip_pose[:, 0, :3] / seen.arms.period, "'own' reads what tensors lack"),
+    ],
+)
+def test_a_group_that_tensors_cannot_give_is_refused_for_gradients_alone(
+    forgotten, values, message
+):
+    register("observation_group", "own", Group("one of a user's own", values))
+    env = rows_of("TipPose", observation=["tip_position", "own"])
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (3, 6)
+    with pytest.raises(ValueError, match=f"the observation group {message}"):
+        rollout(env, lambda observation: torch.zeros(3, 3), 1)
 
 
 def test_mistakes_are_said():

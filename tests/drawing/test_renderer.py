@@ -94,12 +94,16 @@ def test_flat_sections_and_discs_are_as_wide_as_they_are(arm):
 
 def test_the_tip_is_painted_where_the_model_has_it(arm):
     model, renderer, picture = arm("three_tendon")
-    straight, bent = (renderer.frame(picture(tension)) for tension in (0.0 * LOADED, LOADED))
+    slack = 0.0 * LOADED
+    straight = renderer.frame(picture(slack))
+    bent = renderer.frame(picture(LOADED))
     pixels = changed(straight, bent)
-    for tension in (0.0 * LOADED, LOADED):
-        tip = pixel(renderer, model.tip_pose(model.rest_coordinates(tension))[:3, 3])
+    for tension in (slack, LOADED):
+        q = model.rest_coordinates(tension)
+        tip = pixel(renderer, model.tip_pose(q)[:3, 3])
         assert np.linalg.norm(pixels - tip, axis=1).min() < 5.0
-    mount = pixel(renderer, np.array([-0.06 * model.length, 0.0, 0.0]))
+    behind_base = np.array([-0.06 * model.length, 0.0, 0.0])
+    mount = pixel(renderer, behind_base)
     assert np.linalg.norm(pixels - mount, axis=1).min() > 5.0, "the mount stays"
 
 
@@ -205,11 +209,15 @@ def test_a_base_that_moves_takes_the_arm_along(build):
 def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
     contact = Contact(obstacles=[{**obstacle, "position": [0.1, 0.2, 0.3]}])
     corners = surface(contact.obstacles[0], 0.0, BOX)
-    area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    assert np.sum(area * (corners.mean(axis=1) - [0.1, 0.2, 0.3])) / 3.0 == pytest.approx(
-        volume, rel=0.05
-    )
-    assert np.abs(contact.distances(corners.reshape(-1, 3))).max() < 1e-12
+    # the divergence theorem: a third of the flux of the position through the quadrangles
+    first_diagonal = corners[:, 2] - corners[:, 0]
+    second_diagonal = corners[:, 3] - corners[:, 1]
+    area = 0.5 * np.cross(first_diagonal, second_diagonal)
+    position = corners.mean(axis=1) - [0.1, 0.2, 0.3]
+    flux = np.sum(area * position)
+    assert flux / 3.0 == pytest.approx(volume, rel=0.05)
+    distances = contact.distances(corners.reshape(-1, 3))
+    assert np.abs(distances).max() < 1e-12
 
 
 def test_policies_that_are_drawn_together_differ():

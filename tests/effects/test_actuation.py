@@ -11,9 +11,11 @@ from soft_tendon_env import (
     SimulationDiverged,
     build_model,
     commanded_equilibrium,
+    load_scene,
     simulate,
     static_equilibrium,
 )
+from soft_tendon_env.model.model import model_on
 
 FINE = {"integrator.step": 0.005, "integrator.columns": 4, "quadrature.intervals": 4}
 ROUND_OFF = {"rtol": 1e-12, "atol": 1e-12}
@@ -198,6 +200,28 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
         held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
         assert rest.converged
         assert np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
+
+
+@pytest.mark.no_jit
+def test_actuators_of_elastic_tendons_are_as_strong_as_the_tension_limits_unless_told():
+    """With a slack for each tendon, or none; what pushes at most has no strength."""
+    scene = load_scene("three_tendon").replace({"tendons.0.tension_limits": [-4.0, -1.0]})
+    for more, strength, slack in (
+        ({}, [0.0, 5.0, 5.0], 0.0),
+        ({"strength": 7.0, "slack": [0.0, 0.001, -0.002]}, 7.0, np.array([0.0, 0.001, -0.002])),
+    ):
+        table = {"stiffness": 200.0, "displacement_limits": [-0.01, 0.03], **more}
+        elastic = scene.replace({"effects.tendon_elasticity": table})
+        path = model_on(elastic, 2).arm.effects.transmission
+        np.testing.assert_array_equal(path.stiffness, 200.0)
+        np.testing.assert_array_equal(path.strength, np.broadcast_to(strength, 3))
+        np.testing.assert_allclose(path.length, 0.3 + slack)
+        limits = elastic.effects.command_limits(np.zeros((3, 2)))
+        np.testing.assert_array_equal(limits, [[-0.01, 0.03]] * 3)
+        assert elastic.effects.command_unit == "m"
+    tensions = np.array([[0.0, 5.0]] * 3)
+    np.testing.assert_array_equal(scene.effects.command_limits(tensions), tensions)
+    assert scene.effects.command_unit == "N"
 
 
 def friction(coefficient=MU, **more):

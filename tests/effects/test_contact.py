@@ -119,19 +119,27 @@ def test_an_arm_rests_on_the_floor(build):
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
     changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive}
     model = three_tendon(build, [FLOOR], changes=changes)
-    segment = model.scene.segments[0]
-    k = segment.young_modulus * np.pi * RADIUS**2 / (2.0 * RADIUS) ** 2
-    found = contact_forces(model, simulate_to_rest(model).state)
-    weight = 1070.0 * np.pi * RADIUS**2 * 9.81
-    np.testing.assert_allclose(found.force[0], found.sample_force[0].sum(axis=0))
-    np.testing.assert_allclose(found.sample_force[..., :2], 0.0, atol=1e-12)
-    inner = found.sample_force[0, 5:-5, 2] / np.diff(found.arc_length)[4:-5]
-    np.testing.assert_allclose(inner.mean(), weight, rtol=0.02)
-    depth, e = -found.gap[0, 5:-5], SMOOTHING * RADIUS
-    line = np.where(depth < e, k * depth**2 / (2 * e), k * (depth - e / 2))
-    np.testing.assert_allclose(inner, line, rtol=1e-9)
-    assert found.penetration[0] == pytest.approx(-found.gap.min())
-    assert found.clearance[0] == -found.penetration[0]
+    contact = contact_forces(model, simulate_to_rest(model).state)
+    sample_force = contact.sample_force[0]
+    np.testing.assert_allclose(contact.force[0], sample_force.sum(axis=0))
+    np.testing.assert_allclose(sample_force[:, :2], 0.0, atol=1e-12)
+    # the middle of the arm carries the weight of its length
+    inside = slice(5, -5)
+    spacing = np.diff(contact.arc_length)[4:-5]
+    force_per_length = sample_force[inside, 2] / spacing
+    area = np.pi * RADIUS**2
+    weight = 1070.0 * area * 9.81
+    np.testing.assert_allclose(force_per_length.mean(), weight, rtol=0.02)
+    # quadratic up to the smoothing depth e, then linear
+    k = model.scene.segments[0].young_modulus * area / (2.0 * RADIUS) ** 2
+    e = SMOOTHING * RADIUS
+    depth = -contact.gap[0, inside]
+    quadratic = k * depth**2 / (2 * e)
+    linear = k * (depth - e / 2)
+    expected = np.where(depth < e, quadratic, linear)
+    np.testing.assert_allclose(force_per_length, expected, rtol=1e-9)
+    assert contact.penetration[0] == pytest.approx(-contact.gap.min())
+    assert contact.clearance[0] == -contact.penetration[0]
 
 
 def test_forces_are_those_of_a_potential(build):

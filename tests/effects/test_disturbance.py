@@ -9,7 +9,9 @@ from soft_tendon_env import Simulation, simulate, static_equilibrium
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 
-LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
+LENGTH = 0.3  # [m]
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
 Q = np.random.default_rng(0).uniform(0.0, 5.0, 10)
 FORCE = [0.1, 0.2, 0.3]
 STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}

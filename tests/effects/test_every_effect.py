@@ -74,6 +74,9 @@ HELD = {"tendon_elasticity": 0.02}
 PULSE = {"type": "pulse", "start": 0.0, "duration": 1}
 MISTAKES = [
     # effect, its table, the message
+    ("gravity", 3, "effects.gravity is 3: it should be a table"),
+    ("gravity", {"acceleration": [0.0, 0.0]}, r"effects\.gravity\.acceleration"),
+    ("magnetism", {"field": 1.0}, "effects.magnetism is an unknown key"),
     ("contact", {"obstacles": [{"type": "cone", "position": [0, 0, 0]}]}, "type is 'cone'"),
     (
         "contact",

@@ -6,10 +6,16 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
 
-LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+LENGTH = 0.3  # [m]
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+DENSITY = 1070.0  # [kg/m^3]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
 FLAT = {
@@ -53,12 +59,18 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
 
     def parts(q):
         work = workspace_at(model, q)
-        pose = np.moveaxis(work.kinematics.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
-        J = np.moveaxis(work.kinematics.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
-        U = np.einsum("iab,a->ib", pose[:, :9].reshape(-1, 3, 3), current) * [0.0, 1.0, 1.0]
-        return np.append(
-            -np.einsum("i,nia,ia->n", mass, J, U), 0.5 * np.einsum("i,ia,ia->", mass, U, U)
-        )
+        packed_pose = work.kinematics.pose.reshape(-1, 12, LANES)
+        pose = np.moveaxis(packed_pose, 1, 2).reshape(-1, 12)
+        packed_J = work.kinematics.J.reshape(n, -1, 6, LANES)
+        J = np.moveaxis(packed_J, 2, 3).reshape(n, -1, 6)
+        linear = J[..., 3:]
+        # the fluid's velocity across the rod, in the section's frame
+        rotation = pose[:, :9].reshape(-1, 3, 3)
+        U = np.einsum("iab,a->ib", rotation, current)
+        U[:, 0] = 0.0
+        momentum = -np.einsum("i,nia,ia->n", mass, linear, U)
+        energy = 0.5 * np.einsum("i,ia,ia->", mass, U, U)
+        return np.append(momentum, energy)
 
     gradient = slope(parts, q, 1e-5)
     momentum, potential = gradient[:n], gradient[n]
@@ -122,4 +134,50 @@ def test_potential_energy(build, slope):
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-4)
     np.testing.assert_allclose(
         -gradient, model.terms(q, 0 * q).external_force, rtol=1e-6, atol=1e-9
+    )
+
+
+def straight_arm(changes):
+    """The arm with three tendons on six intervals, with two constant curvatures and a stretch."""
+    strains = ["bend_y", "bend_z", "stretch"]
+    modes = [{"strains": strains, "order": 0, "span": "rod"}]
+    strain = {"strain": {"type": "explicit", "modes": modes}}
+    return model_on(load_scene("three_tendon").replace({**strain, **changes}), 6)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("velocity", [(0.3, 0.0, 0.0), (-0.2, 0.4, 0.0), (0.1, -0.3, 0.2)])
+def test_drag_of_a_rod_that_is_carried_through_still_water_is_morisons(velocity):
+    """-1/2 rho C_t 2 pi r |v_x| v_x along it and -1/2 rho C_n 2 r |v_n| v_n across, per length; a
+    stream the other way does the same."""
+    fluid = {"density": 1000.0, "normal_drag": 1.2, "tangential_drag": 0.02, "added_mass": 0.0}
+    x, y, z = velocity
+    along = -0.5 * 1000.0 * 0.02 * 2.0 * np.pi * RADIUS * abs(x) * x
+    across = -0.5 * 1000.0 * 1.2 * 2.0 * RADIUS * np.hypot(y, z)
+    # displacements by a constant curvature are s^2 / 2, by a constant stretch s
+    expected = [-across * z * LENGTH**3 / 6, across * y * LENGTH**3 / 6, along * LENGTH**2 / 2]
+    still = np.zeros(3)
+    carried = {"effects.fluid": fluid, "effects.moving_base.velocity": list(velocity)}
+    stream = {"effects.fluid": {**fluid, "current": [-part for part in velocity]}}
+    for changes in (carried, stream):
+        force = straight_arm(changes).terms(still, still).external_force
+        np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.no_jit
+def test_buoyancy_and_added_mass_are_those_of_the_displaced_fluid():
+    """(rho_rod - rho) A g; rho A across the rod where C_a is 1, and none along it."""
+    fluid = {"effects.fluid": {"density": 800.0, "added_mass": 1.0}}
+    gravity = {"effects.gravity.acceleration": [0.0, -3.0, 0.0]}
+    still = np.zeros(3)
+    dry, wet, immersed = (
+        straight_arm(changes).terms(still, still)
+        for changes in (gravity, {**gravity, **fluid}, fluid)
+    )
+    share = 1.0 - 800.0 / DENSITY
+    np.testing.assert_allclose(wet.external_force, share * dry.external_force, atol=1e-12)
+    np.testing.assert_allclose(immersed.external_force, 0.0, atol=1e-15)
+    bending = 800.0 * AREA * LENGTH**5 / 20.0  # int (s^2 / 2)^2 ds
+    np.testing.assert_allclose(
+        np.diag(immersed.mass - dry.mass), [bending, bending, 0.0], rtol=1e-6, atol=1e-15
     )

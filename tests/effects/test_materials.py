@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
+from soft_tendon_env.effects.material import lag_weights
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, remember
 from soft_tendon_env.model.statics import static_equilibrium
 
-RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
-AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
+SHEAR = 5e5 / 3  # shear modulus [Pa]
+AREA = np.pi * RADIUS**2  # [m^2]
+INERTIA = np.pi * RADIUS**4 / 4  # second moment of area [m^4]
 ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 LAW = {
     "effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}
@@ -63,13 +68,16 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
 @pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
 def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step):
     """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
-    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    model = uniform(changes={**TWO, "quadrature.intervals": 4})
+    q = np.array([3.0, -1.0])
     work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
-    work.inputs.before[:], work.inputs.since[0] = work.strain.xi, step
+    work.inputs.before[:] = work.strain.xi
+    work.inputs.since[0] = step
     for i in range(1, 4):
         external_force(model.arm, work)
-        left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
+        time = i * step
+        left = 0.5 * np.exp(-time / 0.1) + 2.0 * np.exp(-time / 0.01)
         np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
 
@@ -94,3 +102,31 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
             end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled
         )
         np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("x", [0.0, 1e-5, 0.999e-3, 1.001e-3, 0.3, 5.0, 50.0])
+def test_lags_after_a_time_are_integrals(x):
+    """Of s_dot = (e - s) / tau, for a strain that changes by a + b t in x relaxation times: with e
+    = a t + b t^2 / 2 the lag is what exponentials leave of each rate."""
+    kept, changed, rated = lag_weights(x)
+    assert kept == pytest.approx(np.exp(-x))
+    a, b = 1.3, -0.7
+    left, _ = quad(lambda t: (a + b * t) * np.exp(t - x), 0.0, x, epsabs=1e-14)
+    change, rate = a * x + 0.5 * b * x**2, a + b * x
+    assert changed * change + rated * x * rate == pytest.approx(left, rel=1e-6, abs=1e-12)
+    assert lag_weights(np.inf) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.no_jit
+def test_springs_of_the_branches_store_their_share_of_the_elastic_energy(uniform):
+    """m_k of it where all dampers stand still, less where they have followed."""
+    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    states = np.zeros(model.arm.effects.state.size)
+    energy = model.energy(q, 0 * q, states)
+    assert energy.load == pytest.approx(2.5 * energy.elastic)
+    first, second = np.split(states, 2)
+    first[:] = 0.5 * (model.packed_strain(q) - model.arm.rod.reference_strain)
+    second[:] = 2.0 * first
+    assert model.energy(q, 0 * q, states).load == pytest.approx(0.5 * 0.25 * energy.elastic)
+    assert model.energy(q, 0 * q).load == pytest.approx(0.0, abs=1e-15)

@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import TipPoseEnv
+from soft_tendon_env.envs.actuation import ActionScale, Actuation
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.statics import commanded_equilibrium
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 LIMITS = np.array([-0.002, 0.012])  # [m]
@@ -76,3 +80,118 @@ def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
     np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
     assert tension.max() > 0.5, "one is slack"
     assert tension.min() == 0.0, "one is slack"
+
+
+LEAST, GREATEST = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 5.0, 4.0])
+BEFORE = np.array([0.0, 1.0, 3.0])
+
+
+def test_actions_of_tensions_are_shares_of_their_range_and_back():
+    scale = ActionScale(LEAST, GREATEST, None)
+    action = np.array([-1.0, 0.5, 0.0])
+    command = scale.command(action, BEFORE)
+    np.testing.assert_allclose(command, [-1.0, 3.75, 3.0])
+    np.testing.assert_allclose(scale.action(command, BEFORE), action, atol=1e-15)
+    np.testing.assert_array_equal(scale.action(np.array([-9.0, 9.0, 3.5]), BEFORE), [-1, 1, 0.5])
+    np.testing.assert_allclose(scale.wanted(np.array([-2.0, 2.0, 0.0]), BEFORE), [-3.0, 7.5, 3.0])
+    np.testing.assert_allclose(scale.command(np.array([-2.0, 2.0, 0.0]), BEFORE), [-1.0, 5.0, 3.0])
+
+
+def test_actions_of_increments_are_changes_within_the_limits_and_back():
+    scale = ActionScale(LEAST, GREATEST, np.array([0.5, 2.0, 1.0]))
+    action = np.array([-1.0, 0.5, 1.0])
+    command = scale.command(action, BEFORE)
+    np.testing.assert_allclose(command, [-0.5, 2.0, 4.0])
+    np.testing.assert_allclose(scale.action(command, BEFORE), action)
+    np.testing.assert_array_equal(scale.action(np.array([3.0, 1.0, 2.0]), BEFORE), [1.0, 0.0, -1.0])
+    beyond = np.array([-3.0, 0.0, 1.5])
+    np.testing.assert_allclose(scale.wanted(beyond, BEFORE), [-1.5, 1.0, 4.5])
+    np.testing.assert_allclose(scale.command(beyond, BEFORE), [-1.0, 1.0, 4.0])
+
+
+def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
+    """Rows of actuators of three tendons, at a control period of 20 ms in four steps."""
+    options = Options(scene="three_tendon", action=action, randomize=Randomization(**randomize))
+    limits = np.stack([LEAST, GREATEST], axis=1) if limits is None else limits
+    return Actuation(options, limits, BEFORE, share * np.ones(3), rows, 4)
+
+
+def test_increments_are_those_of_the_rate_over_a_period():
+    """100 N/s over 20 ms, as a share of a range of another unit."""
+    assert actuation(action="increment", share=0.25).actions.increment == pytest.approx([0.5] * 3)
+    assert actuation(action="tension").actions.increment is None
+
+
+def test_drawn_actuators_err_within_their_ranges_and_are_told():
+    ranges = {"tension_gain": (0.8, 1.2), "tension_offset": (-0.4, 0.2), "latency": (0.01, 0.05)}
+    rows = 60
+    actuators = actuation(rows, share=0.5, **ranges)
+    assert actuators.imperfect
+    for row in range(rows):
+        actuators.begin(row, np.random.default_rng(row), BEFORE)
+    for name, (least, greatest) in ranges.items():
+        values = np.array([actuators.drawn(row)[name] for row in range(rows)])
+        assert values.min() >= least
+        assert values.max() <= greatest
+        assert np.ptp(values) > 0.8 * (greatest - least)
+    shares = actuators.shares()
+    assert shares.shape == (rows, 7)
+    told = actuators.drawn(5)
+    expected = [*(told["tension_gain"] - 0.8) / 0.4, *(told["tension_offset"] + 0.4) / 0.6]
+    np.testing.assert_allclose(shares[5], [*expected, (told["latency"] - 0.01) / 0.04])
+    command = np.array([1.0, 2.0, 3.0])
+    acting = actuators.acting(command, 5)
+    np.testing.assert_allclose(
+        acting, told["tension_gain"] * command + 0.5 * told["tension_offset"]
+    )
+    np.testing.assert_allclose(actuators.commanded(acting, 5), command)
+
+
+def test_what_is_exact_has_nothing_to_tell():
+    actuators = actuation()
+    actuators.begin(0, np.random.default_rng(0), BEFORE)
+    assert not actuators.imperfect
+    assert actuators.drawn(0) == {}
+    assert actuators.shares().shape == (2, 0)
+    np.testing.assert_array_equal(actuators.sent(0), BEFORE[None])
+    assert actuators.delay(0) == 0.0
+
+
+def test_tendons_that_only_pull_go_slack():
+    """Others push down to their least command."""
+    actuators = actuation(tension_offset=-5.0)
+    actuators.begin(0, np.random.default_rng(0), BEFORE)
+    np.testing.assert_array_equal(actuators.acting(np.array([0.0, 1.0, 3.0]), 0), [-1.0, 0.0, 0.0])
+    acting, _ = actuators.apply(np.zeros((2, 3)), np.array([0, 1]))
+    np.testing.assert_array_equal(acting[0], np.tile([-1.0, 0.0, 0.0], (4, 1)))
+
+
+@pytest.mark.parametrize(
+    ("latency", "parts"),
+    [(0.0075, (0.0075, 0.0125)), (0.02, (0.0, 0.02)), (0.047, (0.007, 0.013))],
+)
+def test_late_commands_take_over_within_a_period(latency, parts):
+    """Those of rows that go on: the others keep theirs."""
+    actuators = actuation(latency=latency)
+    for row in range(2):
+        actuators.begin(row, np.random.default_rng(row), BEFORE)
+    assert actuators.delay(0) == pytest.approx(latency)
+    history = [BEFORE] * 4
+    for action in (0.5, -0.5, 0.25, 1.0):
+        acting, durations = actuators.apply(np.full((2, 3), action), np.array([1]))
+        np.testing.assert_allclose(durations[1], parts, atol=1e-12)
+        history.append(LEAST + 0.5 * (GREATEST - LEAST) * (action + 1.0))
+        newest = len(history) - 1 - int(latency / 0.02 + 1e-9)
+        np.testing.assert_allclose(acting[1], [history[newest - 1], history[newest]])
+        np.testing.assert_array_equal(acting[0], [BEFORE, BEFORE])
+        np.testing.assert_allclose(actuators.sent(1)[-1], history[-1])
+    np.testing.assert_array_equal(actuators.command[0], BEFORE)
+    np.testing.assert_allclose(actuators.command[1], GREATEST)
+    actuators.begin(1, np.random.default_rng(1), BEFORE)
+    assert (actuators.sent(1) == BEFORE).all()
+
+
+def test_commands_that_are_too_late_are_refused():
+    actuation(latency=20.0)
+    with pytest.raises(ConfigurationError, match="at most 1000 control periods, 20 s"):
+        actuation(latency=20.5)

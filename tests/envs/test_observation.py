@@ -139,17 +139,23 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
 @pytest.mark.no_jit
 def test_values_are_scaled_then_clipped_then_cast():
     rng = np.random.default_rng(0)
-    values = 10.0 ** rng.uniform(-3, 3, (7, 5)) * rng.choice([-1.0, 1.0], (7, 5))
-    scale, bound = rng.uniform(0.1, 9.0, 5), rng.uniform(1, 9, 5)
-    values[0], values[1, 1], values[2] = [np.inf, -np.inf, np.nan, 0.0, -0.0], np.nan, bound / scale
-    found = np.empty((7, 5), dtype=np.float32)
-    scale_and_clip(values, scale, bound, found)
-    np.testing.assert_array_equal(found, np.clip(values * scale, -bound, bound).astype(np.float32))
-    assert np.isnan(found[0, 2])
-    assert np.isnan(found[1, 1])
-    assert np.isfinite(found).sum() == found.size - 2
-    assert (np.abs(values * scale) > bound).any()
-    assert (np.abs(values * scale) < bound).any()
+    sizes = 10.0 ** rng.uniform(-3, 3, (7, 5))
+    values = sizes * rng.choice([-1.0, 1.0], (7, 5))
+    scale = rng.uniform(0.1, 9.0, 5)
+    bound = rng.uniform(1, 9, 5)
+    values[0] = [np.inf, -np.inf, np.nan, 0.0, -0.0]
+    values[1, 1] = np.nan
+    values[2] = bound / scale
+    result = np.empty((7, 5), dtype=np.float32)
+    scale_and_clip(values, scale, bound, result)
+    scaled = values * scale
+    expected = np.clip(scaled, -bound, bound).astype(np.float32)
+    np.testing.assert_array_equal(result, expected)
+    assert np.isnan(result[0, 2])
+    assert np.isnan(result[1, 1])
+    assert np.isfinite(result).sum() == result.size - 2
+    assert (np.abs(scaled) > bound).any()
+    assert (np.abs(scaled) < bound).any()
 
 
 def test_targets_from_the_tip_are_continuous_over_half_a_turn():

@@ -49,17 +49,24 @@ def test_the_circle_is_the_paper_s():
     """Radius 0.25 m about (0.95, 0, 0), parallel to the y-z plane; the tip leans outward by 37.8
     degrees and does not roll."""
     pose = CircleCourse(Circle()).sample(np.linspace(0.0, 4.0, 9)).tip_pose
-    R, r = pose[:, :3, :3], pose[:, :3, 3]
-    np.testing.assert_allclose(r[:, 0], 0.95)
-    np.testing.assert_allclose(np.hypot(r[:, 1], r[:, 2]), 0.25)
-    np.testing.assert_allclose(R.swapaxes(1, 2) @ R, np.tile(np.eye(3), (9, 1, 1)), atol=1e-15)
+    R = pose[:, :3, :3]
+    x, y, z = pose[:, :3, 3].T
+    radius = 0.25
+    np.testing.assert_allclose(x, 0.95)
+    np.testing.assert_allclose(np.hypot(y, z), radius)
+    # rotations
+    gram = R.swapaxes(1, 2) @ R
+    np.testing.assert_allclose(gram, np.tile(np.eye(3), (9, 1, 1)), atol=1e-15)
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    np.testing.assert_allclose(R[:, 0, 0], np.cos(np.radians(37.8)))
-    np.testing.assert_allclose(R[:, 1:, 0], np.sin(np.radians(37.8)) * r[:, 1:] / 0.25, atol=1e-15)
-    axis = (
-        np.stack([0 * r[:, 0], -r[:, 2], r[:, 1]], axis=1) / 0.25
-    )  # across to where it leans: the axis of the shortest turn
-    np.testing.assert_allclose(np.einsum("mij,mj->mi", R, axis), axis, atol=1e-15)
+    # the tip's axis
+    lean = np.radians(37.8)
+    np.testing.assert_allclose(R[:, 0, 0], np.cos(lean))
+    np.testing.assert_allclose(R[:, 1, 0], np.sin(lean) * y / radius, atol=1e-15)
+    np.testing.assert_allclose(R[:, 2, 0], np.sin(lean) * z / radius, atol=1e-15)
+    # across to where it leans: the axis of the shortest turn stays
+    axis = np.stack([np.zeros(9), -z, y], axis=1) / radius
+    turned = np.einsum("mij,mj->mi", R, axis)
+    np.testing.assert_allclose(turned, axis, atol=1e-15)
     np.testing.assert_allclose(pose[0], pose[-1], atol=1e-15)
     assert np.allclose(pose[0, :3, 3], [0.95, 0.25, 0.0])
 

@@ -33,7 +33,8 @@ MORE = {
         }
     },
 }
-SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
+SEED = "seed should be"
+MASK = "reset_mask should be a bool array of shape"
 
 
 def row_of(values, row):

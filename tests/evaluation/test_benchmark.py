@@ -192,7 +192,7 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
-    config, docs = tmp_path / "small.toml", tmp_path / "page.md"
+    config, out = tmp_path / "small.toml", tmp_path / "out"
     table = "".join(
         f"{key} = {json.dumps(value)}\n"
         for key, value in {**SHORT, "settings": ["nominal", "latency"]}.items()
@@ -201,11 +201,10 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
         f'[[entrants]]\npolicy = "{policy}"\n' for policy in ("filtered:tracking@fast", STILL)
     )
     config.write_text(f'{table}regimes = ["tip"]\n{entrants}')
-    docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
-    command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
+    command = ["arena", "--config", str(config), "--out", str(out)]
     main([*command, "--settings", "nominal"])
     assert "2 cells, 2 of them to be played" in capsys.readouterr().out
-    main([*command, "--write-docs", str(docs)])
+    main(command)
     said = capsys.readouterr().out
     assert "4 cells, 2 of them to be played" in said
     assert re.search(
@@ -224,11 +223,9 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     )
     main(command)
     assert "4 cells, 0 of them to be played" in capsys.readouterr().out
-    assert docs.with_suffix(".png").stat().st_size > 10_000
-    assert "(page.png)" in docs.read_text()
-    assert docs.read_text().startswith("before")
-    assert docs.read_text().endswith("after\n")
-    rows = list(csv.DictReader((tmp_path / "out" / "arena.csv").open()))
+    assert (out / "arena.png").stat().st_size > 10_000
+    assert "(arena.png)" in (out / "arena.md").read_text()
+    rows = list(csv.DictReader((out / "arena.csv").open()))
     assert {row["policy"] for row in rows} == {"filtered:tracking@fast", STILL}
     assert all(float(row["position_error_rms"]) > 0 for row in rows)
 
@@ -236,7 +233,7 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
 def test_the_published_comparison_can_be_played(monkeypatch):
     """By all of its policies, with the files that ship."""
     monkeypatch.chdir(ROOT)
-    published = Arena(**Arena.read_file({}))
+    published = Arena.read_file("published")
     cells, notes = published.cells()
     assert notes == []
     assert {label.policy for label in cells} == {entrant.name for entrant in published.entrants}

@@ -1,16 +1,13 @@
-"""Experiments: what was played is kept, and played again only where something has changed; blocks
-of pages say what made them."""
+"""Experiments: what was played is kept, and played again only where something has changed."""
 
-import json
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.evaluation import experiment, pages
+from soft_tendon_env.evaluation import experiment
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, code_digest, measure
-from soft_tendon_env.evaluation.pages import Page, Stamp
 from soft_tendon_env.scene.file import load_scene, save_scene
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
@@ -99,34 +96,3 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
         key(file.read_text() + "\n[effects.gravity]\nacceleration = [0.0, 0.0, -9.8]\n"),
     ]
     assert len({first, *different}) == 1 + len(different)
-
-
-def test_a_stamp_says_what_a_block_was_made_by(tmp_path, monkeypatch):
-    (tmp_path / "own.py").touch()
-    monkeypatch.setattr(pages, "ROOT", tmp_path)
-    monkeypatch.chdir(tmp_path)
-    for command, line in (
-        (
-            ("/usr/bin/soft-tendon", "compare", "--config", "own"),
-            "soft-tendon compare --config own",
-        ),
-        (("own.py", "--write-docs"), "python own.py --write-docs"),
-    ):
-        made = Stamp.of(command)
-        assert made.command == line
-        assert f"<!-- made {json.dumps(made._asdict())} -->" in made.text()
-        assert f"`{line}`" in made.text()
-
-
-def test_a_page_keeps_what_stands_around_a_block(tmp_path):
-    path = tmp_path / "page.md"
-    path.write_text("before\n<!-- own -->\nold\n<!-- /own -->\nafter\n")
-    Page(str(path), ["own"]).write("own", "| table |")
-    text = path.read_text()
-    assert text.startswith("before\n<!-- own -->\n<!-- made ")
-    assert text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
-    assert "\nold\n" not in text
-    with pytest.raises(
-        ValueError, match="should have the lines <!-- other --> and <!-- /other -->"
-    ):
-        Page(str(path), ["other"])

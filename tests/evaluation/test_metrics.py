@@ -90,6 +90,15 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
     )
 
 
+def test_there_is_no_chatter_where_a_period_is_too_long_for_it():
+    """Changes every 50 ms are of 10 Hz at most, of however few; a little faster they are above."""
+    tension = np.tile([[0.0], [1.0]], (20, 1))
+    for few in (tension, tension[:4]):
+        assert chatter(few, 0.05) == 0.0
+    assert chatter(tension, 0.04) == pytest.approx(1.0, rel=0.01)
+    assert math.isnan(chatter(tension[:8], 0.04))
+
+
 @pytest.mark.parametrize(
     ("judge", "said"),
     [
@@ -194,11 +203,14 @@ def test_comparisons_are_made_episode_by_episode():
     """One is better by a little on every episode, of which some are far harder than others: their
     own intervals overlap."""
     hard = np.geomspace(1.0, 10.0, 20)
-    one, other = standing([(0.9 * hard).tolist()]), standing([hard.tolist()])
-    found = difference(one, other, KEY)
-    assert one.mean(KEY).high > other.mean(KEY).low
-    assert found.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value)
-    assert found.low < found.value < found.high < 0.0
+    better = standing([(0.9 * hard).tolist()])
+    worse = standing([hard.tolist()])
+    gap = difference(better, worse, KEY)
+    better_mean = better.mean(KEY)
+    worse_mean = worse.mean(KEY)
+    assert better_mean.high > worse_mean.low
+    assert gap.value == pytest.approx(better_mean.value - worse_mean.value)
+    assert gap.low < gap.value < gap.high < 0.0
 
 
 def test_policies_that_differ_by_chance_alone_are_not_separated():

@@ -116,3 +116,28 @@ def test_the_picture_is_upright_and_of_the_width_of_a_phone_times_three(known, t
     height, width = imread(tmp_path / "demo.png").shape[:2]
     assert 1000 < width < 1200
     assert 1.3 < height / width < 1.6
+
+
+def test_room_around_points_is_a_share_of_their_widths(axes):
+    points = np.array([[1.0, 10.0], [3.0, 14.0], [2.0, 12.0]])
+    overview.show_around(axes, points, 0.25)
+    np.testing.assert_allclose([axes.get_xlim(), axes.get_ylim()], [(0.5, 3.5), (9.0, 15.0)])
+
+
+def test_the_dashed_line_is_where_an_episode_has_settled(known, axes):
+    """A hundredth of the rod's length, in millimetres; errors differ by factors."""
+    overview.draw_errors_over_time(axes, known, styles(OFF))
+    length = known.rollouts["agent"].model.length
+    (bound,) = [line for line in axes.lines if line.get_linestyle() == "--"]
+    np.testing.assert_allclose(bound.get_ydata(), 1e3 * 0.01 * length)
+    assert axes.get_yscale() == "log"
+
+
+def test_rows_of_numbers_stand_below_one_another_and_end_at_the_right(known, axes):
+    overview.draw_numbers(axes, known.numbers, styles(OFF))
+    places = {text.get_text(): text.get_position() for text in axes.texts}
+    assert [places[name][1] for name in OFF] == [0, 1, 2]
+    bottom, top = axes.get_ylim()
+    assert bottom > 2.0 > 0.0 > top
+    assert all(top < y < bottom for _, y in places.values())
+    assert all(0.0 < x <= 1.0 for x, _ in places.values())

@@ -245,8 +245,24 @@ def test_a_lost_measurement_holds_the_command_and_the_memory(exported, bad):
         for key in after:
             if key.startswith("next_"):
                 np.testing.assert_array_equal(held[key], after[key])
+    # an agent that does not read its last action holds the command all the same
+    for kind, action in (("increment", 0.0), ("tension", 2.0 * np.array([0.4, 0.1, 0.5]) - 1.0)):
+        env, _, path = exported(observation=["tip_position", "command"], action=kind)
+        agent = _ExportedAgent(path)
+        before = {"next_started": np.ones(1), "next_command": np.array([2.0, 0.5, 2.5])}
+        held = agent.act(before, {"tip_pose": np.full((4, 4), bad)})
+        np.testing.assert_allclose(held["action"], action, atol=1e-12)
+        np.testing.assert_allclose(held["next_command"], before["next_command"], atol=1e-12)
+
+
+def test_what_an_exported_agent_does_not_read_may_be_lost(exported):
+    env, _, path = exported("APG", policy={"memory": 8}, **INCREMENTS)
+    agent = _ExportedAgent(path)
+    env.reset(seed=0)
+    seen = measurements(env.unwrapped.episodes)
+    after = agent.act(agent.start(), seen)
     # what the agent does not read may be anything
-    unread = {**seen, "tip_twist": np.full(6, bad)}
+    unread = {**seen, "tip_twist": np.full(6, np.nan)}
     np.testing.assert_array_equal(
         agent.act(after, unread)["action"], agent.act(after, seen)["action"]
     )

@@ -56,8 +56,12 @@ DIFFERENTIATED = (
     ("TipPose", "three_tendon", "moving_base"),
 )
 NO_POTENTIAL = ("disturbance", "moving_base")
-PERIOD, PERIODS, EVERY = 0.02, 100, 5
-EPISODE, SEEDS, REWARDED = 40, (0, 1, 2), range(5)
+PERIOD = 0.02
+PERIODS = 100
+EVERY = 5
+EPISODE = 40
+SEEDS = (0, 1, 2)
+REWARDED = range(5)
 LIMIT = {"paper": 6.0, "paper_48dof": 6.0, "three_tendon": 2.0, "helical": 2.0}
 """Tension [N] up to which the tendons of a scene are pulled here."""
 

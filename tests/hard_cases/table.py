@@ -1,5 +1,5 @@
-"""Writes docs/appendix/hard_cases.md and .csv: runs the hard cases, and lists each with what it
-measured.
+"""Runs the hard cases, and lists each with what it measured, in out/hard_cases.md and .csv;
+docs/generated.py takes both over into docs/appendix.
 
 python tests/hard_cases/table.py
 """
@@ -11,17 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from soft_tendon_env.evaluation.pages import stamp
-from soft_tendon_env.evaluation.tables import markdown_table
+from soft_tendon_env.evaluation.tables import markdown_table, write_markdown
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[1] / "docs" / "appendix" / "hard_cases.md"
-TABLE = PAGE.with_suffix(".csv")
+ROOT = HERE.parents[1]
+TABLE = ROOT / "docs" / "appendix" / "hard_cases.csv"
+OUT = ROOT / "out"
 EXPECTED = "Expected: "
 HEAD = """\
 # Hard cases
-
-{stamp}
 
 Inputs and arms that are known to break simulators of soft arms: {count} tests in
 `tests/hard_cases`, twelve of them here. [All tests](hard_cases.csv) are in a CSV file, each with
@@ -101,10 +99,10 @@ def _span(values: list[float]) -> str:
     return least if least == greatest else f"{least}…{greatest}"
 
 
-def page(summaries: dict[str, str], stamp: str) -> str:
+def page(summaries: dict[str, str]) -> str:
     """The page: a row for every case of SHOWN."""
     rows = [[label, summaries[case]] for case, label in SHOWN.items()]
-    head = HEAD.format(stamp=stamp, count=len(summaries))
+    head = HEAD.format(count=len(summaries))
     return f"{head}\n{markdown_table(('case', 'measured'), rows)}\n"
 
 
@@ -115,15 +113,13 @@ def main() -> int:
     )
     known = cases()
     summaries = {case: measurements.summary(case) for case in known}
-    PAGE.write_text(page(summaries, stamp()), encoding="utf-8")
-    with open(TABLE, "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(
-            [
-                ("case", "why it is hard", "measured"),
-                *((case, known[case], summaries[case]) for case in known),
-            ]
-        )
-    print(f"{len(summaries)} tests, written: {PAGE} and {TABLE}")
+    write_markdown(OUT / "hard_cases.md", page(summaries))
+    with open(OUT / "hard_cases.csv", "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("case", "why it is hard", "measured"))
+        for case, reason in known.items():
+            writer.writerow((case, reason, summaries[case]))
+    print(f"{len(summaries)} tests, written: {file.name}")
     return int(status)
 
 

@@ -19,7 +19,8 @@ from soft_tendon_env.effects import (
 )
 from soft_tendon_env.model.step_control import CommandWarning
 
-DURATION, SAMPLES = 0.21, 0.014  # [s]
+DURATION = 0.21  # [s]
+SAMPLES = 0.014  # between samples [s]
 FIDELITIES = (
     "scene",
     "standard",

@@ -211,22 +211,29 @@ def turning_angles(model, q, points):
     space at 20,000 places."""
     places = np.linspace(0.0, model.length, 20001)
     pose = model.backbone_at(q, places)
-    offset = tendon_offset(model.scene, model.scene.tendons[0], places)[0]
-    path = pose[:, :3, 3] + np.einsum("sij,sj->si", pose[:, :3, 1:3], offset)
+    tendon = model.scene.tendons[0]
+    offset, _ = tendon_offset(model.scene, tendon, places)
+    across = pose[:, :3, 1:3]
+    path = pose[:, :3, 3] + np.einsum("sij,sj->si", across, offset)
     tangent = np.diff(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    steps = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
-    angle = np.concatenate([[0.5 * steps[0]], 0.5 * steps[0] + np.cumsum(steps)])
-    return np.interp(points, 0.5 * (places[1:] + places[:-1]), angle)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # The turn between neighbouring chords; the first chord has half of one before it.
+    turns = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
+    first = 0.5 * turns[0]
+    angle = first + np.concatenate([[0.0], np.cumsum(turns)])
+    middles = 0.5 * (places[1:] + places[:-1])
+    return np.interp(points, middles, angle)
 
 
 def shares(model, q, direction):
     """What is left of the first tendon's tension at the points where it slides in a direction."""
     work = make_workspace(model.arm)
+    tension = np.ones(model.tendon_count)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
-    assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
+    assert evaluate(model.arm, tension, q, 0.0 * q, 1e-12, work) == -1
     find_turns(model.arm, 0, work.strain, work.friction.turn)
-    turns = work.friction.turn[: model.grid.points[model.grid.real].size]
+    count = model.grid.points[model.grid.real].size
+    turns = work.friction.turn[:count]
     return np.exp(-direction * np.cumsum(turns))
 
 

@@ -12,7 +12,8 @@ from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.contact_forces import contact_forces
 
-DURATION, STEP = 0.06, 0.02  # [s]
+DURATION = 0.06  # [s]
+STEP = 0.02  # [s]
 SCENES = ("three_tendon", "paper", "four_tendon", "two_segment_six", "helical", "catheter")
 FIDELITIES = ("scene", "fast", "standard")
 

@@ -22,8 +22,12 @@ from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
 
-E, RHO, NU = "segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio"
-LAG, DELAY, FRICTION = 0.05, 0.033, 0.4
+E = "segments.*.young_modulus"
+RHO = "segments.*.density"
+NU = "segments.*.poisson_ratio"
+LAG = 0.05
+DELAY = 0.033
+FRICTION = 0.4
 PERIOD = 0.01
 
 
@@ -147,16 +151,30 @@ def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_to
 @pytest.mark.skipif(
     "MEASURED" not in os.environ, reason="MEASURED names no folder with measured data"
 )
-def test_the_tip_of_a_measured_arm_of_three_segments_is_met(tmp_path):
+def test_the_tip_of_a_measured_arm_is_met_on_its_makers_validation_file(tmp_path):
     example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "three_segment_arm.py"))
     example["write_inputs"](tmp_path)
-    data = example["file_of"](Path(os.environ["MEASURED"]), "train")
-    asked, most = example["STEPS"]["8 parameters"]
+    measured = Path(os.environ["MEASURED"])
+    holds = example["write_holds"](example["file_of"](measured, "train"), tmp_path)
+    judge = example["file_of"](measured, "val")
+    asked, most = example["STEPS"]["18 parameters with backlash"]
     scene = load_scene(tmp_path / "three_segment.toml")
-    found = identify(scene, data, tmp_path / "markers.toml", asked, fit_to=most, fidelity="scene")
-    assert len(found.value) == 8
-    assert found.errors[1] < 5e-3 < 7e-3 < found.before[1]
-    assert found.intervals.identified.all()
+    estimate = identify(
+        scene,
+        holds,
+        tmp_path / "markers.toml",
+        asked,
+        held_out=judge,
+        fit_to=most,
+        fidelity="scene",
+    )
+    distance = np.array([*estimate.error_held_out.values()])
+    assert distance.size == 443
+    assert distance.mean() < 5.5e-3
+    assert np.sqrt((distance**2).mean()) < 6.5e-3
+    backlash = asked.index("commands.backlash") - len(asked)
+    assert estimate.intervals.identified[backlash]
+    assert estimate.intervals.low[backlash] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -200,6 +218,19 @@ def test_outliers_are_named(arm, holds, placed, tmp_path):
     (text,) = found.findings
     assert "1 of the markers' positions stand out, above all middle in 'holds5'" in text
     assert "leave their cells empty" in text
+
+
+def test_labels_exchanged_in_a_held_out_hold_are_named(arm, holds, placed, tmp_path):
+    rows = [row.split(",") for row in holds.read_text().splitlines()]
+    of_middle, of_tip = rows[7][7:10], rows[7][10:13]  # of holds6
+    rows[7][7:13] = of_tip + of_middle
+    path = tmp_path / "holds.csv"
+    path.write_text("\n".join(map(",".join, rows)))
+    estimate = identify(arm, path, placed, [E, RHO], fidelity="scene")
+    assert "holds6" in estimate.error_held_out
+    (text,) = estimate.findings
+    assert "2 of the markers' positions stand out" in text
+    assert "in 'holds6', which is held out" in text
 
 
 def test_fewer_data_than_parameters_are_told(arm, record, placed, truth):

@@ -9,7 +9,7 @@ import pytest
 from soft_tendon_env import Simulation, load_scene, simulate, static_equilibrium
 from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
 from soft_tendon_env.identification.markers import Column
-from soft_tendon_env.identification.misread import command_factors
+from soft_tendon_env.identification.misread import _orders, command_factors
 from soft_tendon_env.identification.readings import NoHoldError, Plants
 from soft_tendon_env.model.build import build_model
 
@@ -87,6 +87,7 @@ CASES = {
         {"frame": TURN},
         "read as x, -y, z (a mirror",
     ),
+    "exchanged markers": (lambda u, p: (u, p[:, ::-1]), {}, "markers m0 and m1 exchanged: markers"),
     "kilograms": (lambda u, p: (u / 9.80665, p), {}, "commands in kg"),
 }
 
@@ -218,3 +219,25 @@ def test_stiffness_far_from_the_drawing_is_told(tmp_path):
         "9.8 times less than in the scene: is a unit wrong?" in finding
         for finding in found.findings
     )
+
+
+def test_a_few_markers_are_tried_in_every_order_and_many_in_pairs():
+    few = _orders(["a", "b", "c"])
+    assert sorted(map(tuple, few.values())) == [
+        *((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)),
+    ]
+    assert few["markers a, b, c read as b, c, a"] == [1, 2, 0]
+    assert few["markers a and c exchanged"] == [2, 1, 0]
+    many = _orders([f"m{i}" for i in range(6)])
+    assert len(many) == 15
+    assert many["markers m1 and m4 exchanged"] == [0, 4, 2, 3, 1, 5]
+    assert len(_orders(["a", "b", "c", "d"])) == 23
+
+
+def test_counts_with_a_scale_are_commands_in_their_si_unit():
+    scene = load_scene("three_tendon")
+    columns = {"tension_*": {"unit": "counts", "scale": 0.01}}
+    markers = MarkerSet(markers={"m": Marker(arc_length=0.3)}, columns=columns)
+    factors = command_factors(Plants(scene, build_model(scene), markers, []))
+    assert factors["commands in kg"] == pytest.approx(9.80665)
+    assert "commands in N" not in factors

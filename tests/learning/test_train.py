@@ -248,6 +248,10 @@ def hyperparameters(**given):
             "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'?",
         ),
         (
+            {"learning_rate": "abc"},
+            "learning_rate is 'abc': it should be a number such as 3e-4, [first, last], or [first,",
+        ),
+        (
             hyperparameters(learning_rate=0.1),
             "hyperparameters.learning_rate is an unknown key (given 0.1): ",
         ),

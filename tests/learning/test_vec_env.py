@@ -11,7 +11,9 @@ from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec
 
 pytestmark = pytest.mark.filterwarnings("error")
 
-TIP_POSE, SHAPE, REACH = IDS["TipPose"], IDS["Shape"], IDS["Reach"]
+TIP_POSE = IDS["TipPose"]
+SHAPE = IDS["Shape"]
+REACH = IDS["Reach"]
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
 WILD = {  # diverges at random times
     "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
@@ -29,7 +31,8 @@ def timeless(value):
     return type(value)(map(timeless, value)) if isinstance(value, list | tuple) else value
 
 
-IN_TIME, TERMINATED = (False, True), (True, False)
+IN_TIME = (False, True)
+TERMINATED = (True, False)
 
 
 @pytest.mark.parametrize(

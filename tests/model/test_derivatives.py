@@ -8,8 +8,10 @@ import pytest
 
 from soft_tendon_env import ConfigurationError, Simulation, build_model, load_scene
 
-PERIOD, FOURTH_ORDER = 0.02, {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
-TENSION, WEIGHT = np.array([1.0, 3.0, 0.5]), {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+PERIOD = 0.02
+FOURTH_ORDER = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
+TENSION = np.array([1.0, 3.0, 0.5])
+WEIGHT = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 LOADED = {**WEIGHT, "effects.tip_load.mass": 0.005}
 EXPLICIT = {
     "strain": {

@@ -5,12 +5,19 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.coordinates import make_strain
+from soft_tendon_env.model.coordinates import (
+    coordinate_count,
+    independent_tensions,
+    make_strain,
+)
 from soft_tendon_env.model.grid import (
+    LARGEST_PANEL,
     at_points,
+    disc_inertia,
     make_grid,
     make_rod,
     newton_cotes,
+    over_nodes,
     screw_matrices,
 )
 from soft_tendon_env.scene.file import load_scene, scene_names
@@ -47,12 +54,16 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (make_rod(s, grid, at_points(s, grid)) for s in (scene, scene.replace(payload)))
-    base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
-    mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
-    np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
+    carrying = scene.replace(payload)
+    bare = make_rod(scene, grid, at_points(scene, grid))
+    loaded = make_rod(carrying, grid, at_points(carrying, grid))
+    density = 100.0  # of the rod, whose radius goes from 3 to 2 cm [kg/m^3]
+    base_share = 0.5 * newton_cotes(6)[0] * density * np.pi * 0.03**2
+    frustum = np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3
+    np.testing.assert_allclose(bare.mass + base_share, density * frustum, rtol=1e-12)
     difference = (loaded.inertia - bare.inertia).reshape(grid.packs, 6, LANES)
-    np.testing.assert_allclose(difference[-1, :, -1], [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
+    at_tip = difference[-1, :, -1]
+    np.testing.assert_allclose(at_tip, [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
     assert np.count_nonzero(difference) == 6
 
 
@@ -74,12 +85,16 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get
     the last point's."""
     _, grid = grid_of(name, 3)
-    strain = np.random.default_rng(0).normal(size=(*lead, 2 * grid.real.sum(), 6))
+    rng = np.random.default_rng(0)
+    point_count = 2 * grid.real.sum()
+    strain = rng.normal(size=(*lead, point_count, 6))
     packed = grid.packed(strain)
     assert packed.shape == (*lead, 2 * grid.length.size * 6)
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
-    empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
-    np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
+    by_interval = grid.at_points(packed, 6)
+    empty = by_interval[..., ~grid.real, :, :]
+    last = strain[..., None, -1:, :]
+    np.testing.assert_array_equal(empty, np.broadcast_to(last, empty.shape))
 
 
 def scene_and_grid(name, **changes):
@@ -155,3 +170,121 @@ def test_mode_fields_are_legendre_polynomials_on_their_span():
         by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15
     )
     np.testing.assert_array_equal(by_piece[4][..., 1], second_half)
+
+
+HELICES = {
+    f"tendons.{i}.routing": {
+        "type": "helix",
+        "radius": 0.008,
+        "angular_rate": 2.0 * np.pi * 12.0 / 0.3,
+        "phase": 120.0 * i,
+    }
+    for i in range(3)
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "count"),
+    [
+        ({}, 3),
+        # three tendons make two of the constant bending fields
+        ({"strain.passive": [{"strains": list(ANGULAR), "order": 12, "span": "rod"}]}, 40),
+        (
+            {
+                "strain": {
+                    "type": "explicit",
+                    "modes": [{"strains": list(ANGULAR), "order": 12, "span": "rod"}],
+                }
+            },
+            39,
+        ),
+        (HELICES, 3),
+    ],
+    ids=["tensions", "passive fields", "explicit", "helices"],
+)
+def test_every_coordinate_is_counted(changes, count):
+    """Fields of the highest order, and helices that a coarse quadrature sees as straight."""
+    assert coordinate_count(load_scene("three_tendon").replace(changes)) == count
+
+
+@pytest.mark.parametrize("intervals", [1, 2, 5, 7, 8, 13, 15])
+def test_weights_of_the_nodes_are_positive_and_integrate_the_powers_of_their_panels(intervals):
+    """Of the smallest panel all powers, and one more where that is even."""
+    weights, nodes = newton_cotes(intervals), np.linspace(0.0, 1.0, intervals + 1)
+    panels = int(np.ceil(intervals / LARGEST_PANEL))
+    smallest = intervals // panels
+    assert weights.min() > 0.0
+    for power in range(smallest + 1 + (smallest % 2 == 0)):
+        assert weights @ nodes**power == pytest.approx(1.0 / (power + 1), rel=1e-12)
+    assert abs(weights @ nodes ** (smallest + 2) - 1.0 / (smallest + 3)) > 1e-14
+
+
+def test_densities_over_the_nodes_add_up_to_integrals_of_every_piece():
+    """With a jump between two pieces, of which a node on their border gets both shares."""
+    scene, grid = scene_and_grid("paper")
+
+    def density(places):
+        return np.stack([np.where(places < 0.5, 1.0 + places**3, 7.0 * places), places], axis=1)
+
+    total = over_nodes(grid, density)
+    assert total.shape == (grid.length.size, 2)
+    at_base = 0.5 * newton_cotes(4)[0] * density(np.zeros(1))[0]
+    exact = [0.5 + 0.5**4 / 4 + 3.5 * 0.75, 0.5]
+    np.testing.assert_allclose(total.sum(axis=0) + at_base, exact, rtol=1e-12)
+    border = 0.5 * newton_cotes(4)[-1] * (1.0 + 0.125) + 0.5 * newton_cotes(4)[0] * 3.5
+    assert total[3, 0] == pytest.approx(border)
+    assert not total[~grid.real].any()
+
+
+def test_places_are_found_in_their_intervals():
+    _, grid = scene_and_grid("paper")
+    places = np.array([0.0, 0.1, 0.125, 0.3, 0.5, 0.99, 1.0])
+    interval, distance = grid.locate(places)
+    np.testing.assert_array_equal(interval, [0, 0, 1, 2, 4, 7, 7])
+    np.testing.assert_allclose(grid.start[interval] + distance, places, rtol=1e-15)
+    found = grid.places(places[:2], places[2:])
+    np.testing.assert_array_equal(found.station, interval[:2])
+    np.testing.assert_array_equal(found.sensor, interval[2:])
+    np.testing.assert_array_equal(found.sensor_distance, distance[2:])
+
+
+def test_ranges_of_packs_hold_all_parts_of_a_field():
+    _, grid = scene_and_grid("paper")
+    present = np.zeros((4, 8), dtype=bool)
+    present[0, [1, 2]] = present[1, 5] = present[2, [3, 4]] = True
+    begin, end = grid.pack_ranges(present)
+    assert begin.tolist() == [0, 1, 0, 0]
+    assert end.tolist() == [1, 2, 2, 2]
+
+
+def test_discs_have_the_inertia_of_cylinders():
+    rows = np.array([[0.1, 2.0, 0.3, 0.4]])
+    about_axis, across = 2.0 * 0.3**2 / 2, 2.0 * (3 * 0.3**2 + 0.4**2) / 12
+    np.testing.assert_allclose(disc_inertia(rows), [[about_axis, across, across, 2.0, 2.0, 2.0]])
+
+
+def test_tendons_of_a_stress_free_arm_are_as_long_as_their_paths():
+    """A helix of radius r and rate w: sqrt(1 + r^2 w^2) per length."""
+    scene, grid = grid_of("paper", 24)
+    lengths = at_points(scene, grid).rod.tendon_length
+    rate = 4.0 * np.pi
+    np.testing.assert_allclose(lengths[3:5], np.hypot(1.0, 0.02 * rate), rtol=1e-9)
+    np.testing.assert_allclose(lengths[8:10], 0.5 * np.hypot(1.0, 0.025 * rate), rtol=1e-9)
+    taper = np.hypot(1.0, 0.01)  # of tendons on the surface of a cone
+    np.testing.assert_allclose(lengths[[0, 1, 2]], taper, rtol=1e-9)
+    np.testing.assert_allclose(lengths[[5, 6, 7]], 0.5 * taper, rtol=1e-9)
+
+
+def test_independent_tensions_span_those_that_strain_the_rod():
+    """Orthonormal combinations, the same whatever the eigenvectors; all where all are
+    independent."""
+    columns = np.random.default_rng(0).normal(size=(4, 9))
+    np.testing.assert_array_equal(independent_tensions(columns @ columns.T, 1e-3), np.eye(4))
+    columns[3] = columns[0] + columns[1] - columns[2]
+    mixing = independent_tensions(columns @ columns.T, 1e-3)
+    assert mixing.shape == (4, 3)
+    np.testing.assert_allclose(mixing.T @ mixing, np.eye(3), atol=1e-12)
+    opposite = np.diag([1.0, 1.0, 2.0])  # two tendons that strain alike and one beside them
+    opposite[0, 1] = opposite[1, 0] = 1.0
+    mixing = independent_tensions(opposite, 1e-3)
+    np.testing.assert_allclose(np.abs(mixing), [[np.sqrt(0.5), 0], [np.sqrt(0.5), 0], [0, 1]])

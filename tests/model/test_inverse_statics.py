@@ -12,6 +12,7 @@ from soft_tendon_env import (
     tension_for_tip_position,
 )
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.inverse_statics import ANGLE_WEIGHT, _TipSearch
 
 TILT = np.radians(37.8)
 
@@ -107,3 +108,40 @@ def test_a_start_next_to_the_strain_limit_is_answered():
 def test_bad_input_is_refused(paper, pose, options, message):
     with pytest.raises(ValueError, match=message):
         tension_for_tip_pose(paper, pose, **options)
+
+
+@pytest.mark.parametrize("angle_weight", [0.0, 0.4])
+@pytest.mark.parametrize("changes", [{}, {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}])
+def test_derivatives_of_the_error_are_differences(angle_weight, changes):
+    """Of the weighted rotation vector and displacement from the tip to the desired pose."""
+    model = build_model(load_scene("three_tendon").replace(changes))
+    search = _TipSearch(model, circle(0.7), angle_weight)
+    u, h = np.array([2.0, 0.5, 1.0]), 1e-5
+    slopes = [(search.error(u + way) - search.error(u - way)) / (2 * h) for way in h * np.eye(3)]
+    np.testing.assert_allclose(
+        search.derivative(u), np.transpose(slopes), atol=1e-6 * np.abs(slopes).max()
+    )
+    tip = static_equilibrium(model, u).tip_pose
+    error = search.error(u)
+    np.testing.assert_allclose(error[3:], search.pose[:3, 3] - tip[:3, 3], atol=1e-14)
+    turn = Rotation.from_matrix(tip[:3, :3].T @ search.pose[:3, :3]).as_rotvec()
+    np.testing.assert_allclose(error[:3], angle_weight * turn, atol=1e-12)
+
+
+def test_a_solution_says_how_far_its_tip_is_off():
+    """A place 1e-4 of the length away counts as reached, and a radian as half a length."""
+    model = build_model(load_scene("three_tendon"))
+    u = np.array([2.0, 0.5, 1.0])
+    tip = static_equilibrium(model, u).tip_pose
+    for off, turn, reachable in ((0.9e-4, 0.0, True), (1.1e-4, 0.0, False), (0.0, 3e-4, False)):
+        pose = tip.copy()
+        pose[2, 3] += off * model.length
+        pose[:3, :3] = tip[:3, :3] @ Rotation.from_rotvec([0.0, turn, 0.0]).as_matrix()
+        solution = _TipSearch(model, pose, ANGLE_WEIGHT * model.length).solution(u)
+        assert solution.reachable == reachable
+        assert solution.position_error == pytest.approx(off * model.length, abs=1e-12)
+        assert solution.angle_error == pytest.approx(turn, abs=1e-12)
+        assert (solution.reason == "") == reachable
+    position = _TipSearch(model, pose, 0.0).solution(u)
+    assert position.reachable
+    assert position.angle_error == 0.0

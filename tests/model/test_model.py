@@ -6,6 +6,7 @@ import pytest
 
 from soft_tendon_env import StrainLimitError, load_scene
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.model import is_singular, model_on
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates
@@ -74,3 +75,68 @@ def test_a_singular_mass_matrix_is_warned_of():
     ):
         model = build_model(scene)
     assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
+
+
+LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
+BENDING = YOUNG * np.pi * RADIUS**4 / 4
+
+
+@pytest.fixture
+def bent():
+    """The arm with three tendons, whose coordinates are two constant curvatures."""
+    modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    return model_on(load_scene("three_tendon").replace({"strain": strain, **gravity}), 4)
+
+
+def test_energies_are_those_of_a_bent_rod(bent):
+    """1/2 EI k^2 L stored, 1/2 q_dot M q_dot in motion, and the weight's."""
+    q, q_dot = np.array([1.0, -2.0]), np.array([3.0, 0.5])
+    energy = bent.energy(q, q_dot)
+    assert energy.elastic == pytest.approx(0.5 * BENDING * LENGTH * (q @ q))
+    mass = bent.terms(q, q_dot).mass
+    assert energy.kinetic == pytest.approx(0.5 * q_dot @ mass @ q_dot)
+    assert energy.total == pytest.approx(energy.kinetic + energy.elastic + energy.load)
+    nodes = bent.grid.start + bent.grid.length
+    heights = bent.backbone_at(q, nodes)[:, 2, 3]
+    assert energy.load == pytest.approx(9.81 * bent.arm.rod.node_mass @ heights)
+
+
+def test_units_of_coordinates_bend_the_arm_by_a_radian(bent):
+    """EI / L, in which the metric has its scale and its orthonormal coordinates."""
+    assert bent.bending_energy == pytest.approx(BENDING / LENGTH)
+    np.testing.assert_allclose(bent.metric, BENDING * LENGTH * np.eye(2), rtol=1e-12)
+    np.testing.assert_allclose(bent.coordinate_scale(), 1.0 / LENGTH, rtol=1e-12)
+    unit = bent.metric_unit
+    np.testing.assert_allclose(unit.T @ bent.metric @ unit, np.eye(2), atol=1e-12)
+
+
+def test_places_beyond_the_rod_are_refused(bent):
+    for places in ([-1e-9], [0.3 * (1 + 1e-9)]):
+        with pytest.raises(ValueError, match="places should lie between 0 and 0.3"):
+            bent.arc_lengths("places", places)
+    assert bent.arc_lengths("places", [0.0, 0.3 * (1 + 1e-13)]).size == 2
+    assert bent.backbone([0.0, 0.0], 7).shape == (7, 4, 4)
+    np.testing.assert_allclose(bent.backbone([0.0, 0.0], 4)[:, 0, 3], [0.0, 0.1, 0.2, 0.3])
+
+
+def test_singular_matrices_are_told_by_their_scaled_eigenvalues():
+    """Whatever the units of their rows."""
+    scale = np.diag([1e-6, 1.0, 1e6])
+    for correlation, singular in ((0.999, False), (1.0, True)):
+        matrix = np.eye(3)
+        matrix[0, 1] = matrix[1, 0] = correlation
+        assert is_singular(scale @ matrix @ scale) == singular
+    assert is_singular(np.diag([1.0, 0.0]))
+
+
+def test_models_of_other_numbers_fit_and_others_say_why_not(bent):
+    """Sizes decide: an effect more, or loads inside of the strain, is another arm."""
+    heavier = bent.with_numbers({"segments.0.density": 900.0})
+    assert bent.misfit(heavier) == ""
+    ratio = heavier.arm.rod.mass / bent.arm.rod.mass
+    assert ratio == pytest.approx(900.0 / 1070.0)
+    without = bent.with_scene(bent.scene.replace({"effects": {}}))
+    assert "which effects act, from gravity to none" in bent.misfit(without)
+    assert without.misfit(bent) == ""

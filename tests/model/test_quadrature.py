@@ -8,7 +8,14 @@ import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
 from soft_tendon_env.model.build import QuadratureWarning, build_model
-from soft_tendon_env.model.quadrature import QuadratureTest
+from soft_tendon_env.model.coordinates import resolving_intervals
+from soft_tendon_env.model.quadrature import (
+    CORNERS,
+    QuadratureTest,
+    _tensions_to_try,
+    inertia_kept,
+)
+from soft_tendon_env.scene.scene import MOST_INTERVALS
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -145,3 +152,59 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
 def test_arms_that_no_quadrature_makes_a_model_of_are_refused(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         build_model(three_tendon(**changes))
+
+
+def test_tensions_are_tried_at_all_corners_and_alone():
+    """None twice; of many tendons some corners."""
+    limits = np.array([[0.0, 5.0], [-1.0, 3.0], [2.0, 4.0]])
+    slack = np.array([0.0, 0.0, 2.0])
+    tried = _tensions_to_try(limits, slack)
+    corners = {tuple(limits[range(3), sides]) for sides in np.ndindex(2, 2, 2)}
+    alone = {
+        tuple(np.where(np.arange(3) == i, limits[i, side], slack))
+        for i in range(3)
+        for side in (0, 1)
+    }
+    assert {tuple(tension) for tension in tried} == corners | alone | {tuple(slack)}
+    assert len(tried) == len(corners | alone | {tuple(slack)})
+    np.testing.assert_array_equal(tried[0], limits[:, 1])
+    many = np.tile([0.0, 1.0], (10, 1))
+    tried = _tensions_to_try(many, np.zeros(10))
+    assert CORNERS < len(tried) <= CORNERS + 11
+    np.testing.assert_array_equal(tried[0], 1.0)
+
+
+def test_finer_quadratures_resolve_waves_and_fields():
+    """Four intervals a wave, three for each Legendre function of a field."""
+    assert resolving_intervals(three_tendon()) == 3
+    assert resolving_intervals(helices(3)) == pytest.approx(4 * 3, abs=1)
+    assert resolving_intervals(helices(12)) == pytest.approx(4 * 12, abs=1)
+    explicit = three_tendon(strain={"type": "explicit", "modes": modes(7)})
+    assert resolving_intervals(explicit) == 24
+    assert resolving_intervals(helices(1e5)) == MOST_INTERVALS
+
+
+def test_the_least_inertia_is_that_of_the_worst_combination():
+    """Of two constant curvatures on one interval, whose node at the tip alone has mass; against
+    that on many."""
+    test = QuadratureTest(three_tendon(strain={"type": "explicit", "modes": modes(0)}))
+    coarse, fine = test.model(1), test.model(12)
+    still = np.zeros(3)
+    M, M_fine = (model.terms(still, still).mass for model in (coarse, fine))
+    ratios = np.linalg.eigvals(np.linalg.solve(M_fine, M)).real
+    assert inertia_kept(coarse, fine) == pytest.approx(ratios.min(), rel=1e-9)
+    assert inertia_kept(fine, fine) == pytest.approx(1.0)
+
+
+def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
+    """Of all that are tried, as a share of the length."""
+    scene = helices(3).replace({"tendons.1.tension_limits": [0.0, 8.0]})
+    test = QuadratureTest(scene)
+    coarse, fine = test.model(5), test.model(24)
+    worst = test.displacement(coarse, fine)
+    shares = []
+    for tension in test.tensions:
+        tips = [model.tip_pose(model.rest_coordinates(tension))[:3, 3] for model in (coarse, fine)]
+        shares.append(np.linalg.norm(tips[1] - tips[0]) / 0.3)
+    assert worst.share == pytest.approx(max(shares), rel=1e-9)
+    np.testing.assert_array_equal(worst.tension, test.tensions[int(np.argmax(shares))])

@@ -11,13 +11,12 @@ import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_actuators
 
-OK, BAD = np.zeros(10), np.full(10, float("nan"))
+OK = np.zeros(10)
+BAD = np.full(10, float("nan"))
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
 SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
-BEND_Y, BEND_Z = (
-    {"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]}
-    for bend in ("bend_y", "bend_z")
-)
+BEND_Y = {"type": "explicit", "modes": [{"strains": ["bend_y"], "order": 1, "span": "rod"}]}
+BEND_Z = {"type": "explicit", "modes": [{"strains": ["bend_z"], "order": 1, "span": "rod"}]}
 LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
 WAYS = {
     "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),

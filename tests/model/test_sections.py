@@ -18,8 +18,12 @@ from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.scene import Scene, rod_radius, scene_to_dict
 
-L, E, NU, RHO, ETA = 0.3, 2e9, 0.3, 1200.0, 4e6
-G = E / (2 * (1 + NU))
+L = 0.3  # length [m]
+E = 2e9  # Young's modulus [Pa]
+NU = 0.3  # Poisson's ratio
+RHO = 1200.0  # density [kg/m^3]
+ETA = 4e6  # viscosity [Pa s]
+G = E / (2 * (1 + NU))  # shear modulus [Pa]
 SHEAR = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 KIRCHHOFF = SHEAR[:3]
 TUBE = {"type": "tube", "radius": 0.006, "inner_radius": 0.005}
@@ -119,10 +123,15 @@ def test_cantilevers_about_both_axes_and_torsion(section, known):
     _, bending_y, bending_z, torsion = known
     for axis, bending in ((1, bending_z), (2, bending_y)):
         force = 1e-4 * E * bending / L**2
-        tip = tip_under(section, force=force * np.eye(3)[axis])
-        np.testing.assert_allclose(tip[axis, 3], force * L**3 / (3 * E * bending), rtol=1e-6)
-    pose = tip_under(section, moment=(0.5 * G * torsion / L, 0.0, 0.0))
-    np.testing.assert_allclose(np.arctan2(pose[2, 1], pose[1, 1]), 0.5, rtol=3e-4)
+        direction = np.eye(3)[axis]
+        tip = tip_under(section, force=force * direction)
+        deflection = force * L**3 / (3 * E * bending)
+        np.testing.assert_allclose(tip[axis, 3], deflection, rtol=1e-6)
+    twist = 0.5
+    moment = twist * G * torsion / L
+    pose = tip_under(section, moment=(moment, 0.0, 0.0))
+    angle = np.arctan2(pose[2, 1], pose[1, 1])
+    np.testing.assert_allclose(angle, twist, rtol=3e-4)
 
 
 @pytest.mark.parametrize(("section", "known"), SECTIONS)
@@ -245,12 +254,16 @@ def beam_with_masses(places, mass, rotary, bending, line_mass, line_rotary):
 )
 def test_discs_are_lumped_masses_with_rotary_inertia(where):
     area, bending, *_ = tube(0.006, 0.005)
-    model = arm(
-        TUBE, ("bend_y",), 9, **{"segments.0.discs": {**DISCS, **where}, "quadrature.intervals": 30}
-    )
-    places = where.get("places") or L * np.arange(1, where["number"] + 1) / where["number"]
-    rotary = DISCS["mass"] * (DISCS["radius"] ** 2 / 4 + DISCS["thickness"] ** 2 / 12)
-    exact = beam_with_masses(places, DISCS["mass"], rotary, E * bending, RHO * area, RHO * bending)
+    changes = {"segments.0.discs": {**DISCS, **where}, "quadrature.intervals": 30}
+    model = arm(TUBE, ("bend_y",), 9, **changes)
+    places = where.get("places")
+    if places is None:
+        number = where["number"]
+        places = L * np.arange(1, number + 1) / number
+    mass = DISCS["mass"]
+    # of a cylinder, about a diameter
+    rotary = mass * (DISCS["radius"] ** 2 / 4 + DISCS["thickness"] ** 2 / 12)
+    exact = beam_with_masses(places, mass, rotary, E * bending, RHO * area, RHO * bending)
     np.testing.assert_allclose(frequencies(model)[:3], exact[:3], rtol=1e-3)
 
 

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.scene.file import load_scene, scene_names
 
@@ -104,11 +106,45 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to
     be given up."""
     model = model_of(name, **changes)
-    u = np.random.default_rng(0).uniform(0.0, 10.0, model.tendon_count)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0.0, 10.0, model.tendon_count)
     near = ChordSolver(model, static_equilibrium(model, u).q, u)
-    q, tip = near.at((1.0 + step) * u)
-    found = static_equilibrium(model, (1.0 + step) * u)
-    np.testing.assert_allclose(tip, found.tip_pose, atol=1e-8)
+    neighbour = (1.0 + step) * u
+    q, tip = near.at(neighbour)
+    searched = static_equilibrium(model, neighbour)
+    np.testing.assert_allclose(tip, searched.tip_pose, atol=1e-8)
     np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
-    moved = static_equilibrium(model, 1.0001 * u, near.q).q - near.q
-    assert np.linalg.norm(1e-4 * near.answer @ u - moved) < 1e-2 * np.linalg.norm(moved)
+    small = 1e-4
+    moved = static_equilibrium(model, (1.0 + small) * u, near.q).q - near.q
+    predicted = small * near.answer @ u
+    assert np.linalg.norm(predicted - moved) < 1e-2 * np.linalg.norm(moved)
+
+
+def test_stability_is_the_part_of_the_stiffness_that_a_push_leaves():
+    """1 - P / P_cr of Euler's column, P_cr = pi^2 EI / 4 L^2; the softest mode bends it by an angle
+    of 1."""
+    modes = [{"strains": ["bend_y", "bend_z"], "order": 4, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    length, bending = 0.3, 5e5 * np.pi * 0.01**4 / 4
+    critical = np.pi**2 * bending / (4.0 * length**2)
+    for part in (-0.5, 0.5, 0.95, 1.05):
+        push = [-part * critical, 0.0, 0.0]
+        model = model_on(
+            load_scene("three_tendon").replace({"strain": strain, "effects.tip_load.force": push}),
+            6,
+        )
+        with model.workspace() as work:
+            balance = Balance(model, np.zeros(3), work)
+            straight = balance.linearise(np.zeros(model.coordinate_count), 1.0)
+            stability = straight.stability
+            softest = stability.modes[:, 0]
+            angle = balance.angle(softest)
+        assert stability.has_potential
+        assert not stability.flutters
+        assert stability.stable == (part < 1.0)
+        if part > 0.0:
+            assert stability.least == pytest.approx(1.0 - part, abs=2e-3)
+        else:
+            assert stability.least > 1.0
+        assert angle == pytest.approx(1.0, rel=1e-6)
+        assert bending / length * angle**2 == pytest.approx(softest @ model.metric @ softest)

@@ -73,3 +73,53 @@ def test_a_target_that_is_not_observed_as_a_way_is_refused():
         IntegralPolicy(
             Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME
         )
+
+
+def test_goals_move_with_the_integral_of_the_way_to_them():
+    """In a tenth of the rod's length: the integral is bounded in these units."""
+    envs, policy = rows_of("Reach"), Seen()
+    length = envs.unwrapped.episodes.model.length
+    way = np.array([0.01, -0.005, 0.002])
+    tip = np.tile([0.1, 0.2, 0.0], (2, 1)).astype(np.float32)
+    goal = (tip + way).astype(np.float32)
+    flat = np.zeros((2, 3), dtype=np.float32)
+    given = {"observation": flat, "achieved_goal": tip, "desired_goal": goal}
+    integral, state = IntegralPolicy(policy, envs, TIME), None
+    share = envs.unwrapped.episodes.period / TIME
+    for calls in range(1, 4):
+        _, state = integral.predict(given, state)
+        moved = policy.last["desired_goal"] - goal
+        np.testing.assert_allclose(moved, np.tile(calls * share * way, (2, 1)), atol=1e-7)
+        np.testing.assert_array_equal(policy.last["achieved_goal"], tip)
+    for _ in range(200):
+        _, state = integral.predict(given, state)
+    most = np.minimum(np.abs(way) * 203 * share, 0.1 * 0.1 * length)
+    np.testing.assert_allclose(
+        policy.last["desired_goal"] - goal, np.tile(np.sign(way) * most, (2, 1)), atol=1e-7
+    )
+
+
+def test_nothing_is_integrated_on_the_way_and_nothing_is_left_of_the_last_episode():
+    """Row by row; any part of the error that is large is enough."""
+    envs, policy = rows_of("TipPose"), Seen()
+    near, far = np.full(6, 0.4, dtype=np.float32), np.full(6, 0.1, dtype=np.float32)
+    far[2] = -0.9
+    given = observed(envs, target_error=near)
+    columns = envs.unwrapped.episodes.layout.slices["target_error"]
+    given[1, columns] = far
+    integral = IntegralPolicy(policy, envs, TIME)
+    _, state = integral.predict(given, None)
+    share = envs.unwrapped.episodes.period / TIME
+    np.testing.assert_allclose(state.integral, [[share * 0.4] * 6, [0.0] * 6], rtol=1e-6)
+    begins = np.array([True, False])
+    given[1, columns] = near
+    _, state = integral.predict(given, state, begins)
+    np.testing.assert_allclose(state.integral, share * 0.4, rtol=1e-6)
+    alone, _ = IntegralPolicy(policy, envs, TIME).predict(given[0], None)
+    assert alone.shape == (3,)
+    assert policy.last.shape == given[0].shape
+
+
+def test_integrals_quicker_than_a_period_are_refused():
+    with pytest.raises(ValueError, match="integral_time should be at least a control period"):
+        IntegralPolicy(Seen(), rows_of("TipPose"), 0.019)

@@ -23,7 +23,8 @@ SHAPES = {
     "action_net.weight": (2, 16),
     "action_net.bias": (2,),
 }
-BEGINS, GOES_ON = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
+BEGINS = np.ones(3, dtype=bool)
+GOES_ON = np.zeros(3, dtype=bool)
 
 
 def draw_arrays():
@@ -58,12 +59,16 @@ def test_rows_act_as_they_would_alone(policy, seen):
 
 
 def test_the_memory_matters_and_begins_anew_where_an_episode_does(policy, seen):
-    once, one = played(policy, seen, [BEGINS, *[GOES_ON] * 3]), np.array([False, True, False])
-    again = played(policy, seen, [BEGINS, GOES_ON, one, GOES_ON])
+    once = played(policy, seen, [BEGINS, GOES_ON, GOES_ON, GOES_ON])
+    second_row_begins = np.array([False, True, False])
+    again = played(policy, seen, [BEGINS, GOES_ON, second_row_begins, GOES_ON])
     fresh = played(policy, seen[2:], [BEGINS, GOES_ON])
-    np.testing.assert_allclose(again[2:, 1], fresh[:, 1], atol=1e-6)
-    np.testing.assert_array_equal(again[:, [0, 2]], once[:, [0, 2]])
-    assert (np.abs(again[2:, 1] - once[2:, 1]) > 1e-6).any()
+    after_beginning = again[2:, 1]
+    np.testing.assert_allclose(after_beginning, fresh[:, 1], atol=1e-6)
+    np.testing.assert_array_equal(again[:, 0], once[:, 0])
+    np.testing.assert_array_equal(again[:, 2], once[:, 2])
+    difference = np.abs(after_beginning - once[2:, 1])
+    assert (difference > 1e-6).any()
 
 
 def test_lost_states_are_told(policy, seen):

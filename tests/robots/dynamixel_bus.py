@@ -15,8 +15,16 @@ import tty
 from dynamixel_sdk import PacketHandler, PortHandler
 
 HEADER = b"\xff\xff\xfd\x00"
-READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
-OPERATING_MODE, TORQUE, WATCHDOG, GOALS = 11, 64, 98, range(100, 104)
+READ = 0x02
+WRITE = 0x03
+STATUS = 0x55
+SYNC_READ = 0x82
+SYNC_WRITE = 0x83
+EVERYBODY = 0xFE
+OPERATING_MODE = 11
+TORQUE = 64
+WATCHDOG = 98
+GOALS = range(100, 104)
 
 
 def crc(data):

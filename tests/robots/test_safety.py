@@ -25,7 +25,7 @@ from soft_tendon_env.robots.clock import Clock, Pacer
 from soft_tendon_env.robots.freshness import Freshness
 from soft_tendon_env.robots.top_speed import top_speed
 
-SOON = 0.1
+SOON = 0.03
 """Time [s] within which tendons should be slack."""
 
 
@@ -120,6 +120,19 @@ def test_a_port_that_is_lost_is_tried_again(arm_of_test, drawing, pulling):
     assert not report.finished
     assert arm.closed
     assert safety.TRYING - SOON <= report.stop.seconds <= safety.TRYING + SOON
+
+
+def test_a_robot_that_cannot_be_closed_is_told(arm_of_test, drawing, pulling):
+    arm = arm_of_test()
+
+    def close():
+        raise OSError(5, "Input/output error", "/dev/ttyUSB0")
+
+    arm.close = close
+    report = run_policy(pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.2)
+    assert report.stop.slack
+    assert report.stop.failures == ["OSError, /dev/ttyUSB0: Input/output error"]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_every_later_stop_tries_again(arm_of_test, drawing):

@@ -13,9 +13,11 @@ from soft_tendon_env.scene.routing import (
     TableRouting,
     TaperTable,
 )
+from soft_tendon_env.scene.sections import Ellipse, Rectangle
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ENDS, LENGTH = (0.1, 0.5), 0.4
+ENDS = (0.1, 0.5)
+LENGTH = 0.4
 RADII = TaperTable(arc_length=(0.0, 0.1, 0.25, 0.4), size=(0.02, 0.018, 0.01, 0.012))
 ROUTINGS = {
     "straight": StraightRouting(offset=(0.01, -0.02)),
@@ -43,6 +45,32 @@ def test_slope_is_the_derivative_of_the_offset(routing):
     np.testing.assert_allclose(
         slope, (evaluate(routing, x + h)[0] - evaluate(routing, x - h)[0]) / (2 * h), atol=1e-8
     )
+
+
+@pytest.mark.parametrize("shape", [Rectangle, Ellipse])
+@pytest.mark.parametrize("angle", [0.0, 20.0, 75.0, 90.0, -130.0])
+def test_a_tendon_on_the_surface_of_a_flat_section_lies_on_its_outline(shape, angle):
+    """As the section tapers, the slope follows."""
+    section = shape(
+        width=LinearTaper(base=0.03, tip=0.02),
+        height=TaperTable(arc_length=(0, 0.4), size=(0.008, 0.006)),
+    )
+    x, h = np.linspace(0.01, 0.39, 21), 1e-6
+    routing = SurfaceRouting(angle=angle)
+
+    def offset_and_slope(places):
+        radius, slope = section.outline_radius(routing.direction, places, LENGTH)
+        return routing.offset_and_slope(places, radius, slope, ENDS)
+
+    offset, slope = offset_and_slope(x)
+    half_widths = 0.5 * section.hull(x, LENGTH)[:2].T
+    y, z = np.abs(offset / half_widths).T
+    extent = np.maximum(y, z) if shape is Rectangle else np.hypot(y, z)
+    np.testing.assert_allclose(extent, 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.arctan2(*offset.T[::-1]), np.deg2rad(angle), atol=1e-12)
+    ahead, _ = offset_and_slope(x + h)
+    behind, _ = offset_and_slope(x - h)
+    np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), atol=1e-8)
 
 
 @pytest.mark.parametrize("profile", [LinearTaper(base=0.03, tip=0.02), RADII])

@@ -230,6 +230,17 @@ def test_breakpoints_are_every_end_and_border_once(scene):
         ({"segments.0.damping": 0.0, "integrator.columns": 4}, 4),
         ({"integrator.tolerance": 1e-4}, 6),
         ({"integrator.tolerance": 1e-4, "segments.0.damping": 1.0}, 2),
+        # torsion of a material that does not shear is damped less than bending
+        ({"segments.0.damping": 300.0, "segments.0.poisson_ratio": 0.5}, 3),
+        ({"segments.0.damping": 300.0, "segments.0.poisson_ratio": -0.9}, 2),
+        (
+            {
+                "segments.0.damping": 300.0,
+                "segments.0.poisson_ratio": -0.9,
+                "strain.strains": ["bend_y", "bend_z"],
+            },
+            3,
+        ),
     ],
 )
 def test_extrapolation_columns_follow_the_damping_unless_given(changes, columns):

@@ -166,7 +166,9 @@ def test_what_is_no_length_is_refused(text):
 def test_dialects(tmp_path, text):
     path = tmp_path / "table.csv"
     path.write_text(text)
-    where, header, ((row, cells),) = table = read_table(path)
+    table = read_table(path)
+    where, header, ((row, cells),), units = table
+    assert not units
     assert header == ["a", "b"]
     assert cells == ["1", "2"]
     assert table.numbers([("b", 0.001)]) == [[0.002]]

@@ -3,7 +3,8 @@
 Forces act between samples of the arm and obstacles.
 
 By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the
-node before it, and likewise on the one behind. With d = radius - signed distance of a sample's
+node before it, and likewise on the one behind; where the section is flat, with the lever arm of its
+nearest point too (outline.py). With d = radius - signed distance of a sample's
 middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot), p = k d^2 / 2 e up
 to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
 
@@ -33,7 +34,9 @@ from soft_tendon_env.effects.contact.obstacles import (
     read_distances,
     triple,
 )
+from soft_tendon_env.effects.contact.outline import ROUND, nearest
 from soft_tendon_env.effects.contact.samples import (
+    axes_of,
     ends_of,
     make_samples,
     motion_at,
@@ -49,7 +52,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
     dot,
     minus,
     plus,
-    rotate,
     rotate_back,
     times,
 )
@@ -129,6 +131,21 @@ class Contact(Effect):
         force = np.empty((*gap.shape, 3))
         return float(read_contacts(parameters, nodes, gap, position, force))
 
+    def gaps(self, rod: Discretisation, poses: Array, time: float = 0.0) -> Array:
+        """Gaps (obstacles, samples) [m] between the surfaces of obstacles and of samples.
+
+        They are negative where the surfaces overlap.
+
+        Args:
+            rod: The discretised rod.
+            poses: Poses (samples, 4, 4) of the samples.
+            time: Time [s], at which obstacles that move are looked at.
+        """
+        parameters = self.parameters(rod)
+        out = np.empty((len(self.obstacles), len(poses)))
+        read_gaps(parameters, np.ascontiguousarray(poses), time, out)
+        return out
+
     def distances(self, positions: Array, time: float = 0.0) -> Array:
         """Signed distances (obstacles, m) [m] from the obstacles' surfaces, negative inside.
 
@@ -163,6 +180,9 @@ class Touch(NamedTuple):
     damping: float  # [N s/m] along the normal
     drag: float  # [N s/m] of friction, across the normal
     energy: float  # [J] that the normal force has stored
+    place: Triple  # [m] of the point about which the surface is a ball, in the section's frame
+    ball: float  # [m] radius of that
+    moves: tuple[float, float]  # [m/rad] by which that point moves where the section turns
 
 
 @kernel(inline=True)
@@ -225,23 +245,42 @@ def touch_of(body, sample, ends, nodes):
     It has no forces where they do not touch.
     """
     position = position_of(sample, ends)
-    _, away, out = place_in(body, position)
-    gap = away - sample.radius
-    normal = rotate(body.R, out)
+    y_axis, z_axis = axes_of(sample, ends)
+    point = nearest(body, sample, position, y_axis, z_axis)
+    normal = point.normal
+    ball = ball_of(sample)
     # relative velocity of the surfaces, along the normal and across
     velocity, turning = motion_at(sample, ends, nodes)
-    lever = times(-sample.radius, normal)
+    lever = plus(point.offset, times(-ball, normal))
     surface = plus(velocity, cross(turning, lever))
     relative = minus(surface, body.velocity)
     approach = -dot(relative, normal)
     slip = plus(relative, times(approach, normal))
     # pressure and friction
-    depth = max(-gap, 0.0)
+    depth = max(-point.gap, 0.0)
     pressure, stiffness, damping, energy = normal_law(body, sample, depth, approach)
     speed = math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
     drag = body.friction * pressure / speed
     force = minus(times(pressure, normal), times(drag, slip))
-    return Touch(position, gap, normal, force, stiffness, damping, drag, energy)
+    return Touch(
+        position,
+        point.gap,
+        normal,
+        force,
+        stiffness,
+        damping,
+        drag,
+        energy,
+        point.place,
+        ball,
+        point.moves,
+    )
+
+
+@kernel(inline=True)
+def ball_of(sample):
+    """Radius [m] of the ball about a sample's nearest point: a flat section has none."""
+    return sample.radius if sample.shape == ROUND else 0.0
 
 
 @kernel(inline=True)
@@ -259,22 +298,41 @@ def add_along(field, node, lever, share, n, k):
 
 
 @kernel(inline=True)
-def add_to_node(nodes, node, R, weights, radius, touch):
+def add_turning(field, node, w, k):
+    """Adds k w w^T of a rotation w to the block of a node."""
+    begin = (node // LANES) * 21 * LANES + node % LANES
+    for i in range(3):
+        for j in range(i + 1):
+            entry = i * (i + 1) // 2 + j
+            field[begin + entry * LANES] += k * w[i] * w[j]
+
+
+@kernel(inline=True)
+def add_to_node(nodes, node, R, weights, touch):
     """Adds the wrench of a sample's force on one node, with its derivatives.
 
     They are as if the other node of the interval stood still.
 
     weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x
-    (reach e_x - turn radius n) in the node's frame. Each node gets 1 / part times its block, with
-    parts that add up to 1: no motion then meets less stiffness than there is.
+    (reach e_x + turn (p - ball n)) in the node's frame, with the place p of the nearest point.
+    Each node gets 1 / part times its block, with parts that add up to 1: no motion then meets less
+    stiffness than there is.
     """
     share, reach, turn, part = weights
     n = rotate_back(R, touch.normal)
     force = rotate_back(R, touch.force)
-    lever = minus((reach, 0.0, 0.0), times(turn * radius, n))
+    middle = plus((reach, 0.0, 0.0), times(turn, touch.place))
+    lever = minus(middle, times(turn * touch.ball, n))
     wrench = (cross(lever, force), times(share, force))
     add_at(nodes.wrench, index_of_node(node), wrench)
     add_along(nodes.stiffness, node, lever, share, n, touch.stiffness / part)
+    # a flat section that turns brings its nearest point, and with it the force, to another place
+    pressure = dot(touch.force, touch.normal)
+    for i in range(2):
+        move = touch.moves[i]
+        if move > 0.0 and pressure > 0.0:
+            turned = times(turn, cross(AXES[1 + i], n))
+            add_turning(nodes.stiffness, node, turned, pressure * move / part)
     # friction resists motion along all axes, and so the normal one is counted less it
     add_along(nodes.damping, node, lever, share, n, (touch.damping - touch.drag) / part)
     if touch.drag > 0.0:
@@ -315,13 +373,12 @@ def add_to_nodes(nodes, sample, ends, touch):
     """
     i = ends.interval
     t = sample.t
-    radius = sample.radius
     part = t if i > 0 else 1.0  # of the blocks
-    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, part), radius, touch)
+    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, part), touch)
     if i > 0 and t < 1.0:
         rest = 1.0 - t
         weights = (sample.h_a, sample.reach_a, rest, rest)
-        add_to_node(nodes, i - 1, ends.R_a, weights, radius, touch)
+        add_to_node(nodes, i - 1, ends.R_a, weights, touch)
 
 
 @kernel
@@ -344,6 +401,19 @@ def read_contacts(contact, nodes, gap, position, force):
                     position[m, k] = touch.position[k]
                     force[j, m, k] = touch.force[k]
     return energy
+
+
+@kernel
+def read_gaps(contact, poses, time, out):
+    """Gaps out (obstacles, samples) [m] of samples at poses (samples, 4, 4) at a time [s]."""
+    for j in range(out.shape[0]):
+        body = body_at(contact.obstacles, j, time)
+        for m in range(out.shape[1]):
+            pose = poses[m]
+            r = (pose[0, 3], pose[1, 3], pose[2, 3])
+            y_axis = (pose[0, 1], pose[1, 1], pose[2, 1])
+            z_axis = (pose[0, 2], pose[1, 2], pose[2, 2])
+            out[j, m] = nearest(body, sample_at(contact, m), r, y_axis, z_axis).gap
 
 
 @limits_step(ContactParameters)
@@ -430,28 +500,35 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
     """
     body_before, body = bodies
     before, now = ends
-    radius = sample.radius
     flags = nodes.contact
-    start, away_before, _ = place_in(body_before, position_of(sample, before))
-    end, away, out = place_in(body, position_of(sample, now))
-    gap = away - radius
-    velocity, _ = motion_at(sample, now, nodes)
-    relative = minus(velocity, body.velocity)
-    approach = -dot(relative, rotate(body.R, out))
-    # in the last step
-    allowed = min(away_before - radius, 0.0) + (1.0 - THROUGH) * radius
+    axis_before = position_of(sample, before)
+    axis = position_of(sample, now)
+    y_before, z_before = axes_of(sample, before)
+    y_axis, z_axis = axes_of(sample, now)
+    point_before = nearest(body_before, sample, axis_before, y_before, z_before)
+    point = nearest(body, sample, axis, y_axis, z_axis)
+    gap = point.gap
+    start, _, _ = place_in(body_before, axis_before)
+    end, away, _ = place_in(body, axis)
+    velocity, turning = motion_at(sample, now, nodes)
+    surface = plus(velocity, cross(turning, point.offset))
+    relative = minus(surface, body.velocity)
+    approach = -dot(relative, point.normal)
+    # in the last step: the axis comes no nearer than the surface may be deep
+    thickness = away - gap
+    allowed = min(point_before.gap, 0.0) + thickness - THROUGH * sample.radius
     if goes_through(body, start, end, allowed):
         flags.tunnelled[0] = YES
     # in the next one: up to where the energy k d^3 / 6 e is stored
     smoothing = sample.smoothing
     landing = min(smoothing, (6.0 * smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
-    room = gap + landing if gap > 0.0 else OVERRUN * radius
+    room = gap + landing if gap > 0.0 else OVERRUN * sample.radius
     is_met = approach * longest[0] > room
     if gap < 0.0 or is_met:
         flags.active[0] = YES
     if is_met:
         longest[0] = room / approach
-    has_landed = away_before > radius and gap < 0.0 and approach > 0.0
+    has_landed = point_before.gap > 0.0 and gap < 0.0 and approach > 0.0
     if not has_landed:
         return 0.0
     _, _, _, stored = normal_law(body, sample, -gap, 0.0)

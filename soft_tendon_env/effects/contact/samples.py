@@ -1,11 +1,11 @@
 """Samples of the arm, at which contact is looked for.
 
-They are balls of its outer radius, evenly along the axis.
+They lie evenly along the axis: balls of its outer radius, or outlines of flat sections.
 
-The ball nearest to a spacer disc has the radius of the disc, and stands for its mass too.
-Each stands for its share of the length, that at the tip for the round cap too. They lie on the
-cubic Hermite curve through neighbouring nodes: with tangents h R e_x for an interval of length h,
-x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
+The sample nearest to a spacer disc that stands out is a ball with the radius of the disc, and
+stands for its mass too. Each stands for its share of the length, that at the tip for the round cap
+too. They lie on the cubic Hermite curve through neighbouring nodes: with tangents h R e_x for an
+interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
 
 from typing import NamedTuple
@@ -14,6 +14,7 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
+from soft_tendon_env.effects.contact.outline import ELLIPSE, RECTANGLE, ROUND
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times, twist_of
 from soft_tendon_env.mechanics.effects import BeforeStep, Nodes, make_contact_flags
@@ -49,17 +50,20 @@ def motion_of(nodes, node, R, r):
 
 
 class Sample(NamedTuple):
-    """A ball of the arm at its place t between the nodes a and b of an interval of length h."""
+    """A piece of the arm at its place t between the nodes a and b of an interval of length h."""
 
     h_a: float  # H00 [-]
     reach_a: float  # h H10 [m]
     h_b: float
     reach_b: float
     t: float
-    radius: float  # [m]
+    radius: float  # [m] of a ball; of a flat section half of its least width
     stiffness: float  # k [N/m]
     smoothing: float  # e [m]
     wall: float  # scale [J] of the wall's energy
+    shape: float  # ROUND, ELLIPSE or RECTANGLE
+    half_y: float  # [m] half widths of a flat section
+    half_z: float
 
 
 class Ends(NamedTuple):
@@ -84,7 +88,23 @@ def ends_of(nodes, i):
 def sample_at(contact, m):
     """The sample of a row."""
     row = contact.samples[m]
-    return Sample(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+    h_a, reach_a, h_b, reach_b = row[0], row[1], row[2], row[3]
+    t, radius, stiffness, smoothing, wall = row[4], row[5], row[6], row[7], row[8]
+    shape, half_y, half_z = row[9], row[10], row[11]
+    return Sample(
+        h_a,
+        reach_a,
+        h_b,
+        reach_b,
+        t,
+        radius,
+        stiffness,
+        smoothing,
+        wall,
+        shape,
+        half_y,
+        half_z,
+    )
 
 
 @kernel(inline=True)
@@ -102,9 +122,27 @@ def tangent(R):
 
 
 @kernel(inline=True)
+def column(R, i):
+    """Column i of a rotation."""
+    return R[i], R[3 + i], R[6 + i]
+
+
+@kernel(inline=True)
 def position_of(sample, ends):
     """Position of a sample's middle [m]."""
     return hermite(sample, ends.r_a, tangent(ends.R_a), ends.r_b, tangent(ends.R_b))
+
+
+@kernel(inline=True)
+def axes_of(sample, ends):
+    """Axes y and z of the section at a sample, in the world frame.
+
+    They are means of those of both nodes, so that a point of the section moves linearly with them.
+    """
+    t = sample.t
+    y_axis = plus(times(t, column(ends.R_b, 1)), times(1.0 - t, column(ends.R_a, 1)))
+    z_axis = plus(times(t, column(ends.R_b, 2)), times(1.0 - t, column(ends.R_a, 2)))
+    return y_axis, z_axis
 
 
 @kernel(inline=True)
@@ -146,24 +184,28 @@ def nodes_with(pose, twist, base, time):
 def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths.
 
-    These are (samples,) [m], a radius apart at most.
+    These are (samples,) [m], a radius apart at most: of a flat section the geometric mean of its
+    half widths.
     """
     start = np.concatenate([[0.0], rod.node[:-1]])
     h = rod.node - start
     # how many to an interval, and where in it
     middle = 0.5 * (start + rod.node)
-    apart = np.maximum(rod.radius(middle), rod.length / MOST_SAMPLES)
+    spacing = np.sqrt(np.prod(rod.half_widths(middle), axis=0))
+    apart = np.maximum(spacing, rod.length / MOST_SAMPLES)
     counts = np.ceil(h / apart).astype(int)
     t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
     length = np.repeat(h, counts)
     place = np.repeat(start, counts) + t * length
-    radius = sample_radius(rod, place)
+    outline = sample_outlines(rod, place)
+    radius = outline.radius
     # the length of rod that each stands for, the last one for the tip's round cap too
     share = np.repeat(h / np.maximum(counts, 1), counts)
     share[-1] = 0.5 * share[-1] + radius[-1]
-    # E A / (2 r)^2 per length and depth
+    # E A / (2 r)^2 per length and depth: of a flat section across its larger width, the softer way
     axial = rod.elasticity(place)[:, 3]
-    stiffness = axial / (2.0 * rod.radius(place)) ** 2 * share
+    width = 2.0 * rod.half_widths(place).max(axis=0)
+    stiffness = axial / width**2 * share
     # energy of the wall: of the rod, and of the discs at the nearest samples
     unit = WALL_MASS * WALL_SPEED**2
     wall = unit * rod.line_mass(place) * share
@@ -175,22 +217,43 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     reach_b = length * t**2 * (t - 1)
     smoothing = SMOOTHING * radius
     # in the order of Sample
-    columns = [h_a, reach_a, h_b, reach_b, t, radius, stiffness, smoothing, wall]
+    curve = [h_a, reach_a, h_b, reach_b, t]
+    columns = [*curve, radius, stiffness, smoothing, wall, outline.shape, *outline.half_widths]
     last = np.cumsum(counts)
     first = last - counts
-    largest = [radius[begin:end].max(initial=0.0) for begin, end in zip(first, last, strict=True)]
+    largest = [
+        outline.largest[begin:end].max(initial=0.0) for begin, end in zip(first, last, strict=True)
+    ]
     intervals = np.stack([h, first, last, largest], axis=1)
     return intervals, np.stack(columns, axis=1), place
 
 
-def sample_radius(rod: Discretisation, arc_length: Array) -> Array:
-    """Radius (m,) [m] of the balls at arc lengths (m,) [m].
+class Outlines(NamedTuple):
+    """Outlines of samples."""
 
-    It is the rod's, or at the ball nearest to a spacer disc that of the disc.
+    shape: Array  # (m,) ROUND, ELLIPSE or RECTANGLE
+    radius: Array  # (m,) [m] of a ball; of a flat section half of its least width
+    largest: Array  # (m,) [m] of the circle around the section or disc
+    half_widths: Array  # (2, m) [m] along y and z
+
+
+def sample_outlines(rod: Discretisation, arc_length: Array) -> Outlines:
+    """Outlines of samples at arc lengths (m,) [m].
+
+    They are the rod's, or at the sample nearest to a spacer disc that stands out that of the disc.
     """
-    radius = rod.radius(arc_length)
-    np.maximum.at(radius, _nearest(rod, arc_length), rod.discs[:, 2])
-    return radius
+    half_widths = rod.half_widths(arc_length)
+    is_round = half_widths[0] == half_widths[1]
+    flat_shape = np.where(rod.has_corners(arc_length), RECTANGLE, ELLIPSE)
+    is_circle = is_round & (flat_shape == ELLIPSE)
+    shape = np.where(is_circle, ROUND, flat_shape)
+    around = rod.radius(arc_length)
+    largest = around.copy()
+    np.maximum.at(largest, _nearest(rod, arc_length), rod.discs[:, 2])
+    is_disc = largest > around
+    shape[is_disc] = ROUND
+    radius = np.where(shape == ROUND, largest, half_widths.min(axis=0))
+    return Outlines(shape, radius, largest, half_widths)
 
 
 def _nearest(rod: Discretisation, arc_length: Array) -> IntVector:

@@ -1,5 +1,7 @@
-"""Time integration with step size control: which steps are accepted, how long the next one is, and
-the samples on the way."""
+"""Time integration with step size control.
+
+It says which steps are accepted, how long the next one is, and has the samples on the way.
+"""
 
 import math
 from typing import NamedTuple
@@ -85,8 +87,10 @@ class Limits(NamedTuple):
 
 @kernel
 def next_step(control, most_columns, step, attempt):
-    """Step size to try after an attempt whose error is known; what took less than the most columns
-    may be twice as long."""
+    """Step size to try after an attempt whose error is known.
+
+    What took less than the most columns may be twice as long.
+    """
     if not control.adaptive:
         return 2.0 * step
     # the error of k columns grows as the k-th power of the step
@@ -98,9 +102,11 @@ def next_step(control, most_columns, step, attempt):
 
 @kernel
 def while_touching(arm, control):
-    """Control of a step where the arm touches something or is about to: its error decides, with
-    fixed steps too. An impact is over in a short step, but the error of the rates that it leaves
-    lasts: it counts as the way made in a step of the scene."""
+    """Control of a step where the arm touches something or is about to.
+
+    Its error decides, with fixed steps too. An impact is over in a short step, but the error of the
+    rates that it leaves lasts: it counts as the way made in a step of the scene.
+    """
     rough = ROUGH * total(arm.rod.length)
     tolerance = min(control.tolerance, rough)
     horizon = control.horizon * tolerance / rough
@@ -109,9 +115,12 @@ def while_touching(arm, control):
 
 @phase
 def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
-    """Longest step [s] that effects allow from the strain of work.strain at rates q_dot (n), which
-    a step has led to, and what the arm meets there and on its way there from the motion; into
-    scratch.longest (1) and work.collision."""
+    """Longest step [s] that effects allow, and what the arm meets, into the scratch.
+
+    It is from the strain of work.strain at rates q_dot (n), which a step has led to, and what the
+    arm meets there and on its way there from the motion; into scratch.longest (1) and
+    work.collision.
+    """
     effects = arm.effects
     work = scratch.work
     inputs = work.inputs
@@ -149,9 +158,11 @@ def copy_placement(kinematics, before_step):
 
 @kernel
 def settle(arm, arrived, motion, step, touching, control, scratch):
-    """Accepts the step that was just taken under what had arrived (n_a): the motion becomes its
-    end, with its strain and the internal states of the effects there. A status; the motion stays
-    unless that is OK."""
+    """Accepts the step that was just taken under what had arrived (n_a).
+
+    The motion becomes its end, with its strain and the internal states of the effects there. A
+    status; the motion stays unless that is OK.
+    """
     work = scratch.work
     strain = work.strain
     inputs = work.inputs
@@ -214,8 +225,10 @@ def first_limits(arm, motion, control, scratch):
 
 @kernel
 def step_length(step, rest, limits):
-    """Length [s] of a step where one is to be tried and some time is left: none remains that is
-    much shorter."""
+    """Length [s] of a step where one is to be tried and some time is left.
+
+    None remains that is much shorter.
+    """
     length = rest if step > rest * (1.0 - SAME) else step
     if limits.longest >= length:
         return length
@@ -227,8 +240,10 @@ def step_length(step, rest, limits):
 
 @kernel
 def try_step(arm, scheme, motion, length, limits, scratch):
-    """One step of a length [s] from the motion under the command in scratch.arrival: what was
-    attempted, its status, and the control that it was held to."""
+    """Tries one step of a length [s] from the motion under the command in scratch.arrival.
+
+    It returns what was attempted, its status, and the control that it was held to.
+    """
     method = scheme.method
     control = scheme.control
     arrived = scratch.arrival.command
@@ -251,8 +266,10 @@ def try_step(arm, scheme, motion, length, limits, scratch):
 
 @kernel
 def advance_row(arm, scheme, command, duration, motion, progress, scratch):
-    """Integrates the motion in place under a command (n_a) for a duration [s]; progress: of the
-    rows before, and then with this one."""
+    """Integrates the motion in place under a command (n_a) for a duration [s].
+
+    progress: of the rows before, and then with this one.
+    """
     control = scheme.control
     columns = scheme.method.columns
     status, row, step, steps, rejected, error, evaluations = progress
@@ -308,9 +325,12 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
 
 @kernel
 def advance(arm, scheme, commands, durations, motion, step, scratch, record):
-    """Integrates the motion in place under every row of commands (rows, n_a) for its duration
-    (rows) [s], with samples evenly among them, if any. A command is held until the next one, and
-    acts as effects deliver and transmit it: as tensions, where there are none."""
+    """Integrates the motion in place under every row of commands (rows, n_a).
+
+    Each lasts for its duration (rows) [s], with samples evenly among them, if any. A command is
+    held until the next one, and acts as effects deliver and transmit it: as tensions, where there
+    are none.
+    """
     samples = record.q.shape[0]
     every = commands.shape[0] // max(samples, 1)
     arrival = scratch.arrival

@@ -1,5 +1,6 @@
-"""Batches of arms, the rows: each has an arm and a motion of its own, and the same compiled code
-takes them one after another.
+"""Batches of arms, the rows: each has an arm and a motion of its own.
+
+The same compiled code takes them one after another.
 
 What a row does depends on nothing but that row, so it is the same bit for bit whatever other rows
 there are, and any row may be stepped on any thread with any scratch.
@@ -56,8 +57,10 @@ class Rows(Struct):
 
 
 class Places(Struct):
-    """Places along the rod at which poses and strains are read: interval and distance [m] from its
-    start."""
+    """Places along the rod at which poses and strains are read.
+
+    They are an interval and the distance [m] from its start.
+    """
 
     station: IntVector
     station_distance: FloatVector
@@ -109,8 +112,10 @@ class Batch(Struct):
 
 
 def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int) -> Batch:
-    """Batch of so many rows of one arm in one motion, read at these places; step: [s] to try
-    next."""
+    """Batch of so many rows of one arm in one motion, read at these places.
+
+    step: [s] to try next.
+    """
     fields = {
         name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()
     }
@@ -122,8 +127,10 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
 
 @kernel
 def read(arm, places, q_dot, work, row, reading):
-    """Measures a row into `reading` at the time of work.inputs, but for the tension, where
-    strain_from_guess() or strain_from_rest() has just left the strain."""
+    """Measures a row into `reading` at the time of work.inputs, but for the tension.
+
+    strain_from_guess() or strain_from_rest() has just left the strain.
+    """
     rod = arm.rod
     strain = work.strain
     kinematics = work.kinematics
@@ -151,8 +158,10 @@ def read(arm, places, q_dot, work, row, reading):
 
 @kernel
 def read_tension(arm, command, motion, scratch, tension):
-    """Tensions (n_a) at the actuators in a motion whose strain is in the workspace, under the last
-    command (n_a) that was given."""
+    """Tensions (n_a) at the actuators in a motion whose strain is in the workspace.
+
+    They are under the last command (n_a) that was given.
+    """
     arrival = scratch.arrival
     receive(arm.effects, command, False, motion.clock[0], motion.state, arrival)
     acting = command_at(arm.effects, arrival.command, motion.state, 0.0, scratch.acting)
@@ -162,8 +171,9 @@ def read_tension(arm, command, motion, scratch, tension):
 
 @kernel
 def step_rows(batch, scheme, members, commands, durations, scratch, tape):
-    """Advances the rows named in `members` under commands (rows, parts, n_a), each for its duration
-    (rows, parts) [s], and reads them.
+    """Advances the rows named in `members` under commands (rows, parts, n_a), and reads them.
+
+    Each command lasts for its duration (rows, parts) [s].
 
     scheme.begins: whether the command of the first part begins with it; those of the others do. A
     row whose step fails keeps its last good motion. The tape keeps where every part began, unless
@@ -193,8 +203,10 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
 
 @kernel
 def advance_parts(arm, scheme, commands, durations, motion, row, results, scratch):
-    """Advances the motion of a row part by part, with its outcome, and keeps on the tape where each
-    begins; results: batch and tape."""
+    """Advances the motion of a row part by part, and keeps on the tape where each begins.
+
+    It has its outcome; results: batch and tape.
+    """
     batch, tape = results
     rows = batch.rows
     outcome = batch.outcome
@@ -221,8 +233,10 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
 
 @kernel
 def place_rows(batch, members, commands, work):
-    """Finds strains at the coordinates of the rows in `members`, from rest, where commands (rows,
-    n_a) have always held, and reads them."""
+    """Finds strains at the coordinates of the rows in `members`, from rest, and reads them.
+
+    Commands (rows, n_a) have always held the arms there.
+    """
     rows = batch.rows
     outcome = batch.outcome
     reading = batch.reading
@@ -244,9 +258,11 @@ def place_rows(batch, members, commands, work):
 
 @kernel
 def read_samples(arm, places, q, q_dot, members, work, reading, good):
-    """Reads given motions q, q_dot (samples, n) at the samples named in `members`; good (samples):
-    whether there is a strain, sought from rest: what is read depends on q and q_dot alone. A sample
-    without a strain keeps what stood in `reading`."""
+    """Reads motions q, q_dot (samples, n) at the samples named in `members`.
+
+    good (samples): whether there is a strain, sought from rest: what is read depends on q and q_dot
+    alone. A sample without a strain keeps what stood in `reading`.
+    """
     work.inputs.clock[0] = 0.0
     for i in members:
         failed, _ = strain_from_rest(arm, q[i], STEP_TOLERANCE, work.strain, work.kinematics)
@@ -257,16 +273,20 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
 
 @kernel
 def are_firm(arm, q, members, work, firm):
-    """Whether coordinates have a firm strain, see parametrisation: firm (samples) of q (samples,
-    n), for the samples named in `members`."""
+    """Tells whether coordinates have a firm strain, see parametrisation.
+
+    firm (samples) of q (samples, n), for the samples named in `members`.
+    """
     for i in members:
         firm[i] = strain_has_margin(arm, q[i], STEP_TOLERANCE, work.strain, work.kinematics)
 
 
 @kernel
 def read_backbones(arm, places, xi, kinematics, out):
-    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6) from
-    kinematics.base; out holds identities to begin with."""
+    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6).
+
+    They start from kinematics.base; out holds identities to begin with.
+    """
     length = arm.rod.length
     for i in range(xi.shape[0]):
         poses(arm.rod, kinematics.base, xi[i], kinematics)

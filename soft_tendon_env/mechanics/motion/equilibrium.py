@@ -1,5 +1,7 @@
-"""Static balance of forces, f = B u - K + F of (23) without motion, with its derivatives in the
-coordinates and in the load."""
+"""Static balance of forces, f = B u - K + F of (23) without motion.
+
+It has derivatives in the coordinates and in the load.
+"""
 
 from typing import NamedTuple
 
@@ -30,8 +32,9 @@ class Linearisation(NamedTuple):
 
 @kernel(refcount=True)
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
-    """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along
-    `directions` (m, n).
+    """Static balance f = part (B u + F) - K at q into `out`, with its derivatives.
+
+    They are df/dpart where asked for, and -df/dq along `directions` (m, n).
 
     The strain at q is found with no guess: the result depends on nothing but q. f is affine in the
     part, so a second one gives its rate; slopes are by differences, to a relative 1e-7 or so: G
@@ -77,8 +80,10 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
 
 @kernel(refcount=True)
 def strain_is_continuous(arm, q_from, q, strain, kinematics):
-    """Whether the strain from rest at q_from becomes that at q on the way between them; tendons
-    that push can part them."""
+    """Tells whether the strain from rest at q_from becomes that at q on the way between them.
+
+    Tendons that push can part them.
+    """
     if strain_is_unique(arm, q, strain):
         return True
     if strain_from_rest(arm, q_from, ROUND_OFF, strain, kinematics)[0] >= 0:

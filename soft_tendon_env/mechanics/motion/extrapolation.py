@@ -1,5 +1,6 @@
-"""Extrapolated linearly implicit Euler (SEULEX) step of (23), tension held over a step (Deuflhard,
-Hairer and Zugck 1987).
+"""Extrapolated linearly implicit Euler (SEULEX) step of (23), tension held over a step.
+
+It is that of Deuflhard, Hairer and Zugck 1987.
 
 The substep of implicit_euler is repeated n_j = 1, 2, ... times over the step, and the results
 extrapolated to h = 0 by Aitken-Neville. Every column adds an order, and the difference between the
@@ -67,9 +68,12 @@ class Attempt(NamedTuple):
 
 @kernel
 def predict_strain(law, q, q_last, strain, change):
-    """Predicts the strain at coordinates q in strain.xi: to first order along the columns of the
-    last evaluation, and to second order as far as q lies where its rates lead, along its bias;
-    never further along the bias than along the columns. Overwrites `change` (points x 6)."""
+    """Predicts the strain at coordinates q in strain.xi.
+
+    It does so to first order along the columns of the last evaluation, and to second order as far
+    as q lies where its rates lead, along its bias; never further along the bias than along the
+    columns. Overwrites `change` (points x 6).
+    """
     per_column = change.size
     # Phi (q - q_last)
     for m in range(0, per_column, LANES):
@@ -107,9 +111,11 @@ def predict_strain(law, q, q_last, strain, change):
 
 @kernel
 def evaluate_force(arm, method, command, q, v, state, time, scratch):
-    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command
-    (n_a) that acts, into scratch.now.force; a status. state: internal states of the effects, at
-    this time or that of inputs.since before it."""
+    """Force on the coordinates under the command (n_a) that acts; a status.
+
+    It is drive - C v + F, or without inertia drive + F, into scratch.now.force. state: internal
+    states of the effects, at this time or that of inputs.since before it.
+    """
     work = scratch.work
     copy(state, work.inputs.state)
     work.inputs.clock[0] = time
@@ -126,9 +132,11 @@ def evaluate_force(arm, method, command, q, v, state, time, scratch):
 
 @kernel
 def substeps(arm, method, tolerance, arrived, motion, step, row, scratch):
-    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v, of which
-    the first goes from the evaluation at the start that all rows share; a status and the number of
-    evaluations."""
+    """First entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v.
+
+    The first of them goes from the evaluation at the start that all rows share; a status and the
+    number of evaluations.
+    """
     h = step / (row + 1)
     is_alone = row == 0
     evaluations = 0
@@ -151,8 +159,10 @@ def substeps(arm, method, tolerance, arrived, motion, step, row, scratch):
 
 @kernel
 def evaluate_substep(arm, method, arrived, motion, number, h, scratch):
-    """Force at the beginning of a substep, from scratch.q, scratch.v, into scratch.now.force; a
-    status."""
+    """Force at the beginning of a substep, into scratch.now.force; a status.
+
+    The substep begins at scratch.q, scratch.v.
+    """
     work = scratch.work
     inputs = work.inputs
     remembers = inputs.before.size > 0
@@ -178,9 +188,12 @@ def evaluate_substep(arm, method, arrived, motion, number, h, scratch):
 
 @kernel
 def complete_row(row, scratch):
-    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in
-    their place, with the error estimate; where the tension of an elastic tendon has a kink within
-    the step, which cannot be extrapolated, the first one, as of a first-order method."""
+    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry.
+
+    The last entry takes their place, with the error estimate; where the tension of an elastic
+    tendon has a kink within the step, which cannot be extrapolated, the first one, as of a
+    first-order method.
+    """
     kept = row
     other = max(row - 1, 0)
     if scratch.kink[0] == KINKED and row > 0:
@@ -192,8 +205,11 @@ def complete_row(row, scratch):
 
 @kernel
 def extrapolate(row, kept, other, table, value, error):
-    """Aitken-Neville for the step numbers 1, 2, 3, ... from a value (n), the row's first entry: to
-    the entry that is kept, in its place, and its difference from another one."""
+    """Aitken-Neville for the step numbers 1, 2, 3, ...
+
+    from a value (n), the row's first entry: to the entry that is kept, in its place, and its
+    difference from another one.
+    """
     copy(value, table[row, 0])
     for k in range(1, row + 1):
         # T_jk = T_j,k-1 + (T_j,k-1 - T_j-1,k-1) / (n_j / n_j-k - 1)
@@ -209,9 +225,11 @@ def extrapolate(row, kept, other, table, value, error):
 
 @kernel
 def error_estimate(rod, horizon, scratch):
-    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square
-    displacement of the rod, sqrt(e^T M e / m), that error_q makes at once or error_v within a
-    horizon [s], that of a step as a rule."""
+    """Status and error estimate [m] of the step to scratch.q, scratch.v.
+
+    It is the root mean square displacement of the rod, sqrt(e^T M e / m), that error_q makes at
+    once or error_v within a horizon [s], that of a step as a rule.
+    """
     M = scratch.work.matrices.M
     by_q = 0.0
     by_v = 0.0
@@ -229,9 +247,11 @@ def error_estimate(rod, horizon, scratch):
 
 @kernel
 def extrapolated_step(arm, method, demand, arrived, motion, step, scratch):
-    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from
-    demand.least on, as meet the tolerance. It ends early where the estimate, falling as it did by
-    the last column, would miss the tolerance by HOPELESS at the end, with that estimate."""
+    """One extrapolated step from motion to scratch.q, scratch.v that meets the tolerance.
+
+    It has as few columns, from demand.least on, as do. It ends early where the estimate, falling as
+    it did by the last column, would miss the tolerance by HOPELESS at the end, with that estimate.
+    """
     most = method.columns
     tolerance = demand.tolerance
     copy(motion.xi, scratch.work.strain.xi)
@@ -259,8 +279,10 @@ def extrapolated_step(arm, method, demand, arrived, motion, step, scratch):
 
 
 class Extrapolated(NamedTuple):
-    """Extrapolated linearly implicit Euler, from `least` to `columns` columns: as many as the error
-    calls for."""
+    """Extrapolated linearly implicit Euler, from `least` to `columns` columns.
+
+    It takes as many as the error calls for.
+    """
 
     columns: int
     least: int

@@ -1,5 +1,7 @@
-"""Adjoint of the filter of commands through a part: cotangents of the mean commands in its halves,
-and of the internal state at its end, to those of the state at its beginning and of the command.
+"""Adjoint of the filter of commands through a part.
+
+It takes cotangents of the mean commands in its halves, and of the internal state at its end, to
+those of the state at its beginning and of the command.
 
 A tendon has its numbers in the state, u and its commands in the table, and last the command that is
 given. Which of them acts is known by their times of arrival, and u answers to that as lag_slopes()
@@ -51,8 +53,10 @@ def make_filter_memory(arm: Arm) -> FilterMemory:
 
 @kernel
 def source_at(path, table, times, begins, arrived_by):
-    """Number that had arrived last at a time [s], of the table at the beginning of a part and of
-    the command that is given there."""
+    """Number that had arrived last at a time [s].
+
+    It is one of the table at the beginning of a part and of the command that is given there.
+    """
     given = 1 + len(table)
     if path.delay == 0.0 or (begins and times[0] + path.delay <= arrived_by):
         return given
@@ -65,8 +69,10 @@ def source_at(path, table, times, begins, arrived_by):
 
 @kernel
 def begin_filter(effects, start, command, times, begins, scratch, memory):
-    """Runs the filter through a part from its internal state (states) under a command (n_a), with
-    its derivatives."""
+    """Runs the filter through a part from its internal state (states), with derivatives.
+
+    It is under a command (n_a).
+    """
     path = effects.transmission
     arrival = scratch.arrival
     state = memory.state
@@ -99,8 +105,10 @@ def begin_filter(effects, start, command, times, begins, scratch, memory):
 
 @kernel
 def add_slopes(path, arrived, u, source, step, share, slope, mean):
-    """Takes derivatives of u (numbers, n_a) over a time [s], and adds those of a share of its mean,
-    where the `source`-th number has arrived."""
+    """Takes derivatives of u (numbers, n_a) over a time [s], and adds those of its mean.
+
+    They are of a share of the mean, where the `source`-th number has arrived.
+    """
     for i in range(arrived.size):
         left, by_u = lag_slopes(path, arrived[i] - u[i], step)
         for number in range(len(mean)):
@@ -112,8 +120,10 @@ def add_slopes(path, arrived, u, source, step, share, slope, mean):
 
 @kernel
 def filter_adjoint(effects, start, times, begins, state, command, memory):
-    """Cotangents `state` (states) from a part's end to its beginning, and those added to `command`
-    (n_a); after begin_filter()."""
+    """Cotangents `state` (states) from a part's end to its beginning, after begin_filter().
+
+    Those of the command are added to `command` (n_a).
+    """
     path = effects.transmission
     tendons = command.size
     numbers = memory.slope

@@ -1,5 +1,7 @@
-"""Pose errors on SE(3): twists log(g^-1 g_bar) from poses g to others g_bar, their derivative, and
-poses moved along twists."""
+"""Pose errors on SE(3): twists log(g^-1 g_bar) from poses g to others g_bar.
+
+It also has their derivative, and poses moved along twists.
+"""
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import (
@@ -30,8 +32,10 @@ def pose_at(poses, row):
 
 @kernel
 def pose_errors(pose, goal, out):
-    """The twists out (rows, m, 6), log(g^-1 g_bar), that carry the poses g (rows, 4, 4) to the
-    goals g_bar (rows, m, 4, 4)."""
+    """Twists out (rows, m, 6), log(g^-1 g_bar), from poses to goals.
+
+    They carry the poses g (rows, 4, 4) to the goals g_bar (rows, m, 4, 4).
+    """
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
         R_transposed = R[0::3] + R[1::3] + R[2::3]
@@ -44,8 +48,9 @@ def pose_errors(pose, goal, out):
 
 @kernel
 def pose_error_cotangents(error, cotangent, pose, goal):
-    """Cotangents (rows, m, 6) of body twists of the poses and of the goals, from the twists of
-    pose_errors() and cotangents of those.
+    """Cotangents (rows, m, 6) of body twists of the poses and of the goals.
+
+    They come from the twists of pose_errors() and cotangents of those.
 
     A goal that moves along y changes the error x by T_-x^-1 y, a pose that does by -T_x^-1 y, with
     the inverse tangent operator T_x^-1.
@@ -63,8 +68,10 @@ def pose_error_cotangents(error, cotangent, pose, goal):
 
 @kernel
 def move_poses(pose, twist, out):
-    """Poses out (rows, m, 4, 4), g exp(x), of poses g (rows, 4, 4) and twists x (rows, m, 6): what
-    undoes pose_errors()."""
+    """Poses out (rows, m, 4, 4), g exp(x), of poses g (rows, 4, 4) and twists x (rows, m, 6).
+
+    They undo pose_errors().
+    """
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
         for j in range(twist.shape[1]):

@@ -1,2 +1,4 @@
-"""The equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms;
-`evaluate` names the phases in order."""
+"""Equations of motion (23) at one state: strains, kinematics, loads, Lagrangian terms.
+
+`evaluate` names the phases in order.
+"""

@@ -1,5 +1,6 @@
-"""Filter of commands in front of the tendons: delay, lag and limited rate, see
-effects.Transmission.
+"""Filter of commands in front of the tendons: delay, lag and limited rate.
+
+See effects.Transmission.
 
 Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) /
 tau, -r, r): as long as c is held u is a function of time that is known exactly, so that it is no
@@ -39,8 +40,10 @@ class Arrival(Struct):
 
 @kernel(refcount=True)
 def filter_state(effects, state, tendons):
-    """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter, in the internal states of all
-    effects."""
+    """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter.
+
+    They lie in the internal states of all effects.
+    """
     i = effects.transmission.filter
     begin = effects.first_state[i]
     end = effects.first_state[i + 1]
@@ -56,8 +59,10 @@ def has_arrived_by(time):
 
 @kernel
 def receive(effects, command, begins, time, state, arrival):
-    """Writes the command that has arrived where one (n_a) is given, from this time [s] on if it
-    `begins`, and how long it stays, into `arrival`."""
+    """Writes the command that has arrived, and how long it stays, into `arrival`.
+
+    One (n_a) may be given, from this time [s] on if it `begins`.
+    """
     copy(command, arrival.command)
     arrival.until[0] = math.inf
     arrival.queue[0] = HAS_ROOM
@@ -97,8 +102,9 @@ def arrive(effects, begins, time, state, arrival):
 @kernel
 def enqueue(arrival_time, command, table, count):
     """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room.
-    One that repeats the last one is kept while there is room, since it has a derivative of its
-    own."""
+
+    One that repeats the last one is kept while there is room, since it has a derivative of its own.
+    """
     is_full = count == len(table)
     is_new = differ(table[count - 1], command)
     if not is_new:
@@ -138,8 +144,10 @@ def differ(row, command):
 
 @kernel
 def settling_time(path, u, command):
-    """Time [s] to the next kink of u: the end of its limited rate, or some time constants while it
-    lags."""
+    """Time [s] to the next kink of u.
+
+    It is the end of its limited rate, or some time constants while it lags.
+    """
     largest = 0.0
     for i in range(command.size):
         largest = max(largest, abs(command[i]), abs(u[i]))
@@ -158,8 +166,10 @@ def settling_time(path, u, command):
 
 @kernel
 def limited_time(path, away, step):
-    """For how much of a time [s] the rate is limited, and what the lag leaves over the rest of it
-    of how far u is away."""
+    """Part of a time [s] in which the rate is limited, and the lag's factor over the rest.
+
+    The factor is what the lag leaves of how far u is away.
+    """
     slow = 0.0  # nearer than this the rate is below its limit
     if path.time_constant > 0.0:
         slow = path.rate_limit * path.time_constant
@@ -174,7 +184,7 @@ def limited_time(path, away, step):
 
 @kernel
 def lag_response(path, u, command, step):
-    """u after a time [s] towards a command that is held, exactly."""
+    """State u of the filter a time [s] towards a command that is held, exactly."""
     if step == 0.0:
         return u
     away = command - u
@@ -187,8 +197,10 @@ def lag_response(path, u, command, step):
 
 @kernel
 def lag_slopes(path, away, step):
-    """Derivatives by u of lag_response() and of its mean; those by the command are what is left to
-    1. Without a lag the command acts."""
+    """Derivatives by u of lag_response() and of its mean.
+
+    Those by the command are what is left to 1. Without a lag the command acts.
+    """
     if not path.lags:
         return 1.0, 0.0
     limited, left = limited_time(path, away, step)
@@ -198,8 +210,10 @@ def lag_slopes(path, away, step):
 
 @kernel(refcount=True)
 def command_at(effects, arrived, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `arrived`
-    (n_a) has arrived: `out`, or that."""
+    """Command that acts a time [s] after the internal states were `state`.
+
+    `arrived` (n_a) has arrived: the command is in `out`, or that.
+    """
     path = effects.transmission
     if not path.lags:
         return arrived
@@ -211,8 +225,10 @@ def command_at(effects, arrived, state, since, out):
 
 @kernel
 def follow(effects, arrived, step, state):
-    """Advances the filter's part of the internal states by a time [s] in which `arrived` (n_a) has
-    arrived and is held."""
+    """Advances the filter's part of the internal states by a time [s].
+
+    In it `arrived` (n_a) has arrived and is held.
+    """
     if effects.transmission.lags:
         u, _ = filter_state(effects, state, arrived.size)
         command_at(effects, arrived, state, step, u)

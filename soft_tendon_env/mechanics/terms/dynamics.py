@@ -1,5 +1,6 @@
-"""Lagrangian terms of (23), Appendix D: mass and damping matrix, bias, generalised forces, from
-columns at the points and the nodes.
+"""Lagrangian terms of (23), Appendix D, from columns at the points and the nodes.
+
+They are mass and damping matrix, bias, generalised forces.
 
 C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
 """
@@ -23,8 +24,10 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6
 
 
 class RowLayout(NamedTuple):
-    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, zero
-    but for the first `used`."""
+    """Layout of a column: in every pack `groups` groups of `size` numbers.
+
+    They are whole wide packs, zero but for the first `used`.
+    """
 
     groups: int
     size: int
@@ -33,8 +36,10 @@ class RowLayout(NamedTuple):
 
 @kernel(inline=True)
 def point_rows(rod):
-    """Layout of a column over points: two blocks a pack, six components, those of rigid strains
-    zero."""
+    """Layout of a column over points.
+
+    It has two blocks a pack, six components, those of rigid strains zero.
+    """
     return RowLayout(2, 6 * LANES, len(rod.free) * LANES)
 
 
@@ -79,7 +84,7 @@ def _zero_tile():
 
 @kernel(inline=True)
 def _add_products(total, x, y):
-    """total + x y, pack by pack, for one x and a tile of y."""
+    """Sum total + x y, pack by pack, for one x and a tile of y."""
     return (
         total[0] + x * y[0],
         total[1] + x * y[1],
@@ -125,9 +130,12 @@ def _reach(tile, pack_begin, pack_end):
 
 @kernel
 def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out):
-    """Weighted Gram matrix out_ij, the sum over the rows of columns_i weight others_j in a range of
-    packs, where others_j is a symmetric matrix times columns_j. Column j is zero but from
-    pack_begin[j] to pack_end[j]; `rows` is the layout of a pack."""
+    """Weighted Gram matrix out_ij in a range of packs.
+
+    It is the sum over the rows of columns_i weight others_j, where others_j is a symmetric matrix
+    times columns_j. Column j is zero but from pack_begin[j] to pack_end[j]; `rows` is the layout of
+    a pack.
+    """
     begin, end = packs
     n = pack_begin.size
     per_column = columns.size // n
@@ -223,8 +231,10 @@ def damping_matrix(rod, law, strain, D):
 
 @kernel(inline=True)
 def stiffness_matrix(rod, law, strain, ones, G):
-    """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the
-    weight in strain.Y; symmetric."""
+    """Stiffness G = int Phi^T Phi_w dX; symmetric.
+
+    It is of the columns Phi and their wrenches Phi_w times the weight in strain.Y.
+    """
     gram_within(
         strain.Phi,
         strain.Y,
@@ -239,8 +249,10 @@ def stiffness_matrix(rod, law, strain, ones, G):
 
 @kernel
 def driving_force(rod, law, strain, stress, drive):
-    """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX; overwrites `stress`
-    (points x 6)."""
+    """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX.
+
+    Overwrites `stress` (points x 6).
+    """
     for m in range(0, stress.size, LANES):
         viscous = load(rod.viscosity, m) * load(strain.xi_dot, m)
         store(stress, m, load(strain.mismatch, m) - viscous)
@@ -249,8 +261,10 @@ def driving_force(rod, law, strain, stress, drive):
 
 @kernel
 def bias_force(rod, law, kinematics, wrench, bias):
-    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), by the inertial wrenches
-    at zero q_ddot; overwrites `wrench` (nodes x 6)."""
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b).
+
+    It is by the inertial wrenches at zero q_ddot; overwrites `wrench` (nodes x 6).
+    """
     for pack in range(rod.packs):
         inertia = load6(rod.inertia, pack)
         eta = load6(kinematics.eta, pack)

@@ -13,9 +13,11 @@ from soft_tendon_env.mechanics.types import Explicit
 
 @kernel
 def explicit_columns(arm, law, tension, q, q_dot, strain, kinematics):
-    """Strain rate xi_dot, tangents, and the stress that drives the coordinates under tensions
-    (n_a), times the weight; xi is linear in q, so its columns are constant and its bias stays the
-    zero that it is."""
+    """Strain rate xi_dot, tangents, and the stress that drives the coordinates.
+
+    The stress is under tensions (n_a), times the weight; xi is linear in q, so its columns are
+    constant and its bias stays the zero that it is.
+    """
     rod = arm.rod
     explicit_rate(arm, law, q_dot, strain)
     copy(tension, strain.tau)
@@ -32,8 +34,10 @@ def explicit_columns(arm, law, tension, q, q_dot, strain, kinematics):
 
 @kernel
 def explicit_matrices(arm, law, strain, ones, matrices):
-    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which
-    is constant."""
+    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX and D, which is constant.
+
+    u are the tensions of the columns.
+    """
     rod = arm.rod
     blocks = 2 * rod.packs
     for block in range(blocks):

@@ -1,5 +1,6 @@
-"""Forward kinematics: poses, body Jacobian and twists at the nodes by fourth-order Magnus steps
-(11)-(13), Appendix C.
+"""Forward kinematics by fourth-order Magnus steps (11)-(13), Appendix C.
+
+They are poses, body Jacobian and twists at the nodes.
 
 With the Zanna operator written out, Omega_dot = Z(xi_dot) and J(X + h) = Ad^-1 (J + T Z(Phi))
 become in the base frame running sums: with W_1 = Ad_g T (h/2 - kappa ad_xi2) and W_2 = Ad_g T (h/2
@@ -60,6 +61,7 @@ def zanna(h, xi_1, xi_2, x_1, x_2):
 
 @kernel(inline=True)
 def load_pose(field, pack):
+    """Poses (R, r) of a pack of a field."""
     at = pack * 12 * LANES
     R = load3(field, at) + load3(field, at + 3 * LANES) + load3(field, at + 6 * LANES)
     return R, load3(field, at + 9 * LANES)
@@ -73,8 +75,11 @@ def interval_strains(xi, pack):
 
 @kernel
 def poses(rod, base, xi, kinematics):
-    """Poses at the start and at the end of every interval, products of the exponentials exp(Omega)
-    (11) from a base at base[:12], for strains xi (points x 6)."""
+    """Poses at the start and at the end of every interval.
+
+    They are products of the exponentials exp(Omega) (11) from a base at base[:12], for strains xi
+    (points x 6).
+    """
     for pack in range(rod.packs):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = interval_strains(xi, pack)
@@ -170,8 +175,10 @@ def strains_at_points(field, interval):
 
 @kernel(inline=True)
 def strains_of_part(h, interval, part, xi):
-    """Strains at the two points of the first `part` of an interval of length h, linear between its
-    own two."""
+    """Strains at the two points of the first `part` of an interval of length h.
+
+    They are linear between the interval's own two.
+    """
     # the points are sqrt(3)/6 of a length from its middle, so h / sqrt(3) apart
     xi_1, xi_2 = strains_at_points(xi, interval)
     slope = scale_twist(math.sqrt(3.0) / h, twist_difference(xi_2, xi_1))
@@ -189,8 +196,10 @@ def pose_at(field, node):
 
 @kernel
 def poses_inside(length, interval, distance, xi, kinematics, out):
-    """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,), with the strain
-    linear between the two points."""
+    """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,).
+
+    The strain is linear between the two points.
+    """
     for m in range(interval.size):
         i = interval[m]
         part = distance[m]
@@ -202,15 +211,19 @@ def poses_inside(length, interval, distance, xi, kinematics, out):
 
 @kernel(inline=True)
 def share_of_second(length, interval, distance):
-    """Share of an interval's second point in what is linear between its two, at a distance from its
-    start."""
+    """Share of an interval's second point in what is linear between its two.
+
+    It is at a distance from the interval's start.
+    """
     return math.sqrt(3.0) * (distance / length[interval] - 0.5) + 0.5
 
 
 @kernel
 def strains_inside(length, interval, distance, field, out):
-    """A field over points as out (m, 6) at `distance` (m,) from the start of the intervals (m,),
-    linear between their two points."""
+    """A field over points as out (m, 6) at `distance` (m,) from the start of intervals (m,).
+
+    It is linear between their two points.
+    """
     for m in range(interval.size):
         share = share_of_second(length, interval[m], distance[m])
         xi_1, xi_2 = strains_at_points(field, interval[m])
@@ -220,8 +233,10 @@ def strains_inside(length, interval, distance, field, out):
 
 
 class IntervalOperators(NamedTuple):
-    """Operators of the intervals of a pack, pairs (A, C), in the base frame; Omega and its
-    coefficients."""
+    """Operators of the intervals of a pack, pairs (A, C), in the base frame.
+
+    It also has Omega and its coefficients.
+    """
 
     W_1: tuple[tuple[float, ...], tuple[float, ...]]  # Ad_g T (half - kappa ad_xi2)
     W_2: tuple[tuple[float, ...], tuple[float, ...]]  # Ad_g T (half + kappa ad_xi1)
@@ -263,8 +278,10 @@ def growth_over(operators, x_1, x_2):
 
 @kernel(inline=True)
 def running_sum(carry, row, x):
-    """Sums of x over the intervals up to each lane, on top of the carried one, which moves on to
-    the pack's end."""
+    """Sums of x over the intervals up to each lane, on top of the carried one.
+
+    That moves on to the pack's end.
+    """
     at = row * 6
     (k_x, k_y, k_z), (p_x, p_y, p_z) = x
     k = (
@@ -295,8 +312,10 @@ def carried_sum(carry, row):
 
 @kernel
 def sweep(rod, law, strain, kinematics):
-    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the columns of J (17)-(18);
-    after poses()."""
+    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the columns of J (17)-(18).
+
+    It runs after poses().
+    """
     n = law.size
     packs = rod.packs
     carry = kinematics.carry
@@ -346,8 +365,10 @@ def sweep(rod, law, strain, kinematics):
 
 @kernel
 def node_twists(rod, strain, kinematics):
-    """Body twists eta at the nodes from xi_dot; after poses(). As sweep() has them, without
-    columns."""
+    """Body twists eta at the nodes from xi_dot; after poses().
+
+    As sweep() has them, without columns.
+    """
     carry = kinematics.carry
     copy(kinematics.base[12:18], carry[:6])
     for pack in range(rod.packs):

@@ -1,5 +1,6 @@
-"""Hessian of the rod's energy under dead loads: assembly, block elimination from tip to base, and
-solution for further right-hand sides.
+"""Hessian of the rod's energy under dead loads: assembly, elimination and solution.
+
+Blocks are eliminated from tip to base; the solution is for further right-hand sides.
 
 A strain of an interval moves all nodes beyond by a twist W = (k, v), in the base frame (Appendix
 C), so that the loads do the work F . v + (sum r_n x f_n + moment) . k, with F the sum of the dead
@@ -47,8 +48,10 @@ STENCIL = ((-2.0, 1 / 12), (-1.0, -2 / 3), (1.0, 2 / 3), (2.0, -1 / 12))
 
 @kernel(inline=True)
 def place(node):
-    """Index in a field over points at which the unknowns of the interval begin that ends at a node,
-    LANES apart."""
+    """Index in a field over points at which the unknowns of an interval begin.
+
+    The interval ends at a node; they are LANES apart.
+    """
     return (node // LANES * SIZE) * LANES + node % LANES
 
 
@@ -64,16 +67,20 @@ def _node_load(rod, law, part, node, kinematics):
 
 @kernel
 def _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics):
-    """Generalised forces of a wrench beyond an interval, in the base frame, on the strains at its
-    two points over their weight."""
+    """Generalised forces of a wrench beyond an interval, over the weight of its points.
+
+    The wrench is in the base frame, the forces on the strains at its two points.
+    """
     R, r = pose_at(kinematics.start, node)
     return magnus_transposed(rod.length[node], xi_1, xi_2, wrench_at_start(R, r, wrench))
 
 
 @kernel
 def load_stress(rod, law, part, xi, kinematics, out):
-    """Generalised force of `part` of the loads on strains xi over their weight, xi and out (points
-    x 6); after poses()."""
+    """Generalised force of `part` of the loads on strains xi over their weight.
+
+    xi and out are (points x 6); after poses().
+    """
     moment = times(part, law.moment)
     force = (0.0, 0.0, 0.0)
     out[:] = 0.0
@@ -100,8 +107,10 @@ def _unit(rod, node, a):
 
 @kernel(inline=True)
 def _section_entry(strain, node, a, b):
-    """Entry (b, a) of the scaled section stiffness at the two points of an interval, which do not
-    meet each other there."""
+    """Entry (b, a) of the scaled section stiffness at the two points of an interval.
+
+    These do not meet each other there.
+    """
     if a // 6 != b // 6:
         return 0.0
     row = max(a % 6, b % 6)
@@ -113,8 +122,10 @@ def _section_entry(strain, node, a, b):
 
 @kernel
 def _assemble_interval(rod, node, wrench, strain, kinematics, D):
-    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it: the section's,
-    and differences of load stresses."""
+    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it.
+
+    It is the section's, and differences of load stresses.
+    """
     at = place(node)
     xi_1, xi_2 = strains_at_points(strain.xi, node)
     for a in range(SIZE):
@@ -137,8 +148,10 @@ def _assemble_interval(rod, node, wrench, strain, kinematics, D):
 
 @kernel
 def _invert(D):
-    """Overwrites a matrix by its inverse, by elimination without pivoting; the least pivot, NaN if
-    there is one."""
+    """Overwrites a matrix by its inverse, by elimination without pivoting.
+
+    Returns the least pivot, NaN if there is one.
+    """
     least = 1e300
     n = D.shape[0]
     for k in range(n):
@@ -159,7 +172,10 @@ def _invert(D):
 
 @kernel(inline=True)
 def _add_turned_forces(position, force, Q, rows_Q):
-    """Adds r . f I - r f^T of a node at r with a force f to Q of columns and of rows."""
+    """Adds r .
+
+    f I - r f^T of a node at r with a force f to Q of columns and of rows.
+    """
     along = dot(position, force)
     for i in range(3):
         for j in range(3):
@@ -170,8 +186,10 @@ def _add_turned_forces(position, force, Q, rows_Q):
 
 @kernel(inline=True)
 def _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows):
-    """Turn and y of the unknowns of an interval: y over the weight in `rows` (12, 3), less it, and
-    times the weight in memory.columns."""
+    """Turn and y of the unknowns of an interval.
+
+    It is y over the weight in `rows` (12, 3), less it, and times the weight in memory.columns.
+    """
     h = rod.length[node]
     turn = memory.turn[node]
     columns = memory.columns[node]
@@ -198,8 +216,10 @@ def add_row_product(start, Q, i, k):
 
 @kernel(refcount=True)
 def factorise_hessian(rod, law, part, strain, kinematics):
-    """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled
-    section stiffness in strain.factor."""
+    """Eliminates the intervals from tip to base; the least pivot.
+
+    After poses(), with the scaled section stiffness in strain.factor.
+    """
     memory = strain.under_loads
     least = 1e300
     rows = np.empty((SIZE, 3))
@@ -238,8 +258,10 @@ def factorise_hessian(rod, law, part, strain, kinematics):
 
 @kernel(refcount=True)
 def solve_hessian(rod, memory, x, start):
-    """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these, a field over points from x[start]
-    on."""
+    """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these.
+
+    They are a field over points from x[start] on.
+    """
     nodes = rod.length.size
     y = np.empty(SIZE)
     c = rod.root_compliance

@@ -1,5 +1,6 @@
-"""Strain parametrisations: registry of their compiled functions, and the continuation that finds a
-strain without a guess.
+"""Strain parametrisations: registry of their compiled functions, and continuation.
+
+The continuation finds a strain without a guess.
 
 A parametrisation is a struct of arrays (types.py), the arm's `strain`, and five compiled functions.
 Its class is part of the compiled type, so it selects their code.
@@ -27,8 +28,10 @@ MARGIN_PARTS = 16
 
 
 class Parametrisation(NamedTuple):
-    """The functions of one parametrisation. Each takes the arm and its strain law first, and reads
-    and writes the strain fields of a workspace.
+    """The functions of one parametrisation.
+
+    Each takes the arm and its strain law first, and reads and writes the strain fields of a
+    workspace.
 
     solve(arm, law, q, search, strain, kinematics) finds the strain at q, see Search, into
     strain.xi, from the guess there; -1, or the block at which it could not be found. Loads inside
@@ -51,8 +54,10 @@ PARAMETRISATIONS: dict[type, Parametrisation] = {}
 
 
 def _of_the_arm(name):
-    """Function of this name of an arm's parametrisation, to be called with the arm and all
-    arguments after the law."""
+    """Function of this name of an arm's parametrisation.
+
+    It is to be called with the arm and all arguments after the law.
+    """
 
     def call(arm, *arguments):
         function = getattr(PARAMETRISATIONS[type(arm.strain)], name)
@@ -76,15 +81,18 @@ strain_rate = _of_the_arm("rate")
 
 @kernel(inline=True)
 def strain_from_guess(arm, q, tolerance, strain, kinematics):
-    """The strain at q into strain.xi, from the guess there; -1, or the block at which it could not
-    be found."""
+    """Strain at q into strain.xi, from the guess there.
+
+    Returns -1, or the block at which it could not be found.
+    """
     return solve_strain_at(arm, q, Search(1.0, tolerance, ANY), strain, kinematics)
 
 
 @kernel(refcount=True)
 def continue_strain(arm, begin, end, tolerance, strain, kinematics):
-    """The strain at the end of a way on the branch of that at its beginning, which is in strain.xi:
-    in growing or halved parts of the way.
+    """Strain at the end of a way on the branch of that at its beginning.
+
+    That is in strain.xi; it goes in growing or halved parts of the way.
 
     begin, end: coordinates (n,) and the part of the loads inside. Where the strain need not be the
     only one, parts are so small that Newton contracts at once and, with tendons that push, no chord
@@ -123,8 +131,10 @@ def continue_strain(arm, begin, end, tolerance, strain, kinematics):
 
 @kernel(refcount=True)
 def strain_from_rest(arm, q, tolerance, strain, kinematics):
-    """The strain at q on the branch on which coordinates and loads inside grow together from the
-    stress-free rod; as continue_strain()."""
+    """Strain at q on the branch from the stress-free rod, as continue_strain().
+
+    On it coordinates and loads inside grow together.
+    """
     copy(arm.rod.reference_strain, strain.xi)
     if strain_is_unique(arm, q, strain):
         if strain_from_guess(arm, q, tolerance, strain, kinematics) < 0:
@@ -136,8 +146,11 @@ def strain_from_rest(arm, q, tolerance, strain, kinematics):
 
 @kernel(refcount=True)
 def strain_has_margin(arm, q, tolerance, strain, kinematics):
-    """Whether there is a strain at q and, where it need not be the only one, one a MARGIN_PARTS-th
-    beyond too, with Newton contracting at once in each of these even parts of the way from rest."""
+    """Tells whether there is a strain at q, with a margin where it need not be the only one.
+
+    There is then one a MARGIN_PARTS-th beyond too, with Newton contracting at once in each of these
+    even parts of the way from rest.
+    """
     if strain_is_unique(arm, q, strain):
         return strain_from_rest(arm, q, tolerance, strain, kinematics)[0] < 0
     copy(arm.rod.reference_strain, strain.xi)

@@ -1,5 +1,6 @@
-"""Statics-based strain parametrisation (30): columns (31), bias (33), stiffness and drive (34) of
-the strain that statics_newton finds.
+"""Statics-based strain parametrisation (30): columns, bias, stiffness and drive.
+
+They are (31), (33) and (34) of the strain that statics_newton finds.
 
 In scaled form, with C = Sigma^-1 (0 for rigid strains), a column is Phi = C^1/2 H^-1 C^1/2 [Phi_a
 Phi_p], with the factor of H that the Newton iteration leaves.
@@ -42,9 +43,12 @@ def solve_column(f, c, wrench, free):
 
 @kernel(inline=True)
 def coordinate_wrenches(arm, law, block, tension, q, strain):
-    """Wrenches [Phi_a Phi_p] of every coordinate at a block into strain.Phi, times the weight into
-    strain.Y, and the mismatch of tensions u and passive wrenches, weight (Phi_a (u - tau) - Phi_p
-    q_p), into strain.mismatch; where solve_statics() has left the tangents."""
+    """Wrenches [Phi_a Phi_p] of every coordinate at a block, and the mismatch.
+
+    They go into strain.Phi, times the weight into strain.Y; the mismatch of tensions u and passive
+    wrenches, weight (Phi_a (u - tau) - Phi_p q_p), into strain.mismatch; where solve_statics() has
+    left the tangents.
+    """
     rod = arm.rod
     tendons = arm.tendons
     pack = block // 2
@@ -81,8 +85,10 @@ def coordinate_wrenches(arm, law, block, tension, q, strain):
 
 @kernel(inline=True)
 def turning_wrench(tendons, blocks, block, rate, strain):
-    """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block strained at `rate`,
-    xi_ddot = 0 (Appendix E multiplied out)."""
+    """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block.
+
+    The block is strained at `rate`, xi_ddot = 0 (Appendix E multiplied out).
+    """
     geometry = tendons.geometry
     tau = strain.tau
     total = zero6()
@@ -105,9 +111,11 @@ def turning_wrench(tendons, blocks, block, rate, strain):
 
 @kernel
 def statics_columns(arm, law, tension, q, q_dot, strain, kinematics):
-    """Columns Phi_xi (31) of every coordinate, xi_dot, the bias xi_bias = A^-1 Sigma^-1 (Psi_adot +
-    Psi_a_dot) xi_dot (33), and the mismatch, of which is the drive of the implicit strain (34), G
-    ([u; 0] - q)."""
+    """Columns Phi_xi (31) of every coordinate, xi_dot, the bias, and the mismatch.
+
+    The bias is xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), the mismatch that of
+    which is the drive of the implicit strain (34), G ([u; 0] - q).
+    """
     rod = arm.rod
     blocks = 2 * rod.packs
     strain_tension(law, q_dot, strain.tau_dot)
@@ -131,8 +139,10 @@ def statics_columns(arm, law, tension, q, q_dot, strain, kinematics):
 
 @kernel
 def statics_matrices(arm, law, strain, ones, matrices):
-    """Stiffness G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and
-    D, of the columns."""
+    """Stiffness G and damping D of the columns.
+
+    G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34).
+    """
     stiffness_matrix(arm.rod, law, strain, ones, matrices.G)
     damping_matrix(arm.rod, law, strain, matrices.D)
 
@@ -150,8 +160,10 @@ def rate_wrench(tendons, law, blocks, block, q_dot, strain):
 
 @kernel
 def statics_rate(arm, law, q_dot, strain):
-    """Strain rate xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that
-    solve_statics() left."""
+    """Strain rate xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot.
+
+    It is from the tangents and factors that solve_statics() left.
+    """
     rod = arm.rod
     blocks = 2 * rod.packs
     strain_tension(law, q_dot, strain.tau_dot)

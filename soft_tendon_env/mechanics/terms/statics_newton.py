@@ -75,8 +75,9 @@ def strain_tension(law, q, tau):
 
 @kernel
 def solve_statics(arm, law, q, search, strain, kinematics):
-    """Newton iteration for the strain (30) at every point, from the guess in strain.xi; leaves xi,
-    tangents and factors.
+    """Newton iteration for the strain (30) at every point, from the guess in strain.xi.
+
+    It leaves xi, tangents and factors.
 
     Stops when the last correction is below the tolerance of the scaled strain: the factors belong
     to the iterate before it. Returns -1, or the first block where a pivot was not positive,
@@ -128,8 +129,10 @@ def solve_statics(arm, law, q, search, strain, kinematics):
 
 @kernel
 def chords_stay(rod, tendons, before, after):
-    """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain
-    fields."""
+    """Tells whether no tendon's chord differs much between two strain fields.
+
+    That is by more than MOST_TURN of its length.
+    """
     blocks = 2 * rod.packs
     geometry = tendons.geometry
     for i in range(tendons.size):
@@ -150,8 +153,10 @@ def chords_stay(rod, tendons, before, after):
 
 @kernel
 def all_pull(tau):
-    """Whether no tendon pushes: the strain then minimises a convex energy, so that there is no
-    other."""
+    """Tells whether no tendon pushes.
+
+    The strain then minimises a convex energy, so that there is no other.
+    """
     for tension in tau:
         if tension < 0.0:
             return False

@@ -1,5 +1,6 @@
-"""Statics-based strain with dead loads inside (35): Newton with the exact Hessian, columns, bias
-and stiffness (paper III-B).
+"""Statics-based strain with dead loads inside (35), paper III-B.
+
+It has Newton with the exact Hessian, columns, bias and stiffness.
 
 The strain minimises U = int 1/2 (xi - xi*) . Sigma (xi - xi*) dX + sum tau_i (length of tendon i) -
 int xi . Phi_p q_p dX - (work of the dead loads) over the strains at the points, the poses being the
@@ -78,8 +79,10 @@ AT_REST = 1e-100  # turn of the whole rod by its rates, below which it does not 
 
 @kernel
 def linearise_loaded(arm, law, q, part, strain, kinematics):
-    """Residual into memory.step, and the Hessian, factorised; -1, the block of a section that gives
-    way, or 2 packs: the arm buckles."""
+    """Residual into memory.step, and the Hessian, factorised.
+
+    Returns -1, the block of a section that gives way, or 2 packs: the arm buckles.
+    """
     rod = arm.rod
     memory = strain.under_loads
     blocks = 2 * rod.packs
@@ -104,8 +107,10 @@ def linearise_loaded(arm, law, q, part, strain, kinematics):
 
 @kernel
 def apply_correction(rod, xi, memory):
-    """Adds the solution in memory.step to the scaled strain; the largest squared corrections and
-    squared strains of a point."""
+    """Adds the solution in memory.step to the scaled strain.
+
+    Returns the largest squared corrections and squared strains of a point.
+    """
     size = 0.0
     norm = 0.0
     for block in range(2 * rod.packs):
@@ -148,9 +153,11 @@ def scale_strain(rod, xi, e):
 
 @kernel
 def solve_loaded(arm, law, q, search, strain, kinematics):
-    """Newton iteration for the strain under part of the loads, from the guess in strain.xi; leaves
-    xi, tangents and factors. It stays on its branch, see CONTRACTION, whatever the search says.
-    Returns -1, or the block that stopped it, see linearise_loaded()."""
+    """Newton iteration for the strain under part of the loads, from the guess in strain.xi.
+
+    It leaves xi, tangents and factors, and stays on its branch, see CONTRACTION, whatever the
+    search says. Returns -1, or the block that stopped it, see linearise_loaded().
+    """
     rod = arm.rod
     memory = strain.under_loads
     scale_strain(rod, strain.xi, memory.e)
@@ -177,8 +184,10 @@ def solve_loaded(arm, law, q, search, strain, kinematics):
 
 @kernel
 def load_acceleration(arm, law, strain, kinematics, out):
-    """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0, out (points x
-    6), by differences; moves the poses."""
+    """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0.
+
+    It goes into out (points x 6), by differences; moves the poses.
+    """
     rod = arm.rod
     memory = strain.under_loads
     moved = memory.e
@@ -201,9 +210,11 @@ def load_acceleration(arm, law, strain, kinematics, out):
 
 @kernel
 def loaded_columns(arm, loaded, tension, q, q_dot, strain, kinematics):
-    """Columns, xi_dot, bias and mismatch, of which B u - K + F is made, of the strain with loads
-    inside (35). The bias is -H^-1 times the balance, of tendons and loads, differentiated twice
-    along the motion with xi_ddot = 0."""
+    """Columns, xi_dot, bias and mismatch of the strain with loads inside (35).
+
+    B u - K + F is made of them. The bias is -H^-1 times the balance, of tendons and loads,
+    differentiated twice along the motion with xi_ddot = 0.
+    """
     rod = arm.rod
     law = loaded.law
     memory = strain.under_loads
@@ -245,8 +256,10 @@ def loaded_is_unique(arm, loaded, q, strain):
 
 @kernel
 def loaded_rate(arm, loaded, q_dot, strain):
-    """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded()
-    left."""
+    """Strain rate xi_dot = H^-1 Phi_w q_dot.
+
+    It is from the tangents and factors that solve_loaded() left.
+    """
     law = loaded.law
     blocks = 2 * arm.rod.packs
     strain_tension(law, q_dot, strain.tau_dot)

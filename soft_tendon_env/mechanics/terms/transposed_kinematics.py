@@ -1,5 +1,6 @@
-"""Transposed forward kinematics: stresses that do the work of wrenches at the nodes, in one sweep
-from tip to base.
+"""Transposed forward kinematics: stresses that do the work of wrenches at the nodes.
+
+It is one sweep from tip to base.
 
 A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate
 is not formed.
@@ -53,9 +54,11 @@ def wrench_at_start(R, r, total):
 
 @kernel(inline=True)
 def magnus_transposed(h, xi_1, xi_2, psi):
-    """Generalised forces Z_1^T T^T psi and Z_2^T T^T psi, over the weight h / 2, on the strains at
-    the two points of an interval of length h: of a wrench psi on its end, in the frame of its
-    start."""
+    """Generalised forces Z_1^T T^T psi and Z_2^T T^T psi, over the weight h / 2.
+
+    They are on the strains at the two points of an interval of length h: of a wrench psi on its
+    end, in the frame of its start.
+    """
     mu = 2.0 * KAPPA * h
     Omega = magnus(h, xi_1, xi_2)
     t = dexp_transposed_apply(Omega, angle_coefficients(Omega), psi)
@@ -78,8 +81,10 @@ def wrench_in_base(R, r, f):
 
 @kernel(inline=True)
 def sum_to_tip(x, beyond):
-    """Sums of a pack over the lanes from each one on, and beyond the pack; and the sum that the
-    pack before needs."""
+    """Sums of a pack over the lanes from each one on, and beyond the pack.
+
+    It also gives the sum that the pack before needs.
+    """
     total = beyond + lane_sum(x)
     return spread(total) - prefix_sum(x) + x, total
 
@@ -101,8 +106,10 @@ def sums_to_tip(x, beyond):
 
 @kernel
 def add_wrench_stress(rod, wrench, xi, kinematics, stress):
-    """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6), of which the
-    last is the tip; after poses() of strains xi (points x 6)."""
+    """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6).
+
+    The last of them is the tip; after poses() of strains xi (points x 6).
+    """
     beyond = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for back in range(rod.packs):
         pack = rod.packs - 1 - back
@@ -131,8 +138,10 @@ def add_to_block(field, block, x):
 
 @kernel
 def add_tendon_stress(rod, tendons, force, tangent, stress):
-    """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the
-    tendons; see tendon_forces()."""
+    """Adds to `stress` (points x 6) that which does the work of `force` on tendon lengths.
+
+    force is (n_a); see tendon_forces().
+    """
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
@@ -143,8 +152,10 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
 
 @kernel
 def add_strain_stress(length, interval, distance, force, stress):
-    """Adds to `stress` (points x 6) that which does the work of `force` (m, 6) on
-    strains_inside()."""
+    """Adds to `stress` (points x 6) that which does the work of `force` (m, 6).
+
+    The work is on strains_inside().
+    """
     for m in range(interval.size):
         i = interval[m]
         share = share_of_second(length, i, distance[m])
@@ -168,10 +179,13 @@ def first_point_of(interval):
 
 @kernel
 def add_station_forces(rod, stations, force, xi, kinematics, wrench, stress):
-    """Adds what does the work of forces (m, 3), world frame, on the positions of poses_inside(): to
-    `stress` (points x 6) in their own intervals, and to body wrenches (nodes x 6) at the nodes
-    where these begin, for add_wrench_stress(); after poses() of strains xi (points x 6). stations:
-    intervals (m,) and distances (m,) from their start."""
+    """Adds what does the work of forces (m, 3) on the positions of poses_inside().
+
+    Forces are in the world frame; it is added to `stress` (points x 6) in their own intervals, and
+    to body wrenches (nodes x 6) at the nodes where these begin, for add_wrench_stress(); after
+    poses() of strains xi (points x 6). stations: intervals (m,) and distances (m,) from their
+    start.
+    """
     interval, distance = stations
     for m in range(interval.size):
         f = (force[m, 0], force[m, 1], force[m, 2])

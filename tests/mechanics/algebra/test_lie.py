@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from mpmath import mp, mpf
+from scipy.linalg import expm
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -22,10 +23,20 @@ from soft_tendon_env.mechanics.algebra.lie import (
     coad_apply,
     coefficients,
     dexp_dot_apply,
+    dexp_inverse_transposed_apply,
     dexp_operator,
+    dexp_transposed_apply,
     dot,
     exp_se3,
+    log_se3,
+    matmul,
     operator_apply,
+    pose_step,
+    rotate_back,
+    rotation_log,
+    skew_times,
+    times_skew,
+    twist_difference,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 
@@ -68,12 +79,18 @@ ANGLES = (
 @kernel
 def on_packs(Omegas, rates, xs, out):
     """T x and T_dot x, flat fields (pack, component, lane)."""
-    for i in range(Omegas.size // (6 * LANES)):
-        Omega, x = load6(Omegas, i), load6(xs, i)
-        c = coefficients(dot(Omega[0], Omega[0]))
+    packs = Omegas.size // (6 * LANES)
+    for i in range(packs):
+        Omega = load6(Omegas, i)
+        rate = load6(rates, i)
+        x = load6(xs, i)
+        angle_squared = dot(Omega[0], Omega[0])
+        c = coefficients(angle_squared)
         A, C = dexp_operator(Omega, c)
-        store6(out, 2 * i, operator_apply(A, C, x))
-        store6(out, 2 * i + 1, dexp_dot_apply(Omega, load6(rates, i), c, x))
+        applied = operator_apply(A, C, x)
+        store6(out, 2 * i, applied)
+        applied_dot = dexp_dot_apply(Omega, rate, c, x)
+        store6(out, 2 * i + 1, applied_dot)
 
 
 def evaluate_on_packs(Omegas, rates, xs):
@@ -132,11 +149,17 @@ def samples():
     """Twists of every angle with linear parts from tiny to large, random directions; a whole number
     of packs."""
     rng = np.random.default_rng(1)
-    axes, pushes = rng.normal(size=(2, len(ANGLES) * 3, 3))
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    angles, sizes = np.repeat(ANGLES, 3), np.tile([1e-3, 1.0, 30.0], len(ANGLES))
-    Omegas = np.hstack([axes * angles[:, None], pushes * sizes[:, None]])
-    Omegas = np.vstack([Omegas, np.tile(Omegas[-1], (-len(Omegas) % LANES, 1))])
+    sizes = [1e-3, 1.0, 30.0]
+    count = len(ANGLES) * len(sizes)
+    axes, pushes = rng.normal(size=(2, count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angular = axes * np.repeat(ANGLES, len(sizes))[:, None]
+    linear = pushes * np.tile(sizes, len(ANGLES))[:, None]
+    Omegas = np.hstack([angular, linear])
+    # The last pack is filled with the last twist.
+    missing = -count % LANES
+    filling = np.tile(Omegas[-1], (missing, 1))
+    Omegas = np.vstack([Omegas, filling])
     rates, xs = rng.normal(size=(2, len(Omegas), 6))
     return (Omegas, rates, xs), exact(Omegas, rates, xs)
 
@@ -205,3 +228,83 @@ def test_Ad_is_the_matrix_of_appendix_A_and_its_inverse(two_twists):
     np.testing.assert_allclose(
         matrix(lambda x: Ad_inverse_apply(R, r, x)) @ Ad, np.eye(6), atol=2e-15
     )
+
+
+@kernel
+def transposed_tangents(Omega, psi):
+    """T^T psi, and the transposed inverses T_x^-T psi at Omega and at its negative."""
+    c = coefficients(dot(Omega[0], Omega[0]))
+    of_inverse = dexp_inverse_transposed_apply(Omega, c, 1.0, psi)
+    of_opposite = dexp_inverse_transposed_apply(Omega, c, -1.0, psi)
+    return dexp_transposed_apply(Omega, c, psi), of_inverse, of_opposite
+
+
+@kernel
+def tangent(Omega, x):
+    """T x."""
+    A, C = dexp_operator(Omega, coefficients(dot(Omega[0], Omega[0])))
+    return operator_apply(A, C, x)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.3, 0.999, 1.001, 2.5, 3.1])
+def test_transposed_tangents_are_the_transposes_of_the_tangent_and_its_inverse(angle):
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=6)
+    x[:3] *= angle / np.linalg.norm(x[:3])
+    T = matrix(lambda y: tangent(pair(x), y))
+    T_opposite = matrix(lambda y: tangent(pair(-x), y))
+    transposed, inverse, opposite = (
+        matrix(lambda psi, i=i: transposed_tangents(pair(x), psi)[i]) for i in range(3)
+    )
+    np.testing.assert_allclose(transposed, T.T, atol=1e-13)
+    np.testing.assert_allclose(inverse @ T.T, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(opposite @ T_opposite.T, np.eye(6), atol=1e-12)
+
+
+def exponential_of(k, p):
+    """exp of a twist as a matrix (4, 4)."""
+    hat = np.zeros((4, 4))
+    hat[:3, :3] = skew(k)
+    hat[:3, 3] = p
+    return expm(hat)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.999, 1.001, 2.0, 3.1, math.pi - 1e-7])
+@pytest.mark.parametrize("seed", range(4))
+def test_exponential_and_logarithm_are_those_of_matrices(angle, seed):
+    """Whichever component of the quaternion is the largest."""
+    rng = np.random.default_rng(seed)
+    axis, p = rng.normal(size=(2, 3))
+    if seed > 0:
+        axis[seed - 1] += 5.0
+    k = angle * axis / np.linalg.norm(axis)
+    exact = exponential_of(k, p)
+    R, r = pose_of(k, p)
+    np.testing.assert_allclose(np.reshape(R, (3, 3)), exact[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(r, exact[:3, 3], atol=1e-14)
+    k_again, p_again = log_se3(R, r)
+    np.testing.assert_allclose(k_again, k, atol=1e-13)
+    np.testing.assert_allclose(p_again, p, atol=1e-12)
+    np.testing.assert_allclose(rotation_log(R), k, atol=1e-13)
+
+
+def test_steps_and_products_are_those_of_matrices(two_twists):
+    first, second = two_twists
+    start = exponential_of(first[:3], first[3:])
+    R, r = pose_of(first[:3], first[3:])
+    R_end, r_end = pose_step(R, r, pair(second))
+    end = start @ exponential_of(second[:3], second[3:])
+    np.testing.assert_allclose(np.reshape(R_end, (3, 3)), end[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(r_end, end[:3, 3], atol=1e-14)
+    A, k = np.arange(9.0).reshape(3, 3), second[:3]
+    flat, vector = tuple(A.ravel().tolist()), tuple(k.tolist())
+    expected_products = [
+        (matmul(flat, R), A @ np.reshape(R, (3, 3))),
+        (skew_times(vector, flat), skew(k) @ A),
+        (times_skew(flat, vector), A @ skew(k)),
+    ]
+    for product, expected in expected_products:
+        np.testing.assert_allclose(np.reshape(product, (3, 3)), expected, atol=1e-14)
+    np.testing.assert_allclose(rotate_back(flat, vector), A.T @ k, atol=1e-14)
+    difference = twist_difference(pair(first), pair(second))
+    np.testing.assert_allclose(np.ravel(difference), first - second, atol=1e-16)

@@ -14,7 +14,8 @@ from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.terms.command_filter import lag_response, receive, rest_filter
 from soft_tendon_env.model.simulation import Simulation
 
-PERIOD, ROWS = 0.02, 6
+PERIOD = 0.02
+ROWS = 6
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
 PLANE = {"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.1, 1.0]}
 SCENES = {

@@ -73,14 +73,18 @@ def test_samples_without_a_strain_are_told(build):
 @pytest.mark.no_jit
 def test_a_row_is_read_as_the_model_says(small):
     arms = arms_of(small)
-    arms.place(np.arange(1), np.array([[1.0, 0.5, 0.0]]))
-    arms.step(np.full((1, 1, 3), 1.0), np.arange(1))
+    row = np.arange(1)
+    arms.place(row, np.array([[1.0, 0.5, 0.0]]))
+    arms.step(np.full((1, 1, 3), 1.0), row)
     assert arms.outcome.status[0] == 0
-    assert_reads(arms.reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
-    reading, good = arms.read_samples(arms.rows.q, arms.rows.q_dot)
+    rows = arms.rows
+    q = rows.q[0].copy()
+    q_dot = rows.q_dot[0].copy()
+    assert_reads(arms.reading, 0, small, q, q_dot)
+    reading, good = arms.read_samples(rows.q, rows.q_dot)
     assert good[0]
-    assert arms.have_margin(arms.rows.q)[0]
-    assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
+    assert arms.have_margin(rows.q)[0]
+    assert_reads(reading, 0, small, q, q_dot)
 
 
 ELASTIC = {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}}

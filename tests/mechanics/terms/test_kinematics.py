@@ -58,12 +58,17 @@ def constant_strain(build):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_constant_strain_gives_the_exponential_everywhere(seed, constant_strain):
-    model, X = constant_strain, np.array([0.0, 1e-9, 0.05, 0.1, 0.2999, 0.3])
-    q = np.random.default_rng(seed).normal(size=6) * [8, 8, 8, 0.3, 0.3, 0.3]
-    xi = q + [0, 0, 0, 1, 0, 0]
-    expected = np.array([expm(x * hat(xi)) for x in X])
-    np.testing.assert_allclose(model.tip_pose(q), expected[-1], atol=1e-14)
-    np.testing.assert_allclose(model.backbone_at(q, X), expected, atol=1e-14)
+    X = np.array([0.0, 1e-9, 0.05, 0.1, 0.2999, 0.3])
+    scale = np.array([8, 8, 8, 0.3, 0.3, 0.3])
+    straight = np.array([0, 0, 0, 1, 0, 0])
+    rng = np.random.default_rng(seed)
+    q = scale * rng.normal(size=6)
+    twist = hat(q + straight)
+    expected = np.array([expm(x * twist) for x in X])
+    tip = constant_strain.tip_pose(q)
+    backbone = constant_strain.backbone_at(q, X)
+    np.testing.assert_allclose(tip, expected[-1], atol=1e-14)
+    np.testing.assert_allclose(backbone, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize(("name", "changes"), MODELS)

@@ -55,10 +55,13 @@ def tendon_wrenches(scene, X, xi):
     for tendon in scene.tendons:
         start, end = tendon_ends(scene, tendon)
         offset, slope = tendon_offset(scene, tendon, np.clip(X, start, end))
-        d, d_prime = np.insert(offset, 0, 0.0, axis=1), np.insert(slope, 0, 0.0, axis=1)
+        d = np.insert(offset, 0, 0.0, axis=1)
+        d_prime = np.insert(slope, 0, 0.0, axis=1)
         t = np.cross(xi[:, :3], d) + xi[:, 3:] + d_prime
-        t /= np.linalg.norm(t, axis=1)[:, None]
-        columns.append(-np.hstack([np.cross(d, t), t]) * ((start < X) & (end > X))[:, None])
+        t /= np.linalg.norm(t, axis=1, keepdims=True)
+        wrench = -np.hstack([np.cross(d, t), t])
+        is_there = (start < X) & (end > X)
+        columns.append(wrench * is_there[:, None])
     return np.array(columns)
 
 

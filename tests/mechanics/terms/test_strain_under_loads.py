@@ -159,11 +159,9 @@ def test_terms_agree_with_an_independent_model(dof, case, reference, check_terms
 UPRIGHT = {**INSIDE, "strain.strains": KIRCHHOFF, "quadrature.intervals": 8}
 
 
-LENGTH, BENDING, WEIGHT = (
-    0.3,
-    5e5 * np.pi * 0.01**4 / 4,
-    1070.0 * np.pi * 0.01**2,
-)  # [m], EI [N m^2], mass per length [kg/m]
+LENGTH = 0.3  # [m]
+BENDING = 5e5 * np.pi * 0.01**4 / 4  # EI [N m^2]
+WEIGHT = 1070.0 * np.pi * 0.01**2  # mass per length [kg/m]
 EULER = "effects.tip_load.force", np.pi**2 * BENDING / (4 * LENGTH**2)
 GREENHILL = "effects.gravity.acceleration", 7.8373 * BENDING / (WEIGHT * LENGTH**3)
 

@@ -1,0 +1,198 @@
+"""Nearest point of a flat section's outline to an obstacle: signed distance, normal and lever arm.
+
+A round section is a ball about the axis, whose nearest point needs no search. A flat one, of half
+widths a along y and b along z, has the point p = (0, y, z) at which the signed distance from the
+obstacle is least. The gap is the least of
+
+    distance(r + R p) + FLAT (y^2 / 2 a + z^2 / 2 b).
+
+Without the second term the point would jump from edge to edge where a face lies flat on a plane.
+With it the point moves across the face within a tilt of FLAT; it adds at most FLAT a / 2 to a gap.
+Since the gap is a minimum, its derivative is that with p held (envelope theorem): a force along
+the normal at p is the gradient of a potential.
+"""
+
+import math
+from typing import NamedTuple
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.effects.contact.obstacles import place_in
+from soft_tendon_env.mechanics.algebra.lie import dot, plus, rotate, times
+from soft_tendon_env.tools.types import Triple
+
+# shapes of a section's outline
+ROUND = 0.0
+ELLIPSE = 1.0
+RECTANGLE = 2.0
+
+FLAT = 0.01  # [rad] of tilt, within which a face that lies on a plane turns from edge to edge
+ROUNDS = 2  # through y and z: on a plane they are independent of each other
+MOST_TRIES = 12  # of a search along one axis: regula falsi gains about a digit with each
+NEAR = 1e-3  # of the half width, over which the growth of a slope is taken
+CLOSE = 1e-9  # slope, or angle [rad], that counts as none
+
+
+class Nearest(NamedTuple):
+    """Point of a section that is nearest to an obstacle."""
+
+    gap: float  # [m] between the surfaces, negative where they overlap
+    normal: Triple  # out of the obstacle, world frame
+    place: Triple  # [m] of the point about which the surface is a ball, in the section's frame
+    offset: Triple  # [m] from the axis to that point, world frame
+    # [m/rad] by which the point moves along y and z where the section turns
+    moves: tuple[float, float]
+
+
+@kernel(inline=True)
+def sloped_distance(body, x, direction, s, half):
+    """Slope along a direction of what is least, at a place s [m] from x."""
+    _, _, out = place_in(body, plus(x, times(s, direction)))
+    return dot(rotate(body.R, out), direction) + FLAT * s / half
+
+
+@kernel
+def least_along(body, x, direction, half):
+    """Place s [m] in [-half, half] along a direction where the sloped distance is least.
+
+    Also its change [m/rad] with a turn, 0 at an end. Regula falsi (Illinois), as the slope grows
+    with s.
+    """
+    low = -half
+    slope_low = sloped_distance(body, x, direction, low, half)
+    if slope_low >= 0.0:
+        return low, 0.0
+    high = half
+    slope_high = sloped_distance(body, x, direction, high, half)
+    if slope_high <= 0.0:
+        return high, 0.0
+    s = 0.0
+    slope = 0.0
+    last = 0.0  # the slope before
+    for _ in range(MOST_TRIES):
+        s = (low * slope_high - high * slope_low) / (slope_high - slope_low)
+        slope = sloped_distance(body, x, direction, s, half)
+        if abs(slope) < CLOSE:
+            break
+        if slope > 0.0:
+            high = s
+            slope_high = slope
+            if last > 0.0:  # the same end twice: the other one counts half
+                slope_low = 0.5 * slope_low
+        else:
+            low = s
+            slope_low = slope
+            if last < 0.0:
+                slope_high = 0.5 * slope_high
+        last = slope
+    step = NEAR * half
+    growth = sloped_distance(body, x, direction, s + step, half) - slope
+    return s, step / growth
+
+
+@kernel
+def nearest_of_rectangle(body, sample, r, y_axis, z_axis):
+    """Place (y, z) [m] of the nearest point of a rectangle, and how it moves [m/rad].
+
+    One axis comes after the other.
+    """
+    y = 0.0
+    z = 0.0
+    move_y = 0.0
+    move_z = 0.0
+    for _ in range(ROUNDS):
+        z, move_z = least_along(body, plus(r, times(y, y_axis)), z_axis, sample.half_z)
+        y, move_y = least_along(body, plus(r, times(z, z_axis)), y_axis, sample.half_y)
+    return y, z, move_y, move_z
+
+
+@kernel(inline=True)
+def turned_back(body, sample, r, y_axis, z_axis, angle, share):
+    """Angle [rad] from a point of an ellipse to the one that has the obstacle's normal there.
+
+    It is a difference of eccentric angles, in (-pi, pi].
+    """
+    y = share * sample.half_y * math.cos(angle)
+    z = share * sample.half_z * math.sin(angle)
+    point = plus(r, plus(times(y, y_axis), times(z, z_axis)))
+    _, _, out = place_in(body, point)
+    n = rotate(body.R, out)
+    along_y = -sample.half_y * dot(n, y_axis)
+    along_z = -sample.half_z * dot(n, z_axis)
+    turn = math.atan2(along_z, along_y) - angle
+    return math.atan2(math.sin(turn), math.cos(turn))
+
+
+@kernel
+def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
+    """Place (y, z) [m] of the nearest point of an ellipse, and how it moves [m/rad].
+
+    Regula falsi (Illinois) finds its eccentric angle, where both normals agree.
+    """
+    _, _, out = place_in(body, r)
+    n = rotate(body.R, out)
+    across = math.sqrt(dot(n, y_axis) ** 2 + dot(n, z_axis) ** 2)
+    # where the rod meets something head on, no point of the outline is nearest
+    share = across / math.sqrt(across * across + FLAT * FLAT)
+    # the point whose normal is that at the axis: on a plane it is the nearest
+    low = turned_back(body, sample, r, y_axis, z_axis, 0.0, 0.0)
+    turn_low = turned_back(body, sample, r, y_axis, z_axis, low, share)
+    angle = low
+    if abs(turn_low) > CLOSE:
+        high = low + turn_low
+        turn_high = turned_back(body, sample, r, y_axis, z_axis, high, share)
+        angle = high
+        last = 0.0
+        for _ in range(MOST_TRIES):
+            if abs(turn_high) < CLOSE or turn_low * turn_high >= 0.0:
+                break
+            angle = (low * turn_high - high * turn_low) / (turn_high - turn_low)
+            turn = turned_back(body, sample, r, y_axis, z_axis, angle, share)
+            if abs(turn) < CLOSE:
+                break
+            if turn * turn_high > 0.0:
+                high = angle
+                turn_high = turn
+                if last > 0.0:
+                    turn_low = 0.5 * turn_low
+                last = 1.0
+            else:
+                low = angle
+                turn_low = turn
+                if last < 0.0:
+                    turn_high = 0.5 * turn_high
+                last = -1.0
+    c = math.cos(angle)
+    s = math.sin(angle)
+    a = sample.half_y
+    b = sample.half_z
+    # radius of curvature of the outline there, along y and z
+    height = math.sqrt((b * c) ** 2 + (a * s) ** 2)
+    radius = height**3 / (a * b)
+    normal_y = b * c / height
+    normal_z = a * s / height
+    return share * a * c, share * b * s, radius * normal_z**2, radius * normal_y**2
+
+
+@kernel(inline=True)
+def nearest(body, sample, r, y_axis, z_axis):
+    """Point of a section with its middle at r that is nearest to an obstacle.
+
+    The section's axes y and z are in the world frame.
+    """
+    y = 0.0
+    z = 0.0
+    move_y = 0.0
+    move_z = 0.0
+    ball = sample.radius  # of the surface about the point
+    if sample.shape != ROUND:
+        ball = 0.0
+        if sample.shape == RECTANGLE:
+            y, z, move_y, move_z = nearest_of_rectangle(body, sample, r, y_axis, z_axis)
+        else:
+            y, z, move_y, move_z = nearest_of_ellipse(body, sample, r, y_axis, z_axis)
+    offset = plus(times(y, y_axis), times(z, z_axis))
+    _, away, out = place_in(body, plus(r, offset))
+    gap = away - ball
+    if sample.shape == RECTANGLE:
+        gap += 0.5 * FLAT * (y * y / sample.half_y + z * z / sample.half_z)
+    return Nearest(gap, rotate(body.R, out), (0.0, y, z), offset, (move_y, move_z))

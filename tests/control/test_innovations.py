@@ -1,0 +1,176 @@
+"""Expected measurements of the filter: their Jacobians against differences, their variances by
+field."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control.innovations import SensorModel, layout_of, noise_variances
+from soft_tendon_env.control.protocol import Measurement, SensorNoise
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+
+SENSORS = np.array([0.1, 0.2])
+FIELDS = ("tip_twist", "tendon_length", "strain", "strain_rate")
+SIZES = {"tip_twist": 6, "tendon_length": 3, "strain": 12, "strain_rate": 12}
+NOISE = SensorNoise(
+    position=0.001,
+    rotation=0.02,
+    length=0.003,
+    curvature=0.4,
+    stretch=0.05,
+    curvature_rate=6.0,
+    stretch_rate=0.7,
+)
+
+
+@pytest.fixture(scope="module")
+def model(build):
+    return build("three_tendon", {"quadrature.intervals": 4})
+
+
+@pytest.fixture
+def sensor_model(model):
+    return SensorModel(model, FIELDS, SENSORS, SensorNoise())
+
+
+@pytest.fixture
+def mean(model, random_state):
+    """The state of a filter in motion, with a displaced tip."""
+    q, q_dot = random_state(model, 0)
+    scale = model.coordinate_scale()
+    layout = layout_of(model)
+    state = np.zeros(layout.latency.stop)
+    state[layout.z] = q / scale
+    state[layout.v] = q_dot / scale
+    state[layout.offset] = 0.1
+    state[layout.tip] = [0.01, -0.02, 0.03, 0.001, 0.002, -0.001]
+    return state
+
+
+def exact_measurement(model, mean):
+    """What the sensors of an arm in the state of a filter say."""
+    layout = layout_of(model)
+    scale = model.coordinate_scale()
+    q, q_dot = scale * mean[layout.z], scale * mean[layout.v]
+    terms = model.terms(q, q_dot)
+    strain, slope = model.strain_at(q, SENSORS)
+    return Measurement(
+        tip_pose=moved_pose(terms.tip_pose, mean[layout.tip]),
+        sent=np.zeros((2, 3)),
+        time=0.0,
+        tip_twist=terms.tip_jacobian @ q_dot,
+        tendon_length=model.tendon_lengths(q),
+        strain=strain,
+        strain_rate=slope @ q_dot,
+    )
+
+
+def rows_of(name):
+    """Rows of a field among the innovations: the tip's pose comes first."""
+    start = 6
+    for field in FIELDS:
+        if field == name:
+            break
+        start += SIZES[field]
+    return slice(start, start + SIZES[name])
+
+
+def test_the_layout_has_every_entry_once(model):
+    """2 n + 2 n_a + 7 entries, in the order of its fields."""
+    layout = layout_of(model)
+    sizes = [part.stop - part.start for part in layout]
+    assert sizes == [3, 3, 3, 3, 6, 1]
+    assert layout.z.start == 0
+    assert all(a.stop == b.start for a, b in zip(layout, layout[1:], strict=False))
+
+
+def test_what_is_expected_leaves_no_innovation(model, sensor_model, mean):
+    innovation, *_ = sensor_model.innovations(mean, exact_measurement(model, mean))
+    assert innovation.size == 6 + sum(SIZES.values())
+    np.testing.assert_allclose(innovation, 0.0, atol=1e-9)
+
+
+def test_innovations_are_what_is_measured_less_what_is_expected(model, sensor_model, mean):
+    exact = exact_measurement(model, mean)
+    twist = np.array([0.01, 0.02, 0.03, 0.001, -0.002, 0.003])
+    more = {name: getattr(exact, name) + 0.25 for name in FIELDS}
+    off = exact._replace(tip_pose=moved_pose(exact.tip_pose, twist), **more)
+    innovation, *_ = sensor_model.innovations(mean, off)
+    np.testing.assert_allclose(innovation[:6], twist, atol=1e-9)
+    np.testing.assert_allclose(innovation[6:], 0.25, atol=1e-9)
+
+
+def test_jacobians_are_the_slopes_of_what_is_expected(model, sensor_model, mean):
+    """Column by column; velocities by the rates alone, what coordinates change of them is noise."""
+    layout = layout_of(model)
+    measured = exact_measurement(model, mean)
+    _, jacobian, _ = sensor_model.innovations(mean, measured)
+    step = 1e-5
+    slopes = np.zeros_like(jacobian)
+    for column in range(mean.size):
+        aside = np.zeros(mean.size)
+        aside[column] = step
+        more, _, _ = sensor_model.innovations(mean + aside, measured)
+        less, _, _ = sensor_model.innovations(mean - aside, measured)
+        slopes[:, column] = (less - more) / (2.0 * step)
+    for name in ("tip_twist", "strain_rate"):
+        slopes[rows_of(name), layout.z] = 0.0
+    # a displaced tip turns the frame in which the model's is seen: to first order in it
+    allowed = 0.1 * np.abs(slopes[:6]).max(axis=0)
+    assert (np.abs(jacobian[:6] - slopes[:6]) <= allowed + 1e-9).all()
+    np.testing.assert_allclose(jacobian[6:], slopes[6:], atol=1e-5 * np.abs(slopes).max())
+
+
+def test_variances_add_those_of_sensors_to_those_of_the_model(model):
+    """Of independent errors: the squares of their deviations."""
+    exact = noise_variances(model, SensorNoise(), 2)
+    noisy = noise_variances(model, NOISE, 2)
+    of_sensors = {
+        "tip_pose": np.repeat([0.02, 0.001], 3) ** 2,
+        "tip_twist": 0.0,
+        "tendon_length": 0.003**2,
+        "strain": np.tile(np.repeat([0.4, 0.05], 3), 2) ** 2,
+        "strain_rate": np.tile(np.repeat([6.0, 0.7], 3), 2) ** 2,
+    }
+    assert exact.keys() == of_sensors.keys()
+    for name, variance in of_sensors.items():
+        added = noisy[name] - exact[name]
+        np.testing.assert_allclose(added, np.broadcast_to(variance, added.shape), atol=1e-12)
+        assert (exact[name] > 0.0).all()
+
+
+def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
+    """Curvatures by its length, lengths in shares of it; a rod four times as long."""
+    longer = build("three_tendon", {"quadrature.intervals": 4, "segments.0.length": 1.2})
+    assert longer.length == pytest.approx(4.0 * model.length)
+    short, long = (noise_variances(each, SensorNoise(), 1) for each in (model, longer))
+    ratio = {name: np.sqrt(long[name] / short[name]) for name in short}
+    np.testing.assert_allclose(ratio["tip_pose"], [1, 1, 1, 4, 4, 4])
+    np.testing.assert_allclose(ratio["tip_twist"], [1, 1, 1, 4, 4, 4])
+    np.testing.assert_allclose(ratio["tendon_length"], 4.0)
+    for name in ("strain", "strain_rate"):
+        np.testing.assert_allclose(ratio[name], [0.25] * 3 + [1.0] * 3)
+
+
+def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mean):
+    """By a share of what is expected of them, as the Jacobian at other coordinates is another."""
+    layout = layout_of(model)
+    still = mean.copy()
+    still[layout.v] = 0.0
+    measured = exact_measurement(model, mean)
+    _, _, at_rest = sensor_model.innovations(still, measured)
+    _, _, moving = sensor_model.innovations(mean, measured)
+    for name in ("tip_twist", "strain_rate"):
+        added = moving[rows_of(name)] - at_rest[rows_of(name)]
+        expected = getattr(measured, name).ravel()
+        np.testing.assert_allclose(added, 0.05**2 * expected**2, atol=1e-9)
+    for name in ("tendon_length", "strain"):
+        np.testing.assert_array_equal(moving[rows_of(name)], at_rest[rows_of(name)])
+
+
+def test_without_sensors_of_strains_there_are_none(model, mean):
+    blind = SensorModel(model, ("tendon_length",), np.zeros(0), NOISE)
+    measured = exact_measurement(model, mean)._replace(strain=None, strain_rate=None)
+    innovation, jacobian, variance = blind.innovations(mean, measured)
+    assert innovation.shape == variance.shape == (9,)
+    assert jacobian.shape == (9, mean.size)
+    assert np.abs(pose_error(np.eye(4), measured.tip_pose)).max() > 0.01

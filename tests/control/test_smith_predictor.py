@@ -1,0 +1,106 @@
+"""Smith predictor: what it predicts is what the arm does under the commands in transit."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import ControllerInput, InputError, Reference
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.smith_predictor import SmithPredictor, whole_periods
+from soft_tendon_env.model.simulation import Simulation
+
+PERIOD = 0.02
+ERROR = InputError(np.array([1.2, 0.9, 1.1]), np.array([0.3, -0.2, 0.1]))
+SENT = tuple(np.array([1.0, 0.5, 2.0]) * share for share in (0.2, 0.5, 1.0))
+# latency [s], and for how long which of the commands act until the present one does
+LATE = [
+    (0.0, ()),
+    (0.01, ((0.01, 2),)),
+    (0.02, ((PERIOD, 2),)),
+    (0.035, ((0.015, 1), (PERIOD, 2))),
+    (0.05, ((0.01, 0), (PERIOD, 1), (PERIOD, 2))),
+]
+
+
+@pytest.fixture(scope="module")
+def model(build):
+    return build("three_tendon")
+
+
+@pytest.fixture
+def moving(model, random_state):
+    """An arm in motion, as measured, and its simulation."""
+    q, q_dot = random_state(model, 0)
+    simulation = Simulation(model)
+    simulation.reset(q, q_dot, time=0.7)
+    reference = Reference(np.array([0.0, 0.1]))
+    now = ControllerInput(q, q_dot, model.tip_pose(q), SENT[-1], reference, time=0.7)
+    return now, simulation
+
+
+@pytest.mark.parametrize(
+    ("delay", "whole", "rest"),
+    [
+        (0.0, 0, 0.0),
+        (0.005, 0, 0.005),
+        (0.02, 1, 0.0),
+        (0.05, 2, 0.01),
+        (3 * 0.02, 3, 0.0),  # 0.06 / 0.02 is less than 3 in floating point
+        (0.07, 3, 0.01),
+        (0.02 * (1.0 - 1e-12), 1, 0.0),
+        (0.02 * (1.0 + 1e-12), 1, 0.0),
+    ],
+)
+def test_delays_are_whole_periods_and_a_rest(delay, whole, rest):
+    periods, seconds = whole_periods(delay, PERIOD)
+    assert periods == whole
+    assert seconds == pytest.approx(rest, abs=1e-12)
+    assert seconds >= 0.0
+    if rest == 0.0:
+        assert seconds == 0.0
+
+
+@pytest.mark.parametrize(("latency", "acting"), LATE)
+@pytest.mark.parametrize("error", [None, ERROR], ids=["exact", "erring"])
+def test_the_prediction_is_the_motion_under_the_commands_in_transit(
+    model, moving, latency, acting, error
+):
+    """Of a latency that is known, and of one that is told for now."""
+    now, arm = moving
+    now = now._replace(input_error=error)
+    for seconds, index in acting:
+        tension = SENT[index]
+        if error is not None:
+            tension = error.gain * tension + error.offset
+        arm.step(tension, seconds)
+    known = SmithPredictor(model, latency, PERIOD)
+    assert known.history == len(LATE[-1][1]) or latency < 0.05
+    told = SmithPredictor(model, 0.05, PERIOD).predict(now, SENT, latency)
+    for predicted in (known.predict(now, SENT[-known.history :]), told):
+        np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(predicted.q_dot, arm.state.q_dot, rtol=1e-9, atol=1e-12)
+        assert predicted.time == pytest.approx(0.7 + latency)
+        np.testing.assert_allclose(predicted.reference.ahead, np.array([0.0, 0.1]) - latency)
+        np.testing.assert_allclose(predicted.tip_pose, arm.tip_pose, atol=1e-9)
+
+
+def test_commands_in_transit_are_kept_for_as_long_as_they_act(model):
+    for latency, count in ((0.0, 1), (0.01, 1), (0.02, 2), (0.05, 3)):
+        assert SmithPredictor(model, latency, PERIOD).history == count
+
+
+def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
+    """The displacement from the model's tip to the measured one stays, in the frame of the tip."""
+    now, _ = moving
+    displacement = np.array([0.1, -0.2, 0.05, 0.01, 0.02, -0.01])
+    beside = now._replace(tip_pose=moved_pose(now.tip_pose, displacement))
+    predictor = SmithPredictor(model, 0.05, PERIOD)
+    straight, displaced = (predictor.predict(each, SENT) for each in (now, beside))
+    moved = np.linalg.solve(now.tip_pose, straight.tip_pose)
+    np.testing.assert_allclose(displaced.tip_pose, beside.tip_pose @ moved, atol=1e-9)
+    assert np.abs(pose_error(now.tip_pose, straight.tip_pose)).max() > 0.01
+
+
+def test_a_model_without_such_a_motion_leaves_what_is_measured(model, moving):
+    now, _ = moving
+    lost = now._replace(q=np.full(3, 1e4))
+    assert SmithPredictor(model, 0.05, PERIOD).predict(lost, SENT) is lost

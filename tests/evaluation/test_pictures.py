@@ -1,0 +1,53 @@
+"""Pictures of errors by condition: points are interquartile means, lines their intervals, side by
+side."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from soft_tendon_env.drawing.palette import styles
+from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore
+from soft_tendon_env.evaluation.pictures import SPREAD, _draw_panel
+from soft_tendon_env.evaluation.summaries import Standing
+
+
+def standing(*errors):
+    """Of errors [m], an episode each."""
+    scores = []
+    for seed, error in enumerate(errors):
+        of_error = {"position_error": ErrorScore(error, error)}
+        scores.append(EpisodeScore(seed, 10, of_error, False, {}, 0.0, None, None, 0.001, 1.0))
+    return Standing([scores])
+
+
+@pytest.fixture
+def axes():
+    figure, axes = plt.subplots()
+    yield axes
+    plt.close(figure)
+
+
+def test_policies_stand_side_by_side_in_every_condition(axes):
+    """In millimetres, on a logarithmic scale; where one did not play there is nothing."""
+    panel = {
+        ("a", "x"): standing(0.001, 0.002, 0.003, 0.050),
+        ("b", "x"): standing(0.004, 0.004),
+        ("a", "y"): standing(0.005, 0.005),
+    }
+    _draw_panel(axes, panel, styles(["a", "b"]))
+    points = {line.get_label(): line.get_xydata() for line in axes.lines}
+    aside = SPREAD / 4.0
+    np.testing.assert_allclose(points["a"], [[-aside, 2.5], [1.0 - aside, 5.0]])
+    np.testing.assert_allclose(points["b"], [[aside, 4.0]])
+    intervals = [path.vertices for lines in axes.collections for path in lines.get_paths()]
+    mean = panel["a", "x"].mean("position_error_rms")
+    expected = [[-aside, 1e3 * mean.low], [-aside, 1e3 * mean.high]]
+    np.testing.assert_allclose(intervals[0], expected)
+    borders = [line.get_xdata()[0] for line in axes.lines if line.get_label().startswith("_")]
+    assert borders == [0.5]
+    assert axes.get_xlim() == (-0.5, 1.5)
+    assert axes.get_yscale() == "log"
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["x", "y"]

@@ -1,0 +1,366 @@
+"""Linearly implicit substeps and their extrapolation against their formulas, and the balance at
+rest against differences."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.mechanics.motion.advance import (
+    LEAST_ERROR,
+    ROUGH,
+    Control,
+    Limits,
+    next_step,
+    step_length,
+    while_touching,
+)
+from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
+from soft_tendon_env.mechanics.motion.extrapolation import (
+    HOPELESS,
+    Attempt,
+    Demand,
+    Extrapolated,
+    complete_row,
+    error_estimate,
+    extrapolate,
+    extrapolated_step,
+    predict_strain,
+)
+from soft_tendon_env.mechanics.motion.pose_errors import (
+    move_poses,
+    pose_error_cotangents,
+    pose_errors,
+)
+from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH, Motion, make_scratch
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.workspace import make_workspace
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.scene.file import load_scene
+
+pytestmark = pytest.mark.no_jit
+
+H = 0.004
+TENSION = np.array([2.0, 0.5, 1.0])
+Q = np.array([1.0, 0.8, 0.3])
+RATES = np.array([20.0, -10.0, 5.0])
+BENDING = {
+    "strain": {
+        "type": "explicit",
+        "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}],
+    }
+}
+FLUID = {
+    "effects.fluid": {"density": 1000.0, "current": [0.1, 0.2, 0.0]},
+    "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+}
+SPRINGS = {
+    "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.05, 0.05]},
+    **BENDING,
+}
+RUBBING = {"effects.tendon_friction": {"coefficient": 0.5, "stiction_speed": 1e-3}, **BENDING}
+
+
+def arm_with(changes):
+    return model_on(load_scene("three_tendon").replace(changes), 2)
+
+
+def motion_of(model, q=Q, rates=RATES):
+    state = model.arm.effects.state.copy()
+    return Motion(q.copy(), rates.copy(), model.packed_strain(q), state, np.zeros(1))
+
+
+def step_with(model, columns, command=TENSION, frozen=False, inertia=True, tolerance=1e300):
+    """The scratch after an extrapolated step of length H, and the attempt."""
+    method = Extrapolated(columns, columns, inertia, frozen, 1e-12)
+    scratch = make_scratch(model.arm, columns)
+    demand = Demand(tolerance, columns, H)
+    attempt = extrapolated_step(model.arm, method, demand, command, motion_of(model), H, scratch)
+    return scratch, attempt
+
+
+def linear_system(model, q, v, tension):
+    """M, D and G with the effects' share, and the force drive - C v + F, at (q, v)."""
+    terms = model.terms(q, v, tension)
+    force = terms.actuation @ tension - terms.elastic_force - terms.damping @ v - terms.bias
+    damping = terms.damping + terms.external_damping
+    stiffness = terms.stiffness + terms.external_stiffness
+    return terms.mass, damping, stiffness, force + terms.external_force
+
+
+def substep(matrices, force, q, v, h):
+    """(M + h D + h^2 G) dv = h (f - h G v), then q += h v."""
+    M, D, G = matrices
+    v = v + np.linalg.solve(M + h * D + h**2 * G, h * (force - h * G @ v))
+    return q + h * v, v
+
+
+@pytest.mark.parametrize("changes", [{}, FLUID, BENDING], ids=["bare", "fluid", "explicit"])
+def test_one_column_is_a_linearly_implicit_euler_step(changes):
+    model = arm_with(changes)
+    scratch, attempt = step_with(model, 1)
+    M, D, G, force = linear_system(model, Q, RATES, TENSION)
+    q, v = substep((M, D, G), force, Q, RATES, H)
+    np.testing.assert_allclose(scratch.q, q, rtol=1e-9)
+    np.testing.assert_allclose(scratch.v, v, rtol=1e-9, atol=1e-9)
+    assert attempt[:3] == (OK, 1, 1)
+
+
+def test_one_column_without_inertia_balances_damping():
+    """(h D + h^2 G) dv = h (f - h G v), without M and C v."""
+    model = arm_with({})
+    scratch, _ = step_with(model, 1, inertia=False)
+    M, D, G, force = linear_system(model, Q, RATES, TENSION)
+    force = force + model.terms(Q, RATES, TENSION).bias
+    q, v = substep((0.0 * M, D, G), force, Q, RATES, H)
+    np.testing.assert_allclose(scratch.q, q, rtol=1e-9)
+    np.testing.assert_allclose(scratch.v, v, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+@pytest.mark.parametrize("changes", [{}, FLUID], ids=["bare", "fluid"])
+def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
+    """T = 2 T(h/2) - T(h); M, the forces and the effects' share are those of every substep, the
+    rod's own D and G those of the first, where they are frozen."""
+    model = arm_with(changes)
+    scratch, attempt = step_with(model, 2, frozen=frozen)
+    M, D, G, force = linear_system(model, Q, RATES, TENSION)
+    whole = substep((M, D, G), force, Q, RATES, H)
+    q, v = substep((M, D, G), force, Q, RATES, 0.5 * H)
+    M_half, D_half, G_half, force_half = linear_system(model, q, v, TENSION)
+    if frozen:
+        first, second = model.terms(Q, RATES, TENSION), model.terms(q, v, TENSION)
+        D_half = D_half - second.damping + first.damping
+        G_half = G_half - second.stiffness + first.stiffness
+    halves = substep((M_half, D_half, G_half), force_half, q, v, 0.5 * H)
+    for found, one, two in zip((scratch.q, scratch.v), whole, halves, strict=True):
+        np.testing.assert_allclose(found, 2.0 * two - one, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(
+        scratch.error_q, halves[0] - whole[0], rtol=1e-6, atol=1e-6 * np.abs(Q).max()
+    )
+    assert attempt.evaluations == 2
+    assert attempt.rows == 2
+
+
+def rest_of(model, force, B, v, h=H):
+    """What is left of the linear system at the rates v of a step's end, under forces by tendons."""
+    M, D, G, _ = linear_system(model, Q, RATES, np.zeros(3))
+    unknown = (M + h * D + h**2 * G) @ (v - RATES)
+    return unknown - h * (force + B - h * G @ RATES)
+
+
+@pytest.mark.parametrize("stretch", [[4e-4, 1e-3, -2e-3], [4e-4, 2e-2, 3e-4]])
+def test_elastic_tendons_have_the_tensions_of_a_step_s_end(stretch):
+    """x = clip(k (u - s - h y), 0, strength) with the rates y = B^T v' at the end."""
+    model = arm_with(SPRINGS)
+    path = model.arm.effects.transmission
+    shortening = path.length - model.tendon_lengths(Q)
+    scratch, _ = step_with(model, 1, command=shortening + stretch)
+    B = model.terms(Q, RATES).actuation
+    y = B.T @ scratch.v
+    tension = np.clip(path.stiffness * (np.array(stretch) - H * y), 0.0, path.strength)
+    np.testing.assert_allclose(scratch.ends.tension, tension, rtol=1e-9, atol=1e-9)
+    # the explicit rod's stiffness has that of the tensions at the beginning in it
+    begun = np.clip(path.stiffness * np.array(stretch), 0.0, path.strength)
+    terms = model.terms(Q, RATES, begun)
+    M, D, G = terms.mass, terms.damping, terms.stiffness
+    force = B @ tension - terms.elastic_force - terms.damping @ RATES - terms.bias
+    v = RATES + np.linalg.solve(M + H * D + H**2 * G, H * (force - H * G @ RATES))
+    np.testing.assert_allclose(scratch.v, v, rtol=1e-8)
+
+
+def test_friction_is_that_of_the_rates_at_a_step_s_end():
+    """v' = v + dv + A^-1 h F (z(y) - z(y')), of the substep with friction as it begins."""
+    model = arm_with(RUBBING)
+    scratch, _ = step_with(model, 1)
+    ends, slow = scratch.ends, 1e-3
+    tendons = scratch.first.tendons
+    B, F = tendons.columns.T, tendons.rubbing.T
+    np.testing.assert_allclose(B, model.terms(Q, RATES).actuation, atol=1e-13)
+    begun = B.T @ RATES
+    np.testing.assert_allclose(tendons.pull_rate, begun, rtol=1e-9, atol=1e-13)
+    matrices = scratch.first.matrices
+    A = matrices.M + H * matrices.D + H**2 * matrices.G
+    right = H * (scratch.first.force - H * matrices.G @ RATES)
+    end = B.T @ scratch.v
+    change = begun / np.hypot(begun, slow) - end / np.hypot(end, slow)
+    expected = RATES + np.linalg.solve(A, right + H * F @ change)
+    np.testing.assert_allclose(scratch.v, expected, rtol=1e-6)
+    np.testing.assert_allclose(ends.change, change, rtol=1e-5, atol=1e-9)
+    assert np.abs(change).max() > 1e-3
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4])
+def test_extrapolation_is_exact_for_polynomials_of_the_step(rows):
+    """Values a + b h + c h^2 .. at h = 1, 1/2, 1/3 ..: as many powers as there are columns."""
+    rng = np.random.default_rng(0)
+    coefficients = rng.normal(size=(rows, 2))
+    table, error = np.zeros((rows, rows, 2)), np.zeros(2)
+    for row in range(rows):
+        h = 1.0 / (row + 1)
+        value = (coefficients * h ** np.arange(rows)[:, None]).sum(axis=0)
+        other = max(row - 1, 0)
+        extrapolate(row, row, other, table, value, error)
+        np.testing.assert_allclose(error, value - table[row, other])
+    np.testing.assert_allclose(value, coefficients[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("kink", [SMOOTH, KINKED])
+def test_kinks_are_not_extrapolated(kink):
+    scratch = make_scratch(arm_with(BENDING).arm, 2)
+    scratch.kink[0] = kink
+    first, second = np.array([1.0, 2.0, 3.0]), np.array([1.5, 2.0, 2.5])
+    for row, value in enumerate((first, second)):
+        scratch.q[:], scratch.v[:] = value, -value
+        complete_row(row, scratch)
+    extrapolated = 2.0 * second - first
+    kept, other = (extrapolated, second) if kink == SMOOTH else (second, extrapolated)
+    np.testing.assert_allclose(scratch.q, kept)
+    np.testing.assert_allclose(scratch.v, -kept)
+    np.testing.assert_allclose(scratch.error_q, kept - other)
+
+
+def test_the_error_is_the_root_mean_square_displacement_of_the_rod():
+    """sqrt(e^T M e / m), at once or by the rates within the horizon; none of what is not finite."""
+    model = arm_with(BENDING)
+    scratch, _ = step_with(model, 1)
+    mass = model.arm.rod.mass[0]
+    M = scratch.work.matrices.M
+    of_q, of_v = np.array([0.1, -0.2, 0.3]), np.array([30.0, 5.0, -2.0])
+    for error_q, error_v, horizon in ((of_q, 0.0 * of_v, H), (0.0 * of_q, of_v, 0.7)):
+        scratch.error_q[:], scratch.error_v[:] = error_q, error_v
+        status, error = error_estimate(model.arm.rod, horizon, scratch)
+        moved = np.sqrt(error_q @ M @ error_q / mass)
+        moving = horizon * np.sqrt(error_v @ M @ error_v / mass)
+        assert status == OK
+        assert error == pytest.approx(max(moved, moving))
+    scratch.v[1] = np.nan
+    assert error_estimate(model.arm.rod, H, scratch) == (NOT_FINITE, np.inf)
+
+
+def test_columns_end_where_the_tolerance_is_met_or_out_of_reach():
+    model = arm_with({})
+    motion, method = motion_of(model), Extrapolated(5, 2, True, False, 1e-12)
+    errors, rows = [], []
+    for tolerance in (1.0, 1e-8, 1e-30):
+        scratch = make_scratch(model.arm, 5)
+        attempt = extrapolated_step(
+            model.arm, method, Demand(tolerance, 2, H), TENSION, motion, H, scratch
+        )
+        errors.append(attempt.error)
+        rows.append(attempt.rows)
+        assert (attempt.status == OK) == (attempt.error <= tolerance)
+        assert attempt.evaluations == 1 + attempt.rows * (attempt.rows - 1) // 2
+    assert rows[0] == 2
+    assert rows[0] < rows[1]
+    assert attempt.status == INACCURATE
+    assert attempt.rows < 5, "what is hopeless is given up"
+    assert attempt.error > HOPELESS * 1e-30
+    assert errors[1] < errors[0]
+
+
+def test_strains_ahead_are_predicted_to_second_order_along_the_motion():
+    """And to first order beside it, of tendons that wind."""
+    model = model_on(load_scene("paper"), 1)
+    q, q_dot = np.linspace(1.0, 10.0, 10), np.linspace(-3.0, 2.0, 10)
+    beside = np.cos(np.arange(10.0))
+    work = make_workspace(model.arm)
+    work.strain.xi[:] = start = model.packed_strain(q)
+    assert evaluate(model.arm, np.zeros(10), q, q_dot, 1e-12, work) == -1
+    for direction, order in ((q_dot, 3), (beside, 2)):
+        errors = []
+        for time in (2.0, 1.0):
+            ahead = q + time * direction
+            work.strain.xi[:] = start
+            predict_strain(model.arm.strain, ahead, q, work.strain, work.spare.stress)
+            errors.append(np.abs(work.strain.xi - model.packed_strain(ahead)).max())
+        assert np.log2(errors[0] / errors[1]) > order - 0.3
+    assert errors[0] > 1e-3
+
+
+def test_steps_follow_the_error_and_the_limits():
+    control = Control(0.02, 1e-4, True, 1e-6, 0.03)
+    assert next_step(control._replace(adaptive=False), 3, 1e-3, Attempt(OK, 2, 2, 1.0, 2)) == 2e-3
+    grown = next_step(control, 3, 1e-3, Attempt(OK, 3, 4, LEAST_ERROR, 3))
+    assert grown == pytest.approx(4e-3)
+    shrunk = next_step(control, 3, 1e-3, Attempt(INACCURATE, 3, 4, 1e9, 3))
+    assert shrunk == pytest.approx(0.2e-3)
+    none = Limits(np.inf, False)
+    assert step_length(0.02, 0.05, none) == 0.02
+    assert step_length(0.02, 0.02 * (1 + 1e-12), none) == 0.02 * (1 + 1e-12)
+    assert step_length(0.02, 0.01, none) == 0.01
+    assert step_length(0.02, 0.05, Limits(0.003, True)) == 0.003
+    equal = step_length(0.02, 0.05, Limits(0.015, False))
+    assert equal == pytest.approx(0.05 / 4)
+    model = arm_with(BENDING)
+    rough = ROUGH * model.length
+    touching = while_touching(model.arm, control)
+    assert touching.tolerance == pytest.approx(min(1e-4, rough))
+    assert touching.horizon == pytest.approx(0.03 * touching.tolerance / rough)
+    assert touching.adaptive
+    assert touching.step == 0.02
+    assert touching.smallest == 1e-6
+
+
+@pytest.mark.parametrize("part", [0.0, 0.6])
+def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
+    """f = part (B u + F) - K, by differences of the terms."""
+    model = arm_with(FLUID)
+    n, directions = 3, np.array([[1.0, 0.0, 0.0], [0.3, -0.7, 0.2]])
+    out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, 2)))
+    work = make_workspace(model.arm)
+    done = linearise_balance(model.arm, TENSION, Q, part, True, directions, work, out)
+    assert done == (-1, 1.0)
+
+    def balance(q, part):
+        terms = model.terms(q, np.zeros(n))
+        return part * (terms.actuation @ TENSION + terms.external_force) - terms.elastic_force
+
+    np.testing.assert_allclose(out.force, balance(Q, part), rtol=1e-9, atol=1e-12)
+    rate = balance(Q, 1.0) - balance(Q, 0.0)
+    np.testing.assert_allclose(out.rate, rate, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(out.G, model.terms(Q, np.zeros(n)).stiffness, rtol=1e-9)
+    h = 1e-5
+    for direction, slope in zip(directions, out.slopes.T, strict=True):
+        expected = (balance(Q - h * direction, part) - balance(Q + h * direction, part)) / (2 * h)
+        np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def random_poses(rng, shape):
+    poses = np.tile(np.eye(4), (*shape, 1, 1))
+    twists = rng.normal(size=(int(np.prod(shape)), 1, 6))
+    flat = poses.reshape(-1, 4, 4)
+    moved = np.tile(np.eye(4), (len(flat), 1, 1, 1))
+    move_poses(flat, twists, moved)
+    return moved.reshape(*shape, 4, 4)
+
+
+def test_moved_poses_undo_errors_and_cotangents_are_differences():
+    rng = np.random.default_rng(0)
+    pose, goal = random_poses(rng, (2,)), random_poses(rng, (2, 3))
+    error, back = np.empty((2, 3, 6)), np.tile(np.eye(4), (2, 3, 1, 1))
+    pose_errors(pose, goal, error)
+    move_poses(pose, error, back)
+    np.testing.assert_allclose(back, goal, atol=1e-12)
+    cotangent = rng.normal(size=error.shape)
+    by_pose, by_goal = np.empty_like(error), np.empty_like(error)
+    pose_error_cotangents(error, cotangent, by_pose, by_goal)
+    h = 1e-6
+    for row in range(2):
+        for j in range(3):
+            for k, unit in enumerate(h * np.eye(6)):
+                moves = np.array([[unit, -unit]])
+                poses, goals = np.tile(np.eye(4), (2, 1, 2, 1, 1))
+                move_poses(pose[row : row + 1], moves, poses)
+                move_poses(goal[row, j : j + 1], moves, goals)
+                ends = np.empty((2, 2, 1, 6))
+                for side in range(2):
+                    pose_errors(
+                        poses[:, side], goal[row : row + 1, j : j + 1], ends[0, side : side + 1]
+                    )
+                    pose_errors(
+                        pose[row : row + 1], goals[:, side : side + 1], ends[1, side : side + 1]
+                    )
+                slopes = (ends[:, 0, 0] - ends[:, 1, 0]) / (2 * h)
+                expected = slopes @ cotangent[row, j]
+                assert by_pose[row, j, k] == pytest.approx(expected[0], abs=1e-8)
+                assert by_goal[row, j, k] == pytest.approx(expected[1], abs=1e-8)
