@@ -57,7 +57,6 @@ SPRINGS = {
     "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.05, 0.05]},
     **BENDING,
 }
-RUBBING = {"effects.tendon_friction": {"coefficient": 0.5, "stiction_speed": 1e-3}, **BENDING}
 
 
 def arm_with(changes):
@@ -166,27 +165,6 @@ def test_elastic_tendons_have_the_tensions_of_a_step_s_end(stretch):
     force = B @ tension - terms.elastic_force - terms.damping @ RATES - terms.bias
     v = RATES + np.linalg.solve(M + H * D + H**2 * G, H * (force - H * G @ RATES))
     np.testing.assert_allclose(scratch.v, v, rtol=1e-8)
-
-
-def test_friction_is_that_of_the_rates_at_a_step_s_end():
-    """v' = v + dv + A^-1 h F (z(y) - z(y')), of the substep with friction as it begins."""
-    model = arm_with(RUBBING)
-    scratch, _ = step_with(model, 1)
-    ends, slow = scratch.ends, 1e-3
-    tendons = scratch.first.tendons
-    B, F = tendons.columns.T, tendons.rubbing.T
-    np.testing.assert_allclose(B, model.terms(Q, RATES).actuation, atol=1e-13)
-    begun = B.T @ RATES
-    np.testing.assert_allclose(tendons.pull_rate, begun, rtol=1e-9, atol=1e-13)
-    matrices = scratch.first.matrices
-    A = matrices.M + H * matrices.D + H**2 * matrices.G
-    right = H * (scratch.first.force - H * matrices.G @ RATES)
-    end = B.T @ scratch.v
-    change = begun / np.hypot(begun, slow) - end / np.hypot(end, slow)
-    expected = RATES + np.linalg.solve(A, right + H * F @ change)
-    np.testing.assert_allclose(scratch.v, expected, rtol=1e-6)
-    np.testing.assert_allclose(ends.change, change, rtol=1e-5, atol=1e-9)
-    assert np.abs(change).max() > 1e-3
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
