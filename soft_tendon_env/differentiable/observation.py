@@ -1,9 +1,11 @@
 """Observations in PyTorch: the groups of the environments, on tensors in place of arrays."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
+from torch.overrides import TorchFunctionMode
 
 from soft_tendon_env.differentiable.period import ArmTensors, as_tensors
 from soft_tendon_env.differentiable.poses import pose_logarithm
@@ -32,6 +34,7 @@ class TensorObservation:
         """Begin in the present step; dtype: of the observations."""
         self._episodes = episodes
         self._dtype = dtype
+        self._is_tried = False  # whether the groups have given tensors
         layout = episodes.layout
         self._scale, self._bound, self._kept = as_tensors(layout.scale, layout.bound, layout.kept)
         self._past: torch.Tensor | None = None
@@ -73,7 +76,11 @@ class TensorObservation:
             ValueError: a group reads what tensors do not have, or makes no tensor; it is named.
         """
         groups = self._episodes.layout.groups
-        parts = [_tensor_values(name, group, observed) for name, group in groups.items()]
+        # a group that uses NumPy does so from its first values on
+        watch = nullcontext() if self._is_tried else _NoArrays()
+        with watch:
+            parts = [_tensor_values(name, group, observed) for name, group in groups.items()]
+        self._is_tried = True
         scaled = torch.cat(parts, dim=1) * self._scale
         return torch.clamp(scaled, -self._bound, self._bound)
 
@@ -115,6 +122,21 @@ class TensorObservation:
         return torch.clamp(pose[:, :3, 3], -bound, bound).to(self._dtype)
 
 
+class _UsesNumPy(Exception):
+    """A tensor was to become an array, which carries no gradients."""
+
+
+class _NoArrays(TorchFunctionMode):
+    """Refuses arrays made of tensors: NumPy's functions would make constants of them unseen."""
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        if func in (torch.Tensor.__array__, torch.Tensor.numpy):
+            raise _UsesNumPy
+        return func(*args, **(kwargs or {}))
+
+
 def _tensor_values(name: str, group: Group, observed: Any) -> torch.Tensor:
     """Values (rows, size) of a group as a tensor. Raises ValueError that names the group."""
     remedy = (
@@ -122,14 +144,15 @@ def _tensor_values(name: str, group: Group, observed: Any) -> torch.Tensor:
     )
     try:
         values: Any = group.values(observed)
+    except _UsesNumPy:
+        raise ValueError(f"the observation group {name!r} uses NumPy: {remedy}") from None
     except (AttributeError, TypeError, RuntimeError) as error:
         raise ValueError(
             f"the observation group {name!r} reads what tensors lack, {first_line(error)}: {remedy}"
         ) from error
     if not isinstance(values, torch.Tensor):
         raise ValueError(
-            f"the observation group {name!r} uses NumPy, and gives {type(values).__name__}:"
-            f" {remedy}"
+            f"the observation group {name!r} gives {type(values).__name__}, no tensor: {remedy}"
         )
     return values
 

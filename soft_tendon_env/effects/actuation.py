@@ -155,7 +155,7 @@ class TendonFriction(Effect):
     coefficient: Annotated[float, Field(ge=0, le=10)] = Field(
         description="coefficient of friction mu [-]"
     )
-    stiction_speed: Annotated[float, Field(ge=LEAST_SPEED)] = Field(
+    stiction_speed: Annotated[NotNegative, Field(ge=LEAST_SPEED)] = Field(
         1e-4, description="speed v_s [m/s] of sliding below which friction falls"
     )
 

@@ -56,7 +56,9 @@ def sweep(command, tmp_path, monkeypatch):
 
     monkeypatch.setattr(learning, "run_job", run_job)
     monkeypatch.chdir(tmp_path)
-    return lambda *arguments: command("sweep", *arguments, "--out", "runs", "--workers", "1")
+    before = signal.getsignal(signal.SIGTERM)  # which the command takes for its process
+    yield lambda *arguments: command("sweep", *arguments, "--out", "runs", "--workers", "1")
+    signal.signal(signal.SIGTERM, before)
 
 
 def write_config(folder, name, **changes):

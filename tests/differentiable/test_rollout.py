@@ -218,7 +218,8 @@ def assert_refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (lambda seen: np.sin(seen.tip_pose[:, :3, 3]), "'own' uses NumPy, and gives ndarray"),
+        (lambda seen: np.sin(seen.tip_pose[:, :3, 3]), "'own' uses NumPy: gradients"),
+        (lambda seen: np.ones((3, 3)), "'own' gives ndarray, no tensor"),
         (lambda seen: seen.tip_pose[:, 0, :3] / seen.arms.period, "'own' reads what tensors lack"),
     ],
 )

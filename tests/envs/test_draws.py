@@ -233,15 +233,23 @@ BALLS = [
 def test_the_deepest_ball_is_that_with_the_greatest_overlap(build):
     """Of balls of the arm and obstacles, or of those alone that stand."""
     model = build("three_tendon", {"effects.contact.obstacles": BALLS, "quadrature.intervals": 4})
-    places = np.array([[0.1, 0.0, 0.0], [0.2, 0.0, 0.05]])
-    radius = np.array([0.01, 0.02])
-    depth = deepest(model, places, radius)
-    # overlaps: 0.01 + 0.04 - 0.141, 0.02 + 0.04 - 0.05 and 0.01 + 0.03 - 0.05, ...
+    count = model.scene.effects.contact.sample_places(model.discretisation).size
+
+    def poses_with(first, second):
+        """Balls of 10 mm far away, but for the first two."""
+        poses = np.tile(np.eye(4), (count, 1, 1))
+        poses[:, :3, 3] = 9.0
+        poses[0, :3, 3] = first
+        poses[1, :3, 3] = second
+        return poses
+
+    depth = deepest(model, poses_with([0.1, 0.0, 0.0], [0.2, 0.0, 0.06]))
+    # overlaps: 0.01 + 0.04 - 0.141, 0.01 + 0.04 - 0.04 and 0.01 + 0.03 - 0.05, ...
     assert depth.depth == pytest.approx(0.01)
     assert (depth.sample, depth.name) == (1, "effects.contact.obstacles[0], a sphere")
-    near_moving = np.array([[0.1, 0.0, 0.03], [0.3, 0.0, 0.0]])
-    assert deepest(model, near_moving, radius).depth == pytest.approx(0.01 + 0.03 - 0.02)
-    standing = deepest(model, near_moving, radius, standing=True)
+    near_moving = poses_with([0.1, 0.0, 0.03], [0.3, 0.0, 0.0])
+    assert deepest(model, near_moving).depth == pytest.approx(0.01 + 0.03 - 0.02)
+    standing = deepest(model, near_moving, standing=True)
     assert standing.name.startswith("effects.contact.obstacles[0]")
     assert standing.depth < 0.0
     assert why_inside(model, np.zeros(3)) == ""
