@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.effects.contact import Contact
+from soft_tendon_env.effects.contact.forces import read_gaps
 from soft_tendon_env.effects.contact.samples import sample_outlines
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
@@ -23,19 +25,17 @@ class Depth(NamedTuple):
     name: str  # of the obstacle, as messages have it
 
 
-def deepest(model: Model, poses: Array, standing: bool = False) -> Depth:
+def deepest(contact: Contact, gaps: Array, standing: bool = False) -> Depth:
     """Depth of the sample of the arm that is deepest in an obstacle at time 0.
 
     Args:
-        model: of the arm.
-        poses: (m, 4, 4) of the samples.
+        contact: of the scene.
+        gaps: (obstacles, m) [m] between obstacles and samples.
         standing: look at obstacles that stand still alone.
 
     Returns:
         The depth; minus infinity where there is no obstacle.
     """
-    contact = model.scene.effects.contact
-    gaps = contact.gaps(model.discretisation, poses)
     depths = [Depth(-np.inf, 0, "")]
     for i, obstacle in enumerate(contact.obstacles):
         if standing and obstacle.moves:
@@ -53,7 +53,8 @@ def why_inside(model: Model, q: Array) -> str:
         return ""
     places = contact.sample_places(model.discretisation)
     radius = sample_outlines(model.discretisation, places).radius
-    depth, sample, name = deepest(model, model.backbone_at(q, places))
+    gaps = contact.gaps(model.discretisation, model.backbone_at(q, places))
+    depth, sample, name = deepest(contact, gaps)
     if not depth > INSIDE * radius[sample]:
         return ""
     place = f"{places[sample]:.3g} m along it"
@@ -72,7 +73,9 @@ class ObstacleFreeSpace:
         self._arms = arms
         without_obstacles = {"effects": scene.effects.everywhere()}
         self.model = model.with_scene(scene.model_copy(update=without_obstacles))
-        places = scene.effects.contact.sample_places(model.discretisation)
+        self._contact = scene.effects.contact
+        self._parameters = self._contact.parameters(model.discretisation)  # once for all poses
+        places = self._contact.sample_places(model.discretisation)
         no_sensors = np.empty(0)
         self._places = model.grid.places(places, no_sensors)
 
@@ -80,7 +83,10 @@ class ObstacleFreeSpace:
         """Whether the arm is clear of standing obstacles at coordinates q (m, n): (m,)."""
         no_motion = np.zeros_like(q)
         reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
-        model = self._arms.model
-        depths = [deepest(model, poses, standing=True).depth for poses in reading.backbone]
+        depths = []
+        for poses in reading.backbone:
+            gaps = np.empty((len(self._contact.obstacles), len(poses)))
+            read_gaps(self._parameters, np.ascontiguousarray(poses), 0.0, gaps)
+            depths.append(deepest(self._contact, gaps, standing=True).depth)
         is_clear = np.array(depths) < 0.0
         return has_strain & is_clear

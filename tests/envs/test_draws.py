@@ -243,13 +243,18 @@ def test_the_deepest_ball_is_that_with_the_greatest_overlap(build):
         poses[1, :3, 3] = second
         return poses
 
-    depth = deepest(model, poses_with([0.1, 0.0, 0.0], [0.2, 0.0, 0.06]))
+    contact = model.scene.effects.contact
+
+    def deepest_of(poses, **standing):
+        return deepest(contact, contact.gaps(model.discretisation, poses), **standing)
+
+    depth = deepest_of(poses_with([0.1, 0.0, 0.0], [0.2, 0.0, 0.06]))
     # overlaps: 0.01 + 0.04 - 0.141, 0.01 + 0.04 - 0.04 and 0.01 + 0.03 - 0.05, ...
     assert depth.depth == pytest.approx(0.01)
     assert (depth.sample, depth.name) == (1, "effects.contact.obstacles[0], a sphere")
     near_moving = poses_with([0.1, 0.0, 0.03], [0.3, 0.0, 0.0])
-    assert deepest(model, near_moving).depth == pytest.approx(0.01 + 0.03 - 0.02)
-    standing = deepest(model, near_moving, standing=True)
+    assert deepest_of(near_moving).depth == pytest.approx(0.01 + 0.03 - 0.02)
+    standing = deepest_of(near_moving, standing=True)
     assert standing.name.startswith("effects.contact.obstacles[0]")
     assert standing.depth < 0.0
     assert why_inside(model, np.zeros(3)) == ""
