@@ -1,7 +1,9 @@
 """`soft-tendon sweep`: trainings with several seeds, and their learning curves put together."""
 
+import contextlib
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from pydantic import Field
@@ -73,7 +75,6 @@ class Sweep(Configuration):
 
 def run(settings: Sweep) -> None:
     """Train, print and draw. Exit status 1 where a run failed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
     with mistakes():
         extras = ["agents", "pictures"]
         if settings.cluster:
@@ -85,9 +86,10 @@ def run(settings: Sweep) -> None:
 
         errors = []
         if jobs:  # without any, no cluster is needed
-            errors = run_all(
-                sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster
-            )
+            with killed_as_interrupted():
+                errors = run_all(
+                    sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster
+                )
         is_shown = show_curves(settings.folders)
     has_failed = False
     for job, error in zip(jobs, errors, strict=True):
@@ -96,3 +98,13 @@ def run(settings: Sweep) -> None:
             print(f"\nfailed: {job.folder}\n{error}", file=sys.stderr)
     if has_failed or not is_shown:
         sys.exit(1)
+
+
+@contextlib.contextmanager
+def killed_as_interrupted() -> Iterator[None]:
+    """Has `kill` raise KeyboardInterrupt, as Ctrl-C does, so that the runs are stopped too."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -56,9 +56,9 @@ def sweep(command, tmp_path, monkeypatch):
 
     monkeypatch.setattr(learning, "run_job", run_job)
     monkeypatch.chdir(tmp_path)
-    before = signal.getsignal(signal.SIGTERM)  # which the command takes for its process
+    before = signal.getsignal(signal.SIGTERM)
     yield lambda *arguments: command("sweep", *arguments, "--out", "runs", "--workers", "1")
-    signal.signal(signal.SIGTERM, before)
+    assert signal.getsignal(signal.SIGTERM) is before  # the command gives the signal back
 
 
 def write_config(folder, name, **changes):
