@@ -62,6 +62,16 @@ def test_source_files_are_linked(markdown, shown):
     assert site_hooks.on_page_markdown(markdown, page("how_to/extend.md"), CONFIG) == shown
 
 
+@pytest.mark.parametrize(
+    ("cell", "stays_whole"),
+    [("1.8 (2.9)", True), ("-0.48 (-0.75 to -0.24)", True), ("3 columns", False)],
+)
+def test_numbers_of_a_table_do_not_break(cell, stays_whole):
+    html = site_hooks.on_page_content(f"<td>{cell}</td>", page("a.md"))
+    expected = '<td class="numbers">' if stays_whole else "<td>"
+    assert html == f"{expected}{cell}</td>"
+
+
 def test_pages_of_environments_have_sizes_sections_and_arguments():
     shown = site_environments.on_page_markdown(
         "<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md")

@@ -207,10 +207,21 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     main(command)
     said = capsys.readouterr().out
     assert "4 cells, 2 of them to be played" in said
-    assert re.search(
-        r"\| filtered:tracking@fast +\| controller, kalman estimator \| [0-9.]+ / ", said
-    )
-    assert re.search(r"\| best learned minus best controller \| - +\| -?[0-9.]+ \(", said)
+    for heading, number in (
+        ("position [mm] RMS", r"[0-9.]+ \([0-9.]+\)"),
+        ("angle [deg] RMS", r"[0-9.]+ \([0-9.]+\)"),
+        ("return", r"[0-9.]+ \([0-9.]+\)"),
+        ("bad episodes [%]", "[0-9]+"),
+    ):
+        assert f"| {heading} " in said
+        table = said[said.index(f"| {heading} ") :]
+        assert table.split("\n")[0].split("|")[2].strip() == "filtered:tracking@fast"
+        assert re.search(rf"\| latency +\| {number} +\| {number} +\|", table)
+    assert "### Noisy sensors without strains" in said
+    # Still is a user's own: nobody knows whether it has learned.
+    assert "| best other policy minus best controller | position [mm]" in said
+    assert re.search(r"\| latency +\| -?[0-9.]+ \(-?[0-9.]+ to -?[0-9.]+\)", said)
+    assert "best learned" not in said
     assert (
         len(
             re.findall(
