@@ -24,7 +24,8 @@ ERRORS_LEGEND = (
 )
 NUMBERS_LEGEND = (
     "- **A (B)**: interquartile mean and mean over episodes; errors are root mean squares in time.\n"
-    f"- **Bad**: the episode diverged, or is off by more than {100 * BAD:g} % of the rod's length."
+    f"- **Bad**: the episode diverged, or is off by more than {100 * BAD:g} % of the rod's"
+    " length."
 )
 NARROW_DIGITS = 2
 """Digits in tables that fit the text's width with seven policies; the CSV file has more."""
