@@ -276,7 +276,7 @@ def tables(
         intro += f" Not measured: {name} ({why})."
     bars = [f"{name} {millimetres(case.error_bar)} mm" for name, case in inputs.items()]
     parts = [intro, summary(runs, list(simulators)), hard_table(runs, list(simulators))]
-    parts += [f"Error bars: {', '.join(bars)}.", settings_table(runs)]
+    parts += [f"Error bars of the reference: {', '.join(bars)}.", settings_table(runs)]
     return "\n\n".join(parts)
 
 
