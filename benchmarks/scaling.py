@@ -354,7 +354,7 @@ def growth_table(rows: Sequence[tuple[str, ...]]) -> str:
         exponent = np.polyfit(np.log(sizes), np.log(microseconds), 1)[0]
         ends = (f"{sizes[0]:g}–{sizes[-1]:g}", f"{microseconds[0]:g}–{microseconds[-1]:g}")  # noqa: RUF001
         table.append((what, cost, *ends, f"{exponent:.2f}"))
-    return markdown_table(("what grows", "cost", "sizes", "CPU [us]", "exponent"), table)
+    return markdown_table(("what grows", "cost", "sizes", "CPU [µs]", "exponent"), table)
 
 
 def cores_table(shares: dict[str, Shares]) -> str:
@@ -433,7 +433,7 @@ def draw(rows: Sequence[tuple[str, ...]], path: Path) -> None:
     for (what, cost), (sizes, microseconds) in curves(rows).items():
         if cost == "evaluation":
             axes.loglog(sizes, microseconds, marker="o", label=what)
-    axes.set(xlabel="size", ylabel="CPU time of an evaluation [us]")
+    axes.set(xlabel="size", ylabel="CPU time of an evaluation [µs]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
     write_picture(figure, path)

@@ -74,6 +74,7 @@ class Picture(NamedTuple):
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
     time: float = 0.0  # [s] since the episode began, for what moves by itself
+    has_axes: bool = True  # whether the target's orientation is to be reached too
     # of the arm, where its numbers are not those of the renderer's model
     scene: Scene | None = None
 
@@ -196,7 +197,7 @@ class ArmRenderer:
         segments = []
         if picture.target_pose is not None:
             positions = picture.target_pose[None, :3, 3]
-            directions = picture.target_pose[:3, :3].T
+            directions = picture.target_pose[:3, :3].T if picture.has_axes else nothing
             for end in positions + AXES * self._model.length * directions:
                 segments.append(np.stack([*positions, end]) @ across)
         place.set_data(*(positions @ across).T)
@@ -271,7 +272,18 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     # areas, the target's backbone, its axes, its place: each is painted over those before it
     artists: list[Any] = [
         PolyCollection([], edgecolors="face", joinstyle="round", **shared),
-        Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared),
+        # dots with a rim: the arm that follows them stays to be seen
+        Line2D(
+            [],
+            [],
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            color=TARGET,
+            markeredgecolor=PAPER,
+            markeredgewidth=0.7,
+            **shared,
+        ),
         LineCollection(
             [],
             colors=[PAPER] * 3 + [*POSE_AXES],
