@@ -43,9 +43,8 @@ PLANT = "fine"
 TARGET = {"target": "random", "difficulty": "medium"}
 """Options of the target that all follow, but in the settings "easy" and "hard"."""
 SIDES_LEGEND = (
-    "- **Ahead, behind**: the 95 % interval of the paired difference, over the same episodes,"
-    " leaves out zero; **not separated**: it does not. The best of both kinds are chosen by the same"
-    " episodes."
+    "- **Ahead, behind**: the 95 % interval of the paired difference leaves out zero. **Not"
+    " separated**: it does not. The best of both kinds are chosen by the same episodes."
 )
 TOLD_LEGEND = (
     "- **Told**: the controller's model has the effects of the setting, in the middle of their"

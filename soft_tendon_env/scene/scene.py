@@ -260,9 +260,12 @@ class Integrator(Configuration):
     mean square displacement of the rod. If that fails, the step is shortened.
     """
 
-    step: TimeStep = 0.02
+    step: TimeStep = 0.02  # longest step [s]
+    # of the extrapolation, which is its order; None: as many as the damping allows
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
+    # [m], of the error of a step; None: the order is fixed
     tolerance: Annotated[float, Field(gt=0)] | None = None
+    # times by which a step that fails is halved
     max_halvings: int = Field(default=10, ge=0, le=20)
     # leaves inertia out: damping and elasticity alone balance tensions and loads
     quasi_static: bool = False
@@ -278,15 +281,15 @@ class Integrator(Configuration):
 class Scene(Configuration):
     """Scene of one arm: everything that a user writes, in SI units (angles in degrees)."""
 
-    name: str = Field(min_length=1)
-    description: str = ""
-    segments: tuple[Segment, ...] = Field(min_length=1)
-    tendons: tuple[Tendon, ...] = Field(min_length=1)
-    base: Base = Base()
-    strain: AnyStrain = StaticsBased()
-    quadrature: Quadrature = Quadrature()
-    integrator: Integrator = Integrator()
-    effects: Effects = Effects()
+    name: str = Field(min_length=1)  # of the arm, in titles and messages
+    description: str = ""  # one sentence, which `soft-tendon scenes` lists
+    segments: tuple[Segment, ...] = Field(min_length=1)  # parts of the rod, from the base on
+    tendons: tuple[Tendon, ...] = Field(min_length=1)  # in the order of the tensions
+    base: Base = Base()  # pose of the rod's base in the world frame
+    strain: AnyStrain = StaticsBased()  # strain parametrisation: what the coordinates are
+    quadrature: Quadrature = Quadrature()  # intervals along the rod
+    integrator: Integrator = Integrator()  # time integration
+    effects: Effects = Effects()  # loads, contact, actuators: a table for each
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
         """Returns a copy of the scene with other values, with the same checks.
