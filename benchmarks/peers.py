@@ -355,6 +355,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
     figure, panels = plt.subplots(
         1, len(MOTIONS), figsize=(13, 5), constrained_layout=True, sharex=True, sharey=True
     )
+    longest = max(run.seconds for run in runs)
     for axes, name in zip(panels, MOTIONS, strict=True):
         for simulator in dict.fromkeys(run.simulator for run in runs):
             measured = select(runs, simulator, name)
@@ -362,7 +363,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
                 axes.scatter(*points(measured), s=9, color=OWN, alpha=0.25, linewidths=0)
                 axes.plot(*points(front(measured)), color=OWN, label=f"{simulator}, best settings")
             else:
-                draw_peer(axes, simulator, measured)
+                draw_peer(axes, simulator, measured, longest)
         draw_choices(axes, [run for run in runs if run.input == name])
         axes.set(
             xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", title=name
@@ -383,11 +384,13 @@ def draw(runs: list[Measured], picture: Path) -> None:
     write_picture(figure, picture, dpi=110)
 
 
-def draw_peer(axes: Axes, simulator: str, runs: list[Measured]) -> None:
-    """Line through the best settings of another simulator."""
+def draw_peer(axes: Axes, simulator: str, runs: list[Measured], longest: float) -> None:
+    """Line through the best settings of another simulator, which may have simulated less than
+    `longest` [s]."""
     best = front(runs)
     if best:
-        label = f"{simulator}, first {best[0].seconds:g} s"
+        seconds = best[0].seconds
+        label = simulator if seconds == longest else f"{simulator}, first {seconds:g} s"
         axes.plot(*points(best), PEER_LINES[simulator], color="0.5", markersize=4, label=label)
 
 

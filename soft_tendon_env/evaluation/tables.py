@@ -23,7 +23,7 @@ ERRORS_LEGEND = (
     f" there are any. A bad episode diverged, or has more than {100 * BAD:g} % of the rod's length."
 )
 NUMBERS_LEGEND = (
-    "- **A (B)**: interquartile mean and mean over episodes; errors are root mean squares in time.\n"
+    "- **A (B)**: interquartile mean and mean over episodes; errors are root mean squares.\n"
     f"- **Bad**: the episode diverged, or is off by more than {100 * BAD:g} % of the rod's"
     " length."
 )
