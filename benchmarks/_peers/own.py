@@ -112,7 +112,8 @@ def settings() -> Sequence[Setting | Fidelity]:
 
 
 def prepare(scene: Scene, setting: Setting | Fidelity) -> Run | None:
-    """None where a setting has too few quadrature points for its coordinates."""
+    """None where a setting has too few quadrature points for its coordinates, or where none
+    reaches a length."""
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", QuadratureWarning
