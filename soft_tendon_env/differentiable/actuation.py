@@ -70,6 +70,7 @@ class TensorActuation:
             _tensor(actions.least),
             _tensor(actions.greatest),
             _tensor(actions.increment),
+            _tensor(actions.greatest_change),
         )
         self.command: torch.Tensor = _tensor(actuation.command)
         self._in_transit = _tensor(actuation.in_transit)
@@ -84,8 +85,12 @@ class TensorActuation:
             Commands (rows, parts, n_a), with the errors of the actuators.
         """
         actuation = self._actuation
-        unlimited = self.scale.wanted(action, self.command)
-        self.command = inward_clip(unlimited, self.scale.least, self.scale.greatest)
+        command = self.scale.wanted(action, self.command)
+        most = self.scale.greatest_change
+        if most is not None:
+            # as a change: what is cut off goes on from the command before, and so does its gradient
+            command = self.command + inward_clip(command - self.command, -most, most)
+        self.command = inward_clip(command, self.scale.least, self.scale.greatest)
         if self._in_transit is None:
             acting = self.command[:, None].expand(-1, actuation.substeps, -1)
         else:
