@@ -89,9 +89,15 @@ class Objective(Protocol):
         """
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target for a model whose tip is elsewhere than the measured one.
+        """Moves the target for a model whose tip is elsewhere than the measured one.
 
-        Its tip is at `model_pose` (4, 4), where the arm's is measured at `measured_pose` (4, 4).
+        Args:
+            model_pose: of the model's tip (4, 4).
+            reference: for the arm.
+            measured_pose: of the arm's tip (4, 4).
+
+        Returns:
+            The reference for the model; by default it stays where it is.
         """
         return reference
 
@@ -107,29 +113,56 @@ class TrackedObjective(Objective, Protocol):
         return LinearError(error, self.jacobian(posture.tip_jacobian))
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error (k,) from the reference at a time ahead [s], in metres.
+        """Computes the error from the reference at a time ahead.
 
         It is what would bring the arm there in unit time.
+
+        Args:
+            q: coordinates (n,).
+            tip_pose: of the arm (4, 4).
+            reference: to follow.
+            time: ahead of now [s].
+
+        Returns:
+            Error (k,) in metres.
         """
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian (k, n) of the arm's velocity, in metres.
+        """Computes the Jacobian of the arm's velocity, by which the error falls.
 
-        It is made of that of the tip's body twist (6, n).
+        Args:
+            tip_jacobian: of the tip's body twist (6, n).
+
+        Returns:
+            Jacobian (k, n), in metres.
         """
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        """Error and Jacobian at a time ahead [s], from the terms at now.q.
+        """Computes what feedback drives to zero, at a time ahead.
 
-        The target's velocity is measured over `period` [s].
+        Args:
+            now: state and reference.
+            terms: of the model at now.q.
+            time: ahead of now [s].
+            period: [s] over which the target's velocity is measured.
+
+        Returns:
+            Error, velocity of the target, Jacobian and bias.
         """
 
     def moved_back(
         self, reference: Reference, nearest: Array, time: float, share: float
     ) -> Reference:
-        """The target, moved everywhere by a share of the way to a nearest pose.
+        """Moves the target everywhere by a share of the way to a nearest pose.
 
-        The way leads to the pose `nearest` (4, 4) from where the target is at `time` [s].
+        Args:
+            reference: whose target is moved.
+            nearest: pose (4, 4) to which the way leads.
+            time: ahead of now [s], at which the way begins at the target.
+            share: of the way.
+
+        Returns:
+            The reference that is moved; by default it stays where it is.
         """
         return reference
 
@@ -277,9 +310,12 @@ class TipDirection(Objective):
 class Shape(TrackedObjective):
     """Shape error in coordinates, in the norm of the energy that holds them apart.
 
-    Bending the rod by an angle of 1 counts as half its length, `weight` times.
+    Bending the rod by an angle of 1 counts as half its length. Targets stay where they are: shapes
+    are made of tensions, and within reach.
 
-    Targets stay where they are: shapes are made of tensions, and within reach.
+    Args:
+        model: whose coordinates they are.
+        weight: of the error against that of other objectives.
     """
 
     follows = ("q",)

@@ -111,7 +111,7 @@ class Benchmark(Workers):
 
     @property
     def actuators(self) -> str:
-        """What the actuators let every entrant do, as a sentence."""
+        """Sentence on the rate limit that all entrants have."""
         if self.rate_limit is None:
             return "Commands have no rate limit: agents are held by their own increments alone."
         return f"Commands of all entrants change by at most {self.rate_limit:g} N/s."
