@@ -26,7 +26,6 @@ POLICIES = (
     "feedforward",
     "tracking",
     "predictive",
-    "long_horizon_predictive",
     "filtered:predictive@fast",
     "apg",
 )

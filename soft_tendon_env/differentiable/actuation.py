@@ -86,10 +86,8 @@ class TensorActuation:
         """
         actuation = self._actuation
         command = self.scale.wanted(action, self.command)
-        most = self.scale.greatest_change
-        if most is not None:
-            # as a change: what is cut off goes on from the command before, and so does its gradient
-            command = self.command + inward_clip(command - self.command, -most, most)
+        if self.scale.greatest_change is not None:
+            command = self._at_rate(action)
         self.command = inward_clip(command, self.scale.least, self.scale.greatest)
         if self._in_transit is None:
             acting = self.command[:, None].expand(-1, actuation.substeps, -1)
@@ -103,6 +101,19 @@ class TensorActuation:
             slack = _tensor(actuation.slack)
             acting = inward_clip(gain * acting + offset, slack, math.inf)
         return acting
+
+    def _at_rate(self, action: torch.Tensor) -> torch.Tensor:
+        """Commands (rows, n_a) that actions ask for, as far as the actuators' rate lets them."""
+        most = self.scale.greatest_change
+        before = self.command.detach()
+        asked = self.scale.wanted(action, before)
+        command = inward_clip(asked, before - most, before + most)
+        # increments, and what is cut off, go on from the command before: its gradient comes in by a
+        # difference of zero
+        goes_on = command != asked
+        if self.scale.increment is not None:
+            goes_on = torch.ones_like(goes_on)
+        return command + goes_on * (self.command - before)
 
 
 def _tensor(values: Any) -> Any:
