@@ -90,6 +90,7 @@ def run(settings: Arena) -> None:
         f" {hours:.2g} hours; {machine()}",
         flush=True,
     )
+    print(settings.actuators)
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
@@ -106,7 +107,7 @@ def run(settings: Arena) -> None:
     write_csv(out / "arena.csv", rows)
     draw_errors(panels, out / "arena.png")
 
-    parts = [f"{episodes.capitalize()}."]
+    parts = [f"{episodes.capitalize()}. {settings.actuators}"]
     parts += [f"Note: {note}." for note in notes]
     parts += ["![Errors of all policies by setting and regime](arena.png)", text]
     write_markdown(out / "arena.md", "\n\n".join(parts))

@@ -107,6 +107,9 @@ class Benchmark(Workers):
             the number cannot be divided.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
+        rate_limit: rate [N/s] at which the actuators let commands change at most, the same for all
+            entrants; None: no limit, so that agents are held by their increments alone and
+            controllers by nothing.
     """
 
     task: TaskName = "TipPose"
@@ -117,6 +120,14 @@ class Benchmark(Workers):
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
+    rate_limit: Positive | None = None
+
+    @property
+    def actuators(self) -> str:
+        """Sentence on the rate limit that all entrants have."""
+        if self.rate_limit is None:
+            return "Commands have no rate limit: agents are held by their own increments alone."
+        return f"Commands of all entrants change by at most {self.rate_limit:g} N/s."
 
     @model_validator(mode="after")
     def _fits(self) -> "Benchmark":
@@ -178,6 +189,7 @@ class Benchmark(Workers):
                     **TARGET,
                     "scene": self.scene,
                     "fidelity": PLANT,
+                    "rate_limit": self.rate_limit,
                     "randomize": {"noise": dict(REGIMES[regime].noise)},
                 }
                 for setting in self.settings:

@@ -307,9 +307,11 @@ class _ControlPeriod(torch.nn.Module):
             parts = self.normalise(parts)
         mean, memory = self._network(parts, rows)
         action = mean.clamp(-1.0, 1.0).double()
-        unlimited = self.scale.wanted(action, command)
-        above = torch.maximum(unlimited, self.scale.least)
-        sent = torch.minimum(above, self.scale.greatest)
+        sent = self.scale.wanted(action, command)
+        most = self.scale.greatest_change
+        if most is not None:
+            sent = torch.minimum(torch.maximum(sent, command - most), command + most)
+        sent = torch.minimum(torch.maximum(sent, self.scale.least), self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
         states = {
             "started": started,

@@ -109,6 +109,21 @@ def test_actions_of_increments_are_changes_within_the_limits_and_back():
     np.testing.assert_allclose(scale.command(beyond, BEFORE), [-1.0, 1.0, 4.0])
 
 
+def test_commands_change_no_faster_than_the_actuators_let_them():
+    """Whatever is asked for, within the limits too; increments within the rate are as they were."""
+    most = np.array([0.25, 0.5, 3.0])
+    scale = ActionScale(LEAST, GREATEST, None, most)
+    np.testing.assert_allclose(scale.command(np.ones(3), BEFORE), [0.25, 1.5, 4.0])
+    np.testing.assert_allclose(scale.command(-np.ones(3), BEFORE), [-0.25, 0.5, 2.0])
+    near = scale.action(np.array([0.1, 0.8, 3.5]), BEFORE)
+    np.testing.assert_allclose(scale.command(near, BEFORE), [0.1, 0.8, 3.5])
+    increment = np.array([0.25, 0.3, 0.1])
+    limited = ActionScale(LEAST, GREATEST, increment, most)
+    free = ActionScale(LEAST, GREATEST, increment)
+    for action in (np.ones(3), -np.ones(3), np.array([0.3, -0.7, 0.1])):
+        np.testing.assert_array_equal(limited.command(action, BEFORE), free.command(action, BEFORE))
+
+
 def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
     """Rows of actuators of three tendons, at a control period of 20 ms in four steps."""
     options = Options(scene="three_tendon", action=action, randomize=Randomization(**randomize))
