@@ -42,6 +42,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:#.{digits}g}".removesuffix(".")
 
 
+def measured_number(value: float) -> str:
+    """A measured error to some digits; "-" where there was no motion to measure it on."""
+    return number(value if math.isfinite(value) else None)
+
+
 def with_seeds(name: str, count: int | None) -> str:
     """A name, with the number of seeds behind it if there are any."""
     if count is None:

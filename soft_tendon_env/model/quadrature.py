@@ -186,11 +186,11 @@ class QuadratureTest:
             kept = inertia_kept(coarse, fine)
         error = share / SAFETY
         loads = " and loads" if coarse.arm.effects.load else ""
-        problem = (
-            f"the tip is off by about {100 * error:.2g} % of the length,"
-            f" {1e3 * error * coarse.length:.2g} mm, under tensions {shown_numbers(tension)}"
-            f" N{loads}"
-        )
+        size = "so far off that the arm has no rest"
+        if np.isfinite(error):
+            length = 1e3 * error * coarse.length
+            size = f"off by about {100 * error:.2g} % of the length, {length:.2g} mm,"
+        problem = f"the tip is {size} under tensions {shown_numbers(tension)} N{loads}"
         return error, kept, problem
 
 

@@ -15,7 +15,7 @@ from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Scene, breakpoints
+from soft_tendon_env.scene.scene import MOST_COLUMNS, Scene, breakpoints
 from soft_tendon_env.tools.types import Array
 
 INTERVALS = 5
@@ -46,6 +46,10 @@ class Level(NamedTuple):
 
 LEVELS = (Level(6, 1), Level(8, 1), Level(10, 1), Level(12, 1), Level(12, 2), Level(13, 4))
 """Levels of refinement, the coarsest first."""
+
+MOST_HALVINGS = 20
+"""Halvings of the longest step. Ten, as a scene has them, end the motion of a lightly damped arm
+whose errors should be that small."""
 
 FIRST = 1
 """The first level that equilibria are judged by."""
@@ -78,6 +82,10 @@ def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
 def reference_model(scene: Scene, level: Level, tolerance: float | None = None) -> Model:
     """Model of a scene with an explicit basis of every strain that the rod has.
 
+    With a tolerance its time steps have the most columns, damped or not. Undamped arms need a tenth
+    of the error that two columns leave them. The growth of more columns on undamped oscillations
+    is held by the tolerance.
+
     Args:
         scene: of the arm.
         level: one of LEVELS.
@@ -92,7 +100,14 @@ def reference_model(scene: Scene, level: Level, tolerance: float | None = None) 
     order = max(least_order, min(level.order - reduction, HIGHEST_ORDER))
     modes = [{"strains": list(scene.strain.free), "order": order, "span": "piece"}]
     strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *cuts]}
-    changes = {"strain": strain, "integrator": {"tolerance": tolerance}}
+    integrator: dict[str, float] = {}
+    if tolerance is not None:
+        integrator = {
+            "tolerance": tolerance,
+            "columns": MOST_COLUMNS,
+            "max_halvings": MOST_HALVINGS,
+        }
+    changes = {"strain": strain, "integrator": integrator}
     intervals = math.ceil(INTERVALS * level.order / parts)
     return model_on(scene.replace(changes), max(order + SPARE_INTERVALS, intervals))
 

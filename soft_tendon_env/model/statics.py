@@ -167,11 +167,14 @@ def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
+        size = (
+            f"by {1e3 * error:.2g} mm" if np.isfinite(error) else "by more than its strain allows"
+        )
         text = (
             f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no"
-            " coordinate: at rest its tip is off"
+            f" coordinate: at rest its tip is off {size}"
         )
-        warnings.warn(f"{text} by {1e3 * error:.2g} mm", RedundancyWarning, stacklevel=4)
+        warnings.warn(text, RedundancyWarning, stacklevel=4)
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:

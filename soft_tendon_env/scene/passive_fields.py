@@ -112,6 +112,21 @@ class PassiveFields:
         """
         return _geometry(self.arm) == _geometry(arm_of(scene))
 
+    def is_of(self, scene: Scene) -> bool:
+        """Tells whether the fields were made for an arm of this material and these limits.
+
+        Args:
+            scene: of an arm of the same geometry.
+
+        Returns:
+            True if their errors are those of this arm; False if they may be larger.
+        """
+        limits = [tendon.tension_limits for tendon in scene.tendons]
+        low, high = np.transpose(limits)
+        least, greatest = self.tension_limits.T
+        is_within = np.all((low >= least) & (high <= greatest))
+        return bool(is_within) and self.arm == arm_of(scene)
+
     def misfit(self, scene: Scene) -> str:
         """Describes how a scene differs from that which the fields were made for.
 
