@@ -175,12 +175,11 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
     """CPU times as ratios to the first arm, by name: of an evaluation, and of one in a step."""
     found = []
     for often in (evaluate_often, evaluate_force_often):
-        ready, times = {}, {name: [] for name in arms}
+        ready = {}
+        times = {name: [] for name in arms}
         for name, changes in arms.items():
-            model, random = (
-                model_on(ste.load_scene("paper").replace(changes), INTERVALS),
-                np.random.default_rng(0),
-            )
+            model = model_on(ste.load_scene("paper").replace(changes), INTERVALS)
+            random = np.random.default_rng(0)
             scratch = make_scratch(model.arm, 3)
             scratch.work.strain.xi[:] = model.arm.rod.reference_strain
             ready[name] = (
@@ -204,7 +203,8 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
 def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
     """CPU seconds that the first step takes longer than without effects, by name, with no effect's
     machine code in the cache."""
-    folder, found = cache_folder(), {}
+    folder = cache_folder()
+    found = {}
     if folder is None:
         return found
     with tempfile.TemporaryDirectory() as temporary:

@@ -101,7 +101,8 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         own = at_fidelity(scene, label)
         model = ste.build_model(own, "scene")
         microseconds = 1e6 * cost(own, steps)
-        errors, evaluations = [], []
+        errors = []
+        evaluations = []
         for kind in KINDS:
             runs = [ste.simulate(model, table, HOLD * len(table), HOLD) for table in inputs[kind]]
             apart = [
