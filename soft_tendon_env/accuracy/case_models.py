@@ -42,8 +42,9 @@ class TrialInput(NamedTuple):
         """Largest distance [m] of a path from the reference as far as that is certain."""
         tips = self.reference.tips
         samples = self.rows + 1
-        is_known = tips is not None and len(tips) >= samples
-        return distance(path, tips[:samples]) if is_known else np.nan
+        if tips is None or len(tips) < samples:
+            return np.nan
+        return distance(path, tips[:samples])
 
     @property
     def tensions(self) -> Array:
