@@ -238,8 +238,8 @@ def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None
     if choice.error <= asked.share:
         if not choice.speaks_of_all:
             text = (
-                f"what {fidelity!r} promises of {scene.name!r}, {100 * asked.share:.3g} % of the"
-                f" length, holds for a trial{choice.limits} alone"
+                f"{scene.name!r} is within what {fidelity!r} promises,"
+                f" {100 * asked.share:.3g} % of the length, only in a trial{choice.limits}"
             )
             if growth:
                 text += f": {growth}"

@@ -72,6 +72,8 @@ def rock(frequency):
 SWINGS = [*map(sine, (2.0, 9.0, 150.0, 1000.0)), *map(swing, (13.0, 400.0)), rock(200.0)]
 
 
+# presets say how long their motions are certain: less than 2 s here, and these last 0.21 s
+@pytest.mark.filterwarnings("ignore:.*only in a trial")
 @pytest.mark.parametrize(
     "cases",
     [[sine(50.0), swing(50.0)], pytest.param(SWINGS, marks=pytest.mark.slow)],
