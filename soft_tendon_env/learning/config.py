@@ -97,9 +97,10 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
     added_effects: dict[str, dict[str, Any]] = Field(default={})
 
-    def __init__(self, /, **values: Any):
-        """Take numbers as shares of the arm too. Raises ConfigurationError."""
-        super().__init__(**resolved(values))
+    @model_validator(mode="before")
+    @classmethod
+    def _for_its_arm(cls, values: dict[str, Any]) -> dict[str, Any]:
+        return resolved(values)
 
     def arm_seed(self, done: int = 0) -> int:
         """Returns the first arm's seed for `reset`.

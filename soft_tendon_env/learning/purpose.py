@@ -17,7 +17,7 @@ KINDS = {"value": "", "factor": " times its own", "offset": " more than its own"
 
 
 def purpose(training: Training) -> str:
-    """What an agent is trained for, in words.
+    """Purpose of a training in words.
 
     Args:
         training: its configuration.
@@ -62,8 +62,10 @@ def _drawn(randomize: Randomization, scene: Scene) -> Iterator[str]:
     for name in ("tension_gain", "tension_offset", "latency"):
         least, greatest = getattr(randomize, name)
         yield f"  {name}: {least:g} to {greatest:g}"
-    noise = randomize.noise.model_dump()
-    deviations = [f"{name} {value:g}" for name, value in noise.items() if value]
+    deviations = []
+    for name, value in randomize.noise.model_dump().items():
+        if value:
+            deviations.append(f"{name} {value:g}")
     yield f"  noise, as deviations: {', '.join(deviations) or 'none'}"
 
 

@@ -69,8 +69,10 @@ def arm_units(scene: Scene, options: Mapping[str, Any]) -> dict[str, float]:
     """
     arm = scales_of(scene)
     limits = options.get("tension_limits") or ()
+    # the tip of a cantilever turns by F L^2 / (2 E I)
     bends = 2.0 * arm.bending / arm.length**2
-    weight = 3.0 * bends / arm.mass  # of a uniform load the tip turns a third as far
+    # by a third of that where the force is spread over its length
+    weight = 3.0 * bends / arm.mass
     return {
         "length": arm.length,
         "mass": arm.mass,
@@ -112,16 +114,17 @@ def in_si_units(value: Any, sizes: Mapping[str, float], key: Key = ()) -> Any:
     if isinstance(value, Mapping):
         return {name: in_si_units(entry, sizes, (*key, name)) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [in_si_units(entry, sizes, (*key, place)) for place, entry in enumerate(value)]
+        entries = [in_si_units(entry, sizes, (*key, place)) for place, entry in enumerate(value)]
+        return tuple(entries) if isinstance(value, tuple) else entries
     share = SHARE.fullmatch(value) if isinstance(value, str) else None
     if share is None:
         return value
-    number, unit, divisor = share.groups()
-    for name in (unit, divisor or "rad"):
+    number, unit, divisor = share.groups(default="rad")
+    for name in (unit, divisor):
         if name not in sizes:
             text = f"is {shown(value)}, a share of the arm's {name!r}: {not_among(name, sizes)}"
             raise ConfigurationError([Problem(key, text)])
-    size = float(number) * sizes[unit] / sizes[divisor or "rad"]
+    size = float(number) * sizes[unit] / sizes[divisor]
     return _rounded(size) if unit in ROUNDED else size
 
 
@@ -152,9 +155,10 @@ def resolved(table: Mapping[str, Any]) -> dict[str, Any]:
         if name in table:
             changed[name] = in_si_units(_without_scene(name, table[name]), sizes, (name,))
     changed["options"] = {**changed.get("options", {}), **_scene_option(options)}
-    added = changed.pop("added_effects", {})
-    if isinstance(added, Mapping):
+    added = changed.get("added_effects", {})
+    if isinstance(added, Mapping) and all(isinstance(table, Mapping) for table in added.values()):
         changed["options"] = _with_effects(changed["options"], scene, added)
+        changed["added_effects"] = {}
     _count_posture(changed)
     return changed
 
@@ -199,14 +203,15 @@ def _with_effects(
     options: Mapping[str, Any], scene: Scene, added: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Options whose arm has the added effects, by name, and draws their numbers."""
-    own = scene.effects.chosen().keys() & added.keys()
-    changes = {}
-    for effect, numbers in added.items():
-        if effect not in own:
-            changes |= {f"effects.{effect}.{name}": value for name, value in numbers.items()}
-    if not changes and not own:
+    if not added:
         return dict(options)
+    own = scene.effects.chosen().keys() & added.keys()
+    changes: dict[str, Any] = {}
+    for effect in added.keys() - own:
+        for name, value in added[effect].items():
+            changes[f"effects.{effect}.{name}"] = value
     base = options.get("scene", "paper")
+    # a whole scene, and the name of one, takes changes beside it
     if not isinstance(base, Mapping) or "segments" in base:
         base = {"scene": base}
     randomize = dict(plain(options.get("randomize", {})))
@@ -266,6 +271,7 @@ def _entries_by_group(task: Any, options: Mapping[str, Any]) -> dict[str, int]:
 
     Raises ConfigurationError where there is no such environment.
     """
+    # what is drawn changes no sizes, and takes time to make
     undrawn = {key: value for key, value in options.items() if key != "randomize"}
     try:
         parsed = Options.parse(undrawn, "options")

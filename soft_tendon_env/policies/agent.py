@@ -439,15 +439,16 @@ def _check_arm(
         raise ValueError(
             f"{name} was trained on an arm with other {listed_tables(own)} (scene {before!r}) than"
             f" this environment's ({now!r}): {listed_numbers(own)}."
-            f" {_advice(config, episodes.options.scene)}"
+            f" {_advice(config.algorithm, episodes)}"
         )
 
 
-def _advice(config: AgentConfig, scene: Any) -> str:
-    """What to do about an arm that an agent is not for."""
-    training = f"{config.algorithm}_{_words(config.task or '')}".lower()
+def _advice(algorithm: str, episodes: Episodes) -> str:
+    """Command that trains an agent for the arm of an environment, in words."""
+    training = f"{algorithm}_{_words(episodes.task.name)}".lower()
     if not (CONFIGS / f"{training}.toml").is_file():
         return "Train an agent on this arm"
+    scene = episodes.options.scene
     arm = scene if isinstance(scene, str) else "my_arm.toml"
     return f"Train an agent for this arm: soft-tendon train {training} --set options.scene={arm}"
 

@@ -131,7 +131,8 @@ def _ranges(trained: Options, arm: Scene) -> dict[str, tuple[float, float]]:
 
 def listed_tables(outside: Sequence[Outside]) -> str:
     """Tables of the scene that have numbers outside, as words."""
-    return " and ".join(dict.fromkeys(number.table for number in outside))
+    tables = {number.table for number in outside}
+    return " and ".join(table for table in PHYSICS if table in tables)
 
 
 def listed_numbers(outside: Sequence[Outside]) -> str:
