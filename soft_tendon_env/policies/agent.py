@@ -51,7 +51,7 @@ IN_REPOSITORY = "but in agents/trained of the repository: clone it and run the s
 """Place of the agents that a wheel lacks, and what to do."""
 AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
-ARM = ("scene", "fidelity", "control_period", "tension_limits")
+ARM = ("scene", "fidelity", "control_period", "tension_limits", "rate_limit")
 """Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""

@@ -9,7 +9,7 @@ policy = name.load(env)
 
 import importlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
@@ -19,6 +19,7 @@ import gymnasium as gym
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.kalman import USUAL
+from soft_tendon_env.control.own_cost import Given
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
@@ -308,7 +309,14 @@ class Controller(PolicyName):
         )
         return {**own, **given}
 
-    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
+    def load(
+        self,
+        env: Any,
+        scene: Scene | None = None,
+        other_effects: bool = False,
+        objectives: Sequence[Given] | None = None,
+    ) -> Policy:
+        """objectives: a cost of the user's own, see `make_policy`."""
         changes = {}
         for name, value in self.parameters.items():
             if name.startswith(ESTIMATOR):
@@ -319,7 +327,12 @@ class Controller(PolicyName):
             model = build_model(believed, self.belief or AS_SCENE)
         uncertainty = USUAL._replace(**changes)
         return make_policy(
-            self.entry, env, model, estimator=self.estimator, uncertainty=uncertainty
+            self.entry,
+            env,
+            model,
+            estimator=self.estimator,
+            uncertainty=uncertainty,
+            objectives=objectives,
         )
 
     def fingerprint(self) -> Any:
@@ -505,7 +518,7 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
     return PolicyName.parse(name, task).options(given)
 
 
-def load_policy(name: str, env: Any) -> Policy:
+def load_policy(name: str, env: Any, objectives: Sequence[Given] | None = None) -> Policy:
     """Loads the policy of a name for an environment with the options that it needs.
 
     See `policy_options` for these options.
@@ -515,14 +528,22 @@ def load_policy(name: str, env: Any) -> Policy:
             model has another fidelity; an agent's folder; "agent" or another of those that ship for
             the environment's task, see agents/trained; module:name of what makes one.
         env: single or vector environment of this package.
+        objectives: a cost of your own, for a predictive controller alone, see `make_policy`.
 
     Returns:
         The policy, to be used with `predict`.
 
     Raises:
-        TypeError: for environments of other packages.
-        ValueError: for a name that is not known, or files that do not fit.
+        TypeError: for environments of other packages, and objectives that are none.
+        ValueError: for a name that is not known, files that do not fit, or objectives that do not.
         OSError: where a file cannot be read.
         ModuleNotFoundError: where a module cannot be found.
     """
-    return PolicyName.parse(name, episodes_of(env).task.name).load(env)
+    policy = PolicyName.parse(name, episodes_of(env).task.name)
+    if objectives is None:
+        return policy.load(env)
+    if not isinstance(policy, Controller):
+        raise ValueError(
+            f"objectives are given to {name!r}: predictive controllers alone may have some"
+        )
+    return policy.load(env, objectives=objectives)
