@@ -35,6 +35,13 @@ TIP_SHARE = 4.1
 """Masses at the tip of a cantilever count as this many times as much along it, in its period: by
 Rayleigh's quotient 33/140 of its own mass moves with the tip."""
 
+REACTION = 0.1
+"""Time of a controller to meet a push, as a share of the pace: some control periods."""
+
+GIVE = 0.1
+"""Greatest turn of the tip within that time [rad]. An arm of a period of 0.1 s yields to a push
+before any command comes, one of 1.4 s turns by 0.09 of what it does at rest."""
+
 DIGITS = 2
 """Significant digits of the pace, and of shares of ROUNDED units."""
 
@@ -42,7 +49,7 @@ UNITS: Mapping[str, str] = {
     "length": "length of the rod [m]",
     "mass": "mass of rod and discs [kg]",
     "tension": "greatest tension of its actuators [N]",
-    "force": "force at the tip that bends it by a radian, by linear theory [N]",
+    "force": "at the tip, which bends it by a radian, and by at most GIVE before it is met [N]",
     "gravity": "acceleration by which its weight bends it by a radian, at most the Earth's [m/s^2]",
     "speed": "of a tip that swings by a radian in its slowest vibration [m/s]",
     "pace": "a second, or half a period of its slowest vibration if that is longer [s]",
@@ -69,6 +76,7 @@ def arm_units(scene: Scene, options: Mapping[str, Any]) -> dict[str, float]:
     """
     arm = scales_of(scene)
     limits = options.get("tension_limits") or ()
+    pace = _pace(scene, arm)
     # the tip of a cantilever turns by F L^2 / (2 E I)
     bends = 2.0 * arm.bending / arm.length**2
     # by a third of that where the force is spread over its length
@@ -77,12 +85,20 @@ def arm_units(scene: Scene, options: Mapping[str, Any]) -> dict[str, float]:
         "length": arm.length,
         "mass": arm.mass,
         "tension": max(map(abs, limits), default=arm.pull),
-        "force": bends,
+        "force": bends * min(1.0, GIVE / _early_turn(arm.rate * REACTION * pace)),
         "gravity": min(weight, GRAVITY),
         "speed": arm.length * arm.rate,
-        "pace": _pace(scene, arm),
+        "pace": pace,
         "rad": 1.0,
     }
+
+
+def _early_turn(phase: float) -> float:
+    """Greatest turn under a sudden load until a phase [rad] of the vibration, 1 at rest.
+
+    It is that of an oscillator without damping, which swings as far beyond its rest as to it.
+    """
+    return 1.0 - math.cos(min(phase, math.pi))
 
 
 def _pace(scene: Scene, arm: ArmScales) -> float:

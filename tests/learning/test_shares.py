@@ -72,6 +72,16 @@ def test_force_and_gravity_bend_the_arm_by_a_radian_as_far_as_it_is_linear():
         assert angle == pytest.approx(small, rel=0.01)
 
 
+def test_a_stiff_arm_is_pushed_by_what_bends_it_while_nobody_can_react():
+    scene = ste.load_scene("three_tendon")
+    stiffer = scene.replace({"segments.*.young_modulus": 100.0 * 5e5})
+    before = arm_units(scene, {})
+    after = arm_units(stiffer, {})
+    # it swings twice as far as to its rest within a tenth of a second
+    at_rest = 0.05
+    assert after["force"] == pytest.approx(100.0 * at_rest * before["force"])
+
+
 def test_pace_is_a_second_or_half_a_period_of_a_slower_arm():
     scene = ste.load_scene("three_tendon")
     slower = scene.replace({"segments.*.young_modulus": 0.04 * 5e5})
