@@ -196,21 +196,25 @@ def slow_loading(model, tension, move=MOVES[0]):
     end is stable.
     """
     path = LoadPath(Balance(model, tension, make_workspace(model.arm)))
-    here = path.balance.unloaded()
+    reached = path.balance.unloaded()
     part = FIRST_PART
-    while here.at.part < 1.0:
-        aim = min(here.at.part + part, 1.0)
-        ahead = path.equilibrium(here.at.q + (aim - here.at.part) * here.tangent, aim)
-        if (
-            ahead is not None
-            and ahead.stability.stable
-            and (moved := path.balance.angle(ahead.at.q - here.at.q)) <= move
-        ):
-            here = ahead
-            part = 1.5 * part if moved < 0.5 * move else part
-        elif (part := 0.5 * part) < SMALLEST_PART * aim:
+    while reached.evaluation.part < 1.0:
+        q = reached.evaluation.q
+        aim = min(reached.evaluation.part + part, 1.0)
+        along_tangent = q + (aim - reached.evaluation.part) * reached.tangent
+        ahead = path.equilibrium(along_tangent, aim)
+        moved = np.inf
+        if ahead is not None and ahead.stability.stable:
+            moved = path.balance.angle(ahead.evaluation.q - q)
+        if moved <= move:
+            reached = ahead
+            if moved < 0.5 * move:
+                part *= 1.5
+            continue
+        part *= 0.5
+        if part < SMALLEST_PART * aim:
             break
-    return here.at.q, here.at.part
+    return reached.evaluation.q, reached.evaluation.part
 
 
 def verdict(number: int) -> Verdict:
