@@ -612,7 +612,7 @@ def _empty_terms(n: int, n_a: int) -> Terms:
 
 
 def _workspace_kind(arm: Arm) -> tuple[type, int, int]:
-    """Kind of workspace of an arm: its sizes depend on this and on the grid."""
+    """Kind of strain, number of effects and size of their state, which a workspace is made for."""
     effects = arm.effects
     return type(arm.strain), effects.count, effects.state.size
 

@@ -34,11 +34,11 @@ from soft_tendon_env.policies.agent import (
     load_agent,
     read_config,
     shipped,
-    undisturbed,
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.trained_arm import listed_numbers, numbers_outside, undisturbed
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import (
     Configuration,
@@ -150,6 +150,36 @@ class PolicyName:
             ModuleNotFoundError: where a module cannot be found.
         """
         raise NotImplementedError
+
+    def load_beyond_training(self, env: Any) -> Policy:
+        """Loads the policy for an environment whose arm may be none that it was trained for.
+
+        Args:
+            env: the environment.
+
+        Returns:
+            The policy, as by `load` where it was not trained.
+
+        Raises:
+            ValueError: for files or models that do not fit the environment.
+            OSError: where a file cannot be read.
+        """
+        return self.load(env)
+
+    def outside(self, env: Any) -> str:
+        """Returns the numbers of an arm for which the policy was not trained.
+
+        Args:
+            env: the environment of the arm.
+
+        Returns:
+            The numbers and what they were in its training, in words; "" without any.
+
+        Raises:
+            ValueError: for files that do not fit.
+            OSError: where a file cannot be read.
+        """
+        return ""
 
     def fingerprint(self) -> Any:
         """Returns plain values that tell the policy from others.
@@ -350,6 +380,13 @@ class Agent(PolicyName):
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
+
+    def load_beyond_training(self, env: Any) -> Policy:
+        return load_agent(self.text, env, beyond_training=True)
+
+    def outside(self, env: Any) -> str:
+        trained = Options(**self.config.options)
+        return listed_numbers(numbers_outside(trained, episodes_of(env).model.scene))
 
     def fingerprint(self) -> Any:
         return digests(find_agent(self.text, self.task))

@@ -128,7 +128,7 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     Raises:
         ConfigurationError: for keys of anything else, with those that there are.
     """
-    entries = _entries(scene)
+    entries = scene_entries(scene)
     return tuple(_parameter(name, entries) for name in names)
 
 
@@ -187,7 +187,7 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
         ConfigurationError: for keys that are no numbers of the scene, for what is no range, and for
             a number that two of them draw.
     """
-    entries = _entries(scene)
+    entries = scene_entries(scene)
     ranges = list[Range]()
     drawn = dict[str, str]()  # the range that draws a number, by the number's key
     for name, value in table.items():
@@ -234,7 +234,7 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
     return [(f"{name}.{i}", entry) for i, entry in enumerate(value)]
 
 
-def _entries(scene: Scene) -> dict[str, Any]:
+def scene_entries(scene: Scene) -> dict[str, Any]:
     """Entries of a scene by dotted keys, also of effects that do nothing by default."""
     tables = scene_to_dict(scene, {*TABLES})
     idle = _idle_effects(EFFECTS)
