@@ -46,7 +46,7 @@ HEADER = (
     "fidelity",
     "coordinates",
     "evaluations",
-    "CPU [us per env step]",
+    "CPU [µs per env step]",
     *(f"{kind} [mm]" for kind in KINDS),
 )
 

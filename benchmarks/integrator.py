@@ -47,6 +47,7 @@ JUMP = 40.0  # [N]
 JUMPS = ((0,), (3,), (5,), (0, 3), (5, 8), tuple(range(10)))  # tendons
 MIXED = 50
 GROUPS = ("usual", "wild", "jumps")
+TICKS = (4, 5, 6, 8, 10, 15, 20, 30, 40)  # on the picture's axis of evaluations
 HEADER = (
     "setting",
     *(f"{group} {what}" for group in GROUPS for what in ("[mm]", "evaluations")),
@@ -223,8 +224,12 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.set(
         xlabel="evaluations per control period of 20 ms", ylabel="largest error of the tip [mm]"
     )
-    axes.legend(frameon=False, fontsize=7)
-    axes.grid(alpha=0.3, which="both")
+    axes.set_xticks(TICKS)
+    axes.minorticks_off()
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(frameon=False, fontsize=8)
+    axes.grid(alpha=0.3)
     write_picture(figure, path)
 
 

@@ -20,6 +20,7 @@ from _results import (
     write_picture,
     write_tables,
 )
+from cycler import cycler
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -32,6 +33,7 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 RESTS = 12
 SEEDS = range(100, 102)
 REFERENCE = 1e-4  # share of the length
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
 SHOWN = "standard"  # in the page's table; the CSV file and the picture have all presets
 HEADER = (
     "arm",
@@ -42,7 +44,7 @@ HEADER = (
     "coordinates",
     "intervals",
     "trial [s]",
-    "CPU of a step [us]",
+    "CPU of a step [µs]",
 )
 
 
@@ -235,17 +237,22 @@ def row(
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(8, 4), constrained_layout=True)
-    axes.set_prop_cycle(color=plt.get_cmap("Paired").colors)  # twelve
+    # twelve arms: six colours, each with two markers
+    axes.set_prop_cycle(cycler(marker=["o", "^"]) * cycler(color=COLOURS))
     for name in dict.fromkeys(row[0] for row in rows):
         chosen = [row for row in rows if row[0] == name]
         axes.loglog(
             [float(row[2]) for row in chosen],
             [max(float(row[3]), float(row[4])) for row in chosen],
-            "o-",
             label=name,
         )
-    axes.axline((0.1, 0.1), (1.0, 1.0), color="0.5", label="asked")
-    axes.set(xlabel="asked [% of the length]", ylabel="largest error of the tip [%]")
+    axes.axline((0.1, 0.1), (1.0, 1.0), color="black", linestyle="--", label="error asked for")
+    presets = {float(row[2]): row[1] for row in rows}
+    axes.set_xticks([*presets], [f'"{name}"\n{share:g} %' for share, name in presets.items()])
+    axes.minorticks_off()
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.grid(alpha=0.3)
+    axes.set(xlabel="error asked for, share of the length", ylabel="largest error of the tip [%]")
     axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     write_picture(figure, path)
 

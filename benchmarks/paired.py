@@ -51,8 +51,8 @@ SETTINGS = {
 HEADER = (
     "scene",
     "what",
-    "before [us]",
-    "now [us]",
+    "before [µs]",
+    "now [µs]",
     "now over before",
     "quarter below",
     "quarter above",

@@ -59,6 +59,8 @@ ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11
 HARD_SECONDS = 0.4
 LEVELS = (10.0, 5.0, 2.0, 0.5)
 """Errors [mm] that the summary asks the cheapest setting for."""
+FIRST_TIME = 0.1
+"""CPU time [ms] at the left edge of the panels: names left of the cheapest marks fit in."""
 WORTH_A_ROW = 0.95
 """Greatest share of the error of the one before that the next best setting may have."""
 HEADER = ("simulator", "setting", "input", "simulated [s]", "error [mm]", "CPU [ms/s]", "told")
@@ -379,6 +381,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
             fontsize=8,
         )
         axes.grid(alpha=0.2)
+    panels[0].set_xlim(left=FIRST_TIME)
     panels[0].set_ylabel("largest tip error [mm], arm of 1 m")
     panels[0].legend(frameon=False, loc="upper right", fontsize=9)
     write_picture(figure, picture, dpi=110)

@@ -333,7 +333,7 @@ class Clock:
         self.total += time.process_time() - started
 
 
-HEADER = ("what grows", "cost", "size", "CPU [us]")
+HEADER = ("what grows", "cost", "size", "CPU [µs]")
 
 
 def cost_rows(
