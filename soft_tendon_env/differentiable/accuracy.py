@@ -54,7 +54,7 @@ class GradientWarning(UserWarning):
 class GradientAccuracy(NamedTuple):
     """Adjoint gradient beside central differences, along random directions of the commands."""
 
-    cosine: float
+    cosine: float  # of the angle between the two
     ratio: float  # of its length to theirs
 
 

@@ -56,9 +56,9 @@ class Metric(NamedTuple):
     NaN: the episode has none.
     """
 
-    heading: str
-    of_episode: Callable[[Episode, int], float]
-    factor: float = 1.0
+    heading: str  # of its column, with the unit
+    of_episode: Callable[[Episode, int], float]  # of an episode and the first sample that counts
+    factor: float = 1.0  # from SI units to the heading's
 
 
 class ErrorScore(NamedTuple):

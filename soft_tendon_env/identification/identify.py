@@ -52,17 +52,17 @@ class Estimate:
     Errors are those of fit and of held-out recordings; findings are in words.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  # k of them, in the order in which they were named
     value: Array  # (k,)
-    intervals: Intervals
+    intervals: Intervals  # of 95 %
     scene: Scene  # with the estimated numbers
     markers: MarkerSet  # with the estimated offsets
     # mean distance [m] of the markers in the recordings of the fit, by their names
     error_fit: dict[str, float]
-    error_held_out: dict[str, float]
+    error_held_out: dict[str, float]  # the same in the held-out recordings
     before: tuple[float, float]  # mean of either [m] at the numbers of the scene that was given
     noise: float  # standard deviation of a marker's coordinate [m]
-    findings: tuple[str, ...]
+    findings: tuple[str, ...]  # remarks on data and fit, in words
     data: tuple[str, ...]  # files
 
     @property

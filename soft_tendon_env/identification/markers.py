@@ -71,9 +71,10 @@ class Column(Configuration):
 class MarkerSet(Configuration):
     """Markers by name, in the order of all arrays, and the frame and the columns of the data."""
 
+    # places on the arm, by the marker's name
     markers: dict[str, Marker] = Field(min_length=1)
-    frame: Frame = Frame()
-    columns: dict[str, Column] = {}
+    frame: Frame = Frame()  # from the data's frame to the world frame
+    columns: dict[str, Column] = {}  # names and units of the data's columns
 
     @property
     def arc_lengths(self) -> Array:

@@ -53,9 +53,11 @@ class Evaluation(Configuration):
     [s] on.
     """
 
+    # steps of all arms together between two evaluations
     every: int = Field(default=100_000, ge=1)
+    # how many, on the first of the validation seeds
     episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))
-    skip: NotNegative = 1.0
+    skip: NotNegative = 1.0  # time at the beginning of an episode that does not count [s]
 
 
 class Training(Configuration):

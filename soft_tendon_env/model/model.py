@@ -55,7 +55,7 @@ class Model:
     rates.
     """
 
-    scene: Scene
+    scene: Scene  # that it was made from
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
     # wait for the next evaluation: making one takes longer than to fill it

@@ -118,11 +118,11 @@ class Trajectory(NamedTuple):
     tip_pose: Array  # (samples, 4, 4)
     # (samples - 1, steps per sample, n_a) in Model.command_unit, as held over each integrator step
     command: Array
-    final: State
-    steps: int
-    rejected: int
+    final: State  # at the end, to go on from
+    steps: int  # integrator steps that were accepted
+    rejected: int  # those that were tried again at half their size
     error: float  # [m], as in StepReport
-    evaluations: int
+    evaluations: int  # of the equation of motion
 
 
 class Rollout(NamedTuple):
@@ -154,7 +154,7 @@ class Linearization(NamedTuple):
     before linear ones.
     """
 
-    next: State
+    next: State  # at the end of the period
     state: Array  # (s, s) of the next state by the state
     command: Array  # (s, n_a) of the next state by the command
     tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]

@@ -55,7 +55,7 @@ class Equilibrium:
 
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
-    converged: bool
+    converged: bool  # whether q balances the full load
     residual: float  # [rad]
     reason: str  # why the path goes no further; empty when converged
     iterations: int  # linearisations of the balance on the way

@@ -35,9 +35,9 @@ class Terms(NamedTuple):
 class Energy(NamedTuple):
     """Kinetic, elastic and load energy [J]."""
 
-    kinetic: float
-    elastic: float
-    load: float  # potential energy of the effects
+    kinetic: float  # of the moving arm [J]
+    elastic: float  # of the strained arm [J]
+    load: float  # potential energy of the effects [J]
 
     @property
     def total(self) -> float:

@@ -23,23 +23,21 @@ class Rollout:
 
     Sample 0 of an episode is what its reset left, sample k what its k-th step did.
 
-    period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples,
-    n_a) [N] as applied; tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m],
-    m = 0 being as good as None; action (samples, k), the one that led to the sample; scalars
-    (samples,) each, NaN where there is none; scene of the arm, None: the model's.
+    Targets, actions and titles may be missing.
     """
 
-    model: Model
-    period: float
-    strain: Array
-    tension: Array
-    tip_pose: Array
-    target_pose: Array | None = None
-    target_backbone: Array | None = None
-    action: Array | None = None
+    model: Model  # of the arm, for drawing
+    period: float  # between samples [s]
+    strain: Array  # (samples, points, 6) as of `Model.strain`
+    tension: Array  # (samples, n_a) [N] as applied
+    tip_pose: Array  # (samples, 4, 4)
+    target_pose: Array | None = None  # (samples, 4, 4)
+    target_backbone: Array | None = None  # (samples, m, 3) [m]; m = 0 is as good as None
+    action: Array | None = None  # (samples, k), the one that led to the sample
+    # (samples,) each, NaN where there is none
     scalars: Mapping[str, Array] = field(default_factory=dict)
-    title: str = ""
-    scene: Scene | None = None
+    title: str = ""  # of the episode, in recordings
+    scene: Scene | None = None  # of the arm; None: the model's
 
     @property
     def samples(self) -> int:

@@ -43,7 +43,7 @@ class Clock:
 class Timing(NamedTuple):
     """Statistics of the periods of a loop: how late each began after its deadline [s]."""
 
-    periods: int
+    periods: int  # that the loop ran
     overruns: int  # periods whose work ended after the next deadline
     p50: float  # [s] of lateness
     p99: float  # [s]

@@ -396,10 +396,10 @@ class Report(NamedTuple):
     Errors (m,) are by name, as measured in every period.
     """
 
-    errors: dict[str, Array]
-    timing: Timing
-    stop: Stop
-    finished: bool = False
+    errors: dict[str, Array]  # (periods,) each, by name, in SI units
+    timing: Timing  # how punctual the loop was
+    stop: Stop  # how the tendons were let go
+    finished: bool = False  # whether all periods were run
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:

@@ -31,7 +31,7 @@ HANGING = 0.1
 class Stop:
     """Course of an emergency stop, or of the end of a run."""
 
-    cause: str
+    cause: str  # why it began, in words
     slack: bool = False  # whether the last command, which lets the tendons go, was sent
     seconds: float = 0.0  # from the cause to then [s]
     failures: list[str] = field(default_factory=list)  # what the robot raised meanwhile

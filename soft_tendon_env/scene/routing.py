@@ -94,8 +94,8 @@ class LinearTaper(Taper):
     """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
     type: Literal["linear"] = "linear"
-    base: Length
-    tip: Length
+    base: Length  # at the start of the segment [m]
+    tip: Length  # at its end [m]
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         slope = (self.tip - self.base) / segment_length
@@ -113,7 +113,9 @@ class TaperTable(Taper):
     """
 
     type: Literal["table"] = "table"
+    # increasing, from 0 to the length of the segment [m]
     arc_length: tuple[Number, ...] = Field(min_length=2)
+    # one per arc length [m]
     size: tuple[Length, ...] = Field(validation_alias=AliasChoices("size", "radius"))
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
@@ -196,7 +198,7 @@ class StraightRouting(TendonRouting):
     """Straight tendon, parallel to the axis at `offset` (y, z) [m]."""
 
     type: Literal["straight"] = "straight"
-    offset: Offset
+    offset: Offset  # (y, z) from the axis [m]
 
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
@@ -213,8 +215,8 @@ class ConvergingRouting(TendonRouting):
     """
 
     type: Literal["converging"] = "converging"
-    start_offset: Offset
-    end_offset: Offset
+    start_offset: Offset  # (y, z) from the axis where the tendon begins [m]
+    end_offset: Offset  # (y, z) where it ends [m]
 
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
@@ -240,8 +242,8 @@ class SurfaceRouting(TendonRouting):
     """
 
     type: Literal["surface"] = "surface"
-    fraction: NotNegative = 1.0
-    angle: Number
+    fraction: NotNegative = 1.0  # of the way from the axis to the outline [-]
+    angle: Number  # from y towards z [deg]
 
     @property
     def direction(self) -> float:
@@ -268,9 +270,9 @@ class HelixRouting(TendonRouting):
     """
 
     type: Literal["helix"] = "helix"
-    radius: Length
-    angular_rate: Number
-    phase: Number = 0.0
+    radius: Length  # distance from the axis [m]
+    angular_rate: Number  # angle per arc length, from y towards z [rad/m]
+    phase: Number = 0.0  # angle at the base [deg]
 
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
@@ -302,9 +304,10 @@ class TableRouting(TendonRouting):
     """
 
     type: Literal["table"] = "table"
+    # increasing, from the tendon's start to its end at least [m]
     arc_length: tuple[Number, ...] = Field(min_length=4)
-    y: tuple[Number, ...]
-    z: tuple[Number, ...]
+    y: tuple[Number, ...]  # offsets from the axis, one per arc length [m]
+    z: tuple[Number, ...]  # likewise [m]
 
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends

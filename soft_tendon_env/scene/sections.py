@@ -274,7 +274,7 @@ class Flat(Solid):
 
 @register("section", "rectangle")
 class Rectangle(Flat):
-    """Solid rectangle.
+    """Solid rectangle with a `width` along y and a `height` along z [m], numbers or tapers.
 
     Torsion is Timoshenko and Goodier's (170), summed to round-off.
     """
@@ -340,7 +340,7 @@ class Rectangle(Flat):
 
 @register("section", "ellipse")
 class Ellipse(Flat):
-    """Solid ellipse."""
+    """Solid ellipse with a `width` along y and a `height` along z [m], numbers or tapers."""
 
     type: Literal["ellipse"] = "ellipse"
 
@@ -458,7 +458,9 @@ class Discs(Configuration):
     mass: Positive  # of each [kg]
     radius: Length  # [m]; their inertia is that of full cylinders
     thickness: Length | None = None  # [m]; None: thin
+    # how many, evenly, the last one at the end of the segment; None: `places` says where
     number: int | None = Field(default=None, ge=1, le=1000)
+    # arc lengths from the start of the segment [m], in place of a number
     places: tuple[NotNegative, ...] | None = Field(
         default=None, min_length=1, validate_default=True
     )

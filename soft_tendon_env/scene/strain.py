@@ -64,9 +64,10 @@ class Modes(Configuration):
     strain's `borders`.
     """
 
-    strains: Strains
+    strains: Strains  # names, each once: torsion, bend_y, bend_z, stretch, shear_y, shear_z
+    # highest order of the polynomials, 0 to 12
     order: int = Field(ge=0, le=12)
-    span: Literal["rod", "piece"]
+    span: Literal["rod", "piece"]  # whether each polynomial spans the rod or one of its pieces
 
 
 def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Array:
@@ -197,6 +198,7 @@ class StaticsBased(RodStrain):
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     # combinations of fields below this relative size get no coordinate
     rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
+    # whether gravity and dead loads at the tip act inside the strain (35)
     include_loads: bool = False
 
     @property
@@ -236,6 +238,7 @@ class ExplicitStrain(ExplicitBasis):
     """
 
     type: Literal["explicit"] = "explicit"
+    # groups of polynomials; no strain is in two of them
     modes: tuple[Modes, ...] = Field(min_length=1)
 
     def fields(self, points: Array, borders: Array) -> Array:

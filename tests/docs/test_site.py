@@ -1,5 +1,6 @@
 """The hooks of the documentation site: equations, links to sources, cells of tables."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -68,6 +69,26 @@ def test_numbers_of_a_table_do_not_break(cell, stays_whole):
     html = site_hooks.on_page_content(f"<td>{cell}</td>", page("a.md"))
     expected = '<td class="numbers">' if stays_whole else "<td>"
     assert html == f"{expected}{cell}</td>"
+
+
+def shown_on(page):
+    """Modules and names of the scene that a page of the API shows."""
+    text = (ROOT / "docs" / "api" / page).read_text(encoding="utf-8")
+    modules = re.findall(r"^::: (soft_tendon_env\.scene\.\w+)\n.*members: \[([^\]]*)\]", text, re.M)
+    return [(module, name) for module, names in modules for name in names.split(", ")]
+
+
+def test_every_key_of_a_scene_has_a_description():
+    package = griffe.load("soft_tendon_env.scene", search_paths=[ROOT])
+    fields = [
+        field
+        for module, name in shown_on("scene.md")
+        for field in package[module.rpartition(".")[2]][name].attributes.values()
+        if field_comments.is_field(field)
+    ]
+    assert len(fields) > 50
+    undescribed = [field.path for field in fields if not field_comments.description(field)]
+    assert undescribed == []
 
 
 def test_fields_have_the_comment_beside_or_above_them(tmp_path):
