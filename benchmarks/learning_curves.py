@@ -39,7 +39,8 @@ def main() -> None:
         errors = 1e3 * curves.values("typical")
         seeds = len(curves.rows)
         middle, (low, high) = interquartile_mean(errors), bootstrap_interval(errors)
-        axes.plot(minutes, middle, color=drawn[algorithm].rgb, label=with_seeds(algorithm.upper(), seeds))
+        label = with_seeds(algorithm.upper(), seeds)
+        axes.plot(minutes, middle, color=drawn[algorithm].rgb, label=label)
         axes.fill_between(minutes, low, high, color=drawn[algorithm].rgb, alpha=0.2, linewidth=0)
         rows += [
             (algorithm, seeds, *row) for row in zip(steps, minutes, middle, low, high, strict=True)

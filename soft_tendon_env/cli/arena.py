@@ -15,7 +15,6 @@ from soft_tendon_env.evaluation.benchmark import (
     benchmark_tables,
     standings_by_regime,
 )
-from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import records, write_csv, write_markdown
@@ -30,6 +29,12 @@ CONTROLLER_PACE = 0.2
 EPYC."""
 AGENT_PACE = 0.05
 """Seconds of a core per second of an episode under an agent, likewise."""
+
+CAPTION = (
+    "*Errors by setting; further left is better. Lines: 95 % intervals."
+    " Diamonds and squares: controllers. Circles: agents.*"
+)
+"""Sentences below the picture."""
 
 
 class Arena(Benchmark):
@@ -95,8 +100,7 @@ def run(settings: Arena) -> None:
     from soft_tendon_env.evaluation.pictures import draw_errors
 
     standings = standings_by_regime(settings, experiment)
-    legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
-    text = f"{benchmark_tables(settings, standings)}\n\n{legend}"
+    text = benchmark_tables(settings, standings)
     print(f"\n{text}\n")
 
     rows = []
@@ -109,7 +113,7 @@ def run(settings: Arena) -> None:
 
     parts = [f"{episodes.capitalize()}. {settings.actuators}"]
     parts += [f"Note: {note}." for note in notes]
-    parts += ["![Errors of all policies by setting and regime](arena.png)", text]
+    parts += ["![Errors of all policies by setting and regime](arena.png)", CAPTION, text]
     write_markdown(out / "arena.md", "\n\n".join(parts))
 
 

@@ -276,7 +276,7 @@ def standings_by_regime(
 
 
 def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -> str:
-    """Definitions, and tables per regime: errors, return, bad episodes, gaps and who is ahead.
+    """Definitions, settings, and per regime who is ahead, tables of all numbers, and of gaps.
 
     A gap is that of the best learned policy to the best controller.
     """
@@ -296,7 +296,8 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     definitions = [NUMBERS_LEGEND, SIDES_LEGEND]
     if is_told:
         definitions.append(TOLD_LEGEND)
-    texts = ["\n".join(definitions)]
+    settings = [f"- `{name}`: {SETTINGS[name].description}." for name in benchmark.settings]
+    texts = ["\n".join(definitions), "Settings:", "\n".join(settings)]
     for regime, standings in by_regime.items():
         texts.append(_regime_text(regime, standings, others, kind))
     return "\n\n".join(texts)
@@ -319,8 +320,8 @@ def _regime_text(regime: str, standings: Standings, others: set[str], kind: str)
     columns["loss of return"] = _gap_cells(by_label["return"], 1.0)
 
     description = REGIMES[regime].description.capitalize()
-    parts = [f"### {REGIMES[regime].title}"]
-    parts.append(f"`{regime}`: {description}.{verdict(by_label, kind)}")
+    parts = [f"### {REGIMES[regime].title}", f"{description} (`{regime}`)."]
+    parts += verdict(by_label, kind)
     parts += number_tables(standings)
     rows = []
     for setting in by_label["return"]:
@@ -376,13 +377,12 @@ def _least(
     return standings[int(np.argsort(means, kind="stable")[0])]
 
 
-def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy") -> str:
-    """Sentences that say, by every label, on which side of zero its gap lies.
+def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy") -> list[str]:
+    """A sentence and a list that say, by every label, on which side of zero its gap lies.
 
-    They stand where the interval leaves out zero; there are none without gaps. kind: of policies
-    that are compared with controllers.
+    There are none without gaps. kind: of policies that are compared with controllers.
     """
-    texts = list[str]()
+    items = list[str]()
     for label, gap in apart.items():
         settings_by_side = dict[str, list[str]]()
         for setting, mean in gap.items():
@@ -392,10 +392,10 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy
             where = "all" if len(settings) == len(gap) else ", ".join(settings)
             parts.append(f"{side} in {where}")
         if parts:
-            texts.append(f" By {label}: {'; '.join(parts)}.")
-    if not texts:
-        return ""
-    return "".join([f" The best {kind} against the best controller.", *texts])
+            items.append(f"- By {label}: {'; '.join(parts)}.")
+    if not items:
+        return []
+    return [f"The best {kind} beside the best controller:", "\n".join(items)]
 
 
 def _side(gap: Mean) -> str:

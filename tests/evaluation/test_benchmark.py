@@ -237,9 +237,10 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     assert (
         len(
             re.findall(
-                r"(best controller\. By position|By return): (ahead|behind|not separated) in"
+                r"^- By (position|return): (ahead|behind|not separated) in"
                 r" (nominal|latency|all)",
                 said,
+                re.MULTILINE,
             )
         )
         == 2
@@ -248,6 +249,7 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     assert "4 cells, 0 of them to be played" in capsys.readouterr().out
     assert (out / "arena.png").stat().st_size > 10_000
     page = (out / "arena.md").read_text()
+    assert page.index("- `latency`: ") < page.index("### ")
     assert "(arena.png)" in page
     assert "change by at most 20 N/s" in page
     assert "change by at most 20 N/s" in said
