@@ -21,6 +21,7 @@ from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.loads import covers
 from soft_tendon_env.effects import Effects
+from soft_tendon_env.model.build import compiling_for
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.files import (
@@ -61,7 +62,8 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
             f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
             f" converged reference, once for loads up to those that it tries: {folder}"
         )
-        choice = trial.search(scene, asked, least)
+        with compiling_for(scene):
+            choice = trial.search(scene, asked, least)
         keep(folder, key, scene, choice)
     say_once(f"{scene.name!r}: {choice.describe(scene)}; the bound is {100 * asked.share:.3g} %")
     return choice

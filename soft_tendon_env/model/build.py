@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from contextlib import AbstractContextManager
 
 import numpy as np
 
@@ -12,6 +13,11 @@ from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.scene.units import warn_of_units
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.messages import naming
+
+FIRST_USE = "up to a minute on an idle core"
+"""Time to the first step of an environment while all kernels are compiled: 43 s of CPU time were
+measured on an AMD EPYC, and 5 to 10 s for another kind of arm after that."""
 
 
 class QuadratureWarning(UserWarning):
@@ -38,6 +44,17 @@ def build_model(scene: Scene) -> Model:
     checked_type("scene", scene, Scene, "see load_scene")
     warn_of_units(scene)
     _check_turns(scene)
+    with compiling_for(scene):
+        return _checked_model(scene)
+
+
+def compiling_for(scene: Scene) -> AbstractContextManager[None]:
+    """Context in which the line on compilation names the scene and the time."""
+    return naming(f"scene {scene.name!r}, {FIRST_USE}")
+
+
+def _checked_model(scene: Scene) -> Model:
+    """Model with a quadrature that suffices or is said to be too coarse, see `build_model`."""
     test = QuadratureTest(scene)
     intervals = scene.quadrature.intervals
     if intervals is None:
@@ -48,7 +65,7 @@ def build_model(scene: Scene) -> Model:
         sufficient = test.search(intervals) if estimate.problem else estimate
     # the model is made all the same: it may do for what it is asked
     if estimate.problem:
-        warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=2)
+        warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=3)
     # the test leaves obstacles and actuators out, and its model is the scene's own without them
     if test.scene.effects == scene.effects:
         model = test.model(estimate.intervals)
@@ -92,7 +109,7 @@ def _too_coarse(estimate: QuadratureEstimate, sufficient: QuadratureEstimate) ->
 def _check_coordinates(model: Model) -> None:
     """Refuses coordinates that are none or not independent, and loads that buckle the arm at once.
 
-    Warns of a singular mass matrix, on the caller's caller.
+    Warns of a singular mass matrix, on the caller of `build_model`.
 
     Raises:
         ConfigurationError: names the key of the scene's strain.
@@ -122,7 +139,7 @@ def _check_coordinates(model: Model) -> None:
             f"{n} coordinates are too many for {per_piece} quadrature intervals per"
             " piece: the mass matrix is singular"
         )
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=4)
 
 
 def _strain_error(text: str, *keys: str) -> ConfigurationError:

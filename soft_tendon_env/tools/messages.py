@@ -7,11 +7,16 @@ import contextlib
 import functools
 import os
 import sys
+from collections.abc import Iterator
+from contextvars import ContextVar
 
 QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in (
     "",
     "0",
 )  # whether lines of progress are not wanted
+
+_subject = ContextVar("_subject", default="")
+"""What lines of progress are about at present, with a colon; empty: they say it themselves."""
 
 
 class UserError(Exception):
@@ -64,4 +69,14 @@ def say_once(line: str) -> None:
     SOFT_TENDON_ENV_QUIET=1 silences it.
     """
     if not QUIET:
-        say(line)
+        say(f"{_subject.get()}{line}")
+
+
+@contextlib.contextmanager
+def naming(subject: str) -> Iterator[None]:
+    """Context in which lines of progress begin with what they are about."""
+    before = _subject.set(f"{subject}: ")
+    try:
+        yield
+    finally:
+        _subject.reset(before)
