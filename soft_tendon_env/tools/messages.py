@@ -16,7 +16,7 @@ QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in (
 )  # whether lines of progress are not wanted
 
 _subject = ContextVar("_subject", default="")
-"""What lines of progress are about at present, with a colon; empty: they say it themselves."""
+"""Beginning of lines of progress: what they are about, and a colon; empty outside of `naming`."""
 
 
 class UserError(Exception):
