@@ -92,6 +92,17 @@ print(time.process_time())
 """
 OWN_ARM = "payload"  # of benchmarks/own_arms.py
 
+# sentences above the tables of the page
+MEMORY = "Memory of a row:"
+TO_FIRST_STEP = (
+    "Time to the first step of a scene of one's own, in a new process, after the demo has compiled"
+    " its kernels:"
+)
+STEPS_PER_SECOND = (
+    "Steps per second of all rows together, in one process or in one per core, predicted from the"
+    " parallel and serial shares of a step on one thread; many cores were not measured:"
+)
+
 
 class Family(NamedTuple):
     """Arms of which one size grows."""
@@ -126,13 +137,16 @@ def main() -> None:
         )
     write_csv(arguments.out / "scaling.csv", HEADER, rows)
     draw(rows, arguments.out / "scaling.png")
-    tables = (
+    parts = (
         growth_table(rows),
+        MEMORY,
         memory_table(quick),
+        TO_FIRST_STEP,
         first_step_table(quick),
+        STEPS_PER_SECOND,
         cores_table(shares),
     )
-    write_tables(arguments.out / "scaling.md", "\n\n".join(tables))
+    write_tables(arguments.out / "scaling.md", "\n\n".join(parts))
 
 
 def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:
