@@ -17,7 +17,7 @@ from soft_tendon_env.tools.messages import naming
 
 FIRST_USE = "up to a minute on an idle core"
 """Time to the first step of an environment while all kernels are compiled: 43 s of CPU time were
-measured on an AMD EPYC, and 5 to 10 s for another kind of arm after that."""
+measured on an AMD EPYC with busy cores, and 9 s for another kind of arm after that."""
 
 
 class QuadratureWarning(UserWarning):
