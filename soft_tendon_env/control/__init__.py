@@ -4,7 +4,7 @@ protocol.py has their interfaces, catalogue.py all of them by name.
 """
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, controllers_of
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter
 from soft_tendon_env.control.protocol import (
     Controller,
     ControllerInput,
@@ -14,6 +14,7 @@ from soft_tendon_env.control.protocol import (
     Measurement,
     Reference,
 )
+from soft_tendon_env.control.uncertainty import Setting, Uncertainty
 
 __all__ = [
     "CONTROLLERS",

@@ -18,7 +18,7 @@ import gymnasium as gym
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
-from soft_tendon_env.control.kalman import USUAL
+from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
@@ -267,7 +267,7 @@ class Controller(PolicyName):
         """regime: information regime of the estimator, see `observation_options`."""
         options = Options.parse(dict(given), "options")
         actuators = given_scene(options.scene).effects.actuators
-        late = 0.0 if actuators is None else actuators.delay
+        late = None if actuators is None else actuators.delay or None
         own = observation_options(
             self.entry,
             self.task,

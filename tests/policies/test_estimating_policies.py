@@ -42,7 +42,7 @@ def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
 @pytest.mark.parametrize("latency", [pytest.param(0.0, marks=pytest.mark.slow), 0.055])
 def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     env, policy = made(
-        "adaptive:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
+        "filtered:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
     )
     assert position_error(env, policy) < 2e-3
     observation, _ = env.reset(seed=3)
@@ -50,7 +50,7 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     for _ in range(100):
         action, state = policy.predict(observation, state)
         observation, *_ = env.step(action)
-    assert state[0].estimate.latency == pytest.approx(latency, abs=0.01)
+    assert state[0].estimate.timing.latency == pytest.approx(latency, abs=0.01)
 
 
 @pytest.mark.slow
@@ -64,12 +64,12 @@ def test_errors_of_the_arm_are_allowed_for():
         "latency": 0.015,
         "noise": NOISE,
     }
-    env, policy = made("adaptive:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
+    env, policy = made("filtered:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
     assert position_error(env, policy) < 4e-3
 
 
 def test_an_unknown_latency_is_made_up_for_where_goals_jump():
-    env, policy = made("adaptive:predictive@fast", task="Reach", regime="sensors", target=None)
+    env, policy = made("filtered:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
 
 
