@@ -37,7 +37,9 @@ class Action(NamedTuple):
 
 
 def main() -> None:
-    name, calls, changes = sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3])
+    name = sys.argv[1]
+    calls = int(sys.argv[2])
+    changes = json.loads(sys.argv[3])
     warnings.simplefilter("ignore")
     made = actions_of(ste.load_scene(name), changes)
     for action in made.values():
@@ -97,7 +99,8 @@ def evaluations(model: ste.Model) -> Callable[[int], float]:
 
 
 def terms(model: ste.Model) -> Callable[[int], float]:
-    q, q_dot = np.full(model.coordinate_count, 0.5), np.ones(model.coordinate_count)
+    q = np.full(model.coordinate_count, 0.5)
+    q_dot = np.ones(model.coordinate_count)
     return lambda calls: [model.terms(q, q_dot) for _ in range(calls)] and calls
 
 

@@ -133,7 +133,9 @@ def accuracy(model: Model) -> tuple[str, str]:
 def rollout_error(model: Model) -> tuple[float, float]:
     """Largest errors of a linearisation by state and by tension, as shares of the largest
     entries."""
-    n, simulation, random = model.coordinate_count, Simulation(model), np.random.default_rng(0)
+    n = model.coordinate_count
+    simulation = Simulation(model)
+    random = np.random.default_rng(0)
     least, greatest = model.scene.effects.command_limits(
         np.array([tendon.tension_limits for tendon in model.scene.tendons])
     ).T
@@ -141,11 +143,9 @@ def rollout_error(model: Model) -> tuple[float, float]:
     for _ in range(6):
         simulation.step(least + 0.2 * (greatest - least) * random.random(least.size), HOLD)
     command = least + 0.2 * (greatest - least) * random.random(least.size)
-    cheap, exact, scale = (
-        simulation.rollout(command[None], HOLD),
-        simulation.linearize(command, HOLD),
-        model.coordinate_scale(),
-    )
+    cheap = simulation.rollout(command[None], HOLD)
+    exact = simulation.linearize(command, HOLD)
+    scale = model.coordinate_scale()
     unit = np.append(scale, scale / HOLD)
     pairs = (
         (cheap.by_state[0] * unit, exact.state[: 2 * n, : 2 * n] * unit),
@@ -168,7 +168,9 @@ def placed(model: Model, rows: int) -> Arms:
 def costs(model: Model, repeats: int, has_adjoint: bool) -> list[str]:
     """Costs of an adjoint and of a rollout in plain steps with their readings; "-": no adjoint."""
     rows = 32
-    arms, members, tape = placed(model, rows), np.arange(rows), None
+    arms = placed(model, rows)
+    members = np.arange(rows)
+    tape = None
     table = np.stack(
         [
             motion_tensions(model.scene, "increments", row, (LIVELY + 1) * HOLD)
@@ -188,11 +190,9 @@ def costs(model: Model, repeats: int, has_adjoint: bool) -> list[str]:
         name: getattr(arms.rows, name).copy()
         for name in ("q", "q_dot", "xi", "state", "clock", "step")
     }
-    command, tape, cotangents = (
-        np.ascontiguousarray(table[:, LIVELY:]),
-        arms.make_tape(),
-        arms.make_cotangents(),
-    )
+    command = np.ascontiguousarray(table[:, LIVELY:])
+    tape = arms.make_tape()
+    cotangents = arms.make_cotangents()
     random = np.random.default_rng(0)
     drawn = {
         name: random.normal(size=getattr(cotangents, name).shape)

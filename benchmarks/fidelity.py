@@ -39,6 +39,8 @@ WILD_REFERENCE = 2e-3  # share of the length
 HELD = 5  # control periods
 ROWS = 64
 STEPS = 400  # control periods
+MARKERS = dict(zip((AS_SCENE, *PRESETS), "xos^", strict=True))
+"""Matplotlib's markers of the presets."""
 HEADER = (
     "scene",
     "fidelity",
@@ -72,7 +74,7 @@ def table_of(rows: list[tuple[str, ...]]) -> str:
         "fidelity",
         "coordinates",
         "evaluations",
-        "CPU [us]",
+        "CPU [µs]",
         "usual [mm]",
         "wild [mm]",
     )
@@ -99,7 +101,8 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         own = at_fidelity(scene, label)
         model = ste.build_model(own, "scene")
         microseconds = 1e6 * cost(own, steps)
-        errors, evaluations = [], []
+        errors = []
+        evaluations = []
         for kind in KINDS:
             runs = [ste.simulate(model, table, HOLD * len(table), HOLD) for table in inputs[kind]]
             apart = [
@@ -146,22 +149,22 @@ def cost(scene: Scene, steps: int) -> float:
 
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
-    figure, axes = plt.subplots(figsize=(6, 4), constrained_layout=True)
-    for name in dict.fromkeys(row[0] for row in rows):
+    """Errors over CPU times: a colour per arm, a marker per preset, so that no label overlaps."""
+    figure, axes = plt.subplots(figsize=(6, 4.5), constrained_layout=True)
+    arms = list(dict.fromkeys(row[0] for row in rows))
+    colours = dict(zip(arms, plt.rcParams["axes.prop_cycle"].by_key()["color"], strict=False))
+    for name in arms:
         chosen = [row for row in rows if row[0] == name]
         errors = [max(map(float, row[5 : 5 + len(USUAL)])) for row in chosen]
-        axes.loglog([float(row[4]) for row in chosen], errors, "o", label=name)
-        for row, error in zip(chosen, errors, strict=True):
-            axes.annotate(
-                row[1],
-                (float(row[4]), error),
-                xytext=(4, 4),
-                textcoords="offset points",
-                fontsize=7,
-            )
-    axes.set(xlabel="CPU time [us per environment step]", ylabel="largest tip error [mm]")
-    axes.legend(frameon=False)
-    axes.grid(alpha=0.3, which="both")
+        times = [float(row[4]) for row in chosen]
+        axes.loglog(times, errors, "-", color=colours[name], linewidth=0.8, label=name)
+        for row, time_of_step, error in zip(chosen, times, errors, strict=True):
+            axes.plot(time_of_step, error, MARKERS[row[1]], color=colours[name])
+    for label, marker in MARKERS.items():
+        axes.plot([], [], marker, color="0.4", label=f'"{label}"')
+    axes.set(xlabel="CPU time of an environment step [µs]", ylabel="largest tip error [mm]")
+    axes.legend(frameon=False, fontsize=8, ncols=2)
+    axes.grid(alpha=0.3)
     write_picture(figure, path)
 
 

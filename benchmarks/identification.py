@@ -88,13 +88,15 @@ def markers() -> MarkerSet:
 def plants(fidelity: str) -> Plants:
     """Arms at a fidelity, by the parameters that are asked for."""
     scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
-    accurate, placed = at_fidelity(scene, fidelity), markers()
+    accurate = at_fidelity(scene, fidelity)
+    placed = markers()
     return Plants(accurate, build_model(accurate), placed, read_parameters(ASKED, accurate, placed))
 
 
 def experiment(fidelity: str, seed: int) -> Tried:
     """An arm, its holds, and the estimate from them."""
-    random, robot = np.random.default_rng(seed), plants("fine")
+    random = np.random.default_rng(seed)
+    robot = plants("fine")
     x = np.array([*random.uniform(-SPREAD, SPREAD, 2), np.log(NU)])
     command = random.uniform(0.0, LARGEST, (HOLDS, 3))
     command[np.arange(HOLDS), random.integers(3, size=HOLDS)] = 0.0
@@ -108,7 +110,8 @@ def experiment(fidelity: str, seed: int) -> Tried:
         Recording(own.name, own.where, own.command, at[None], 0.0, {})
         for own, at in zip(still, positions, strict=True)
     ]
-    model, start = plants(fidelity), time.process_time()
+    model = plants(fidelity)
+    start = time.process_time()
     readings = Readings(model, holds)
     found = fit(readings)
     spread = intervals(found, readings)
@@ -124,10 +127,8 @@ def table(fidelity: str, found: list[Tried]) -> list[tuple[str, ...]]:
     hit, unseen = (
         np.sum([getattr(own, name) for own in found], axis=0) for name in ("hit", "unseen")
     )
-    width, seconds = (
-        np.median([own.width for own in found], axis=0),
-        np.median([own.seconds for own in found]),
-    )
+    width = np.median([own.width for own in found], axis=0)
+    seconds = np.median([own.seconds for own in found])
     return [
         (
             fidelity,

@@ -125,7 +125,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.robots, arguments.seconds = 2, 1.2
+        arguments.robots = 2
+        arguments.seconds = 1.2
     print(f"{machine()}; {arguments.robots} robots\n")
     arguments.out.mkdir(parents=True, exist_ok=True)
     general = (
@@ -157,7 +158,8 @@ def tell(seed: int, own: Tried) -> None:
 
 def tried(seed: int, seconds: float, general: Path | None, steps: int) -> Tried:
     """A robot identified, and followed with every policy and model."""
-    robot, started = robot_of(seed), time.process_time()
+    robot = robot_of(seed)
+    started = time.process_time()
     estimate = identified(robot, seed)
     spent = time.process_time() - started
     players = [
@@ -184,7 +186,8 @@ def tried(seed: int, seconds: float, general: Path | None, steps: int) -> Tried:
 
 def robot_of(seed: int) -> Scene:
     """Scene of a robot, which differs from its drawing."""
-    random, segment = np.random.default_rng(seed), DRAWING.segments[0]
+    random = np.random.default_rng(seed)
+    segment = DRAWING.segments[0]
     changes = {
         "base.rotation": random.normal(scale=3.0 / np.sqrt(3.0), size=3).tolist(),
         "base.position": random.normal(scale=5e-3 / np.sqrt(3.0), size=3).tolist(),
@@ -317,7 +320,8 @@ def table_of(errors: dict[tuple[str, str], list[float]]) -> list[tuple[str, ...]
     robots."""
     rows = []
     for (policy, model), values in errors.items():
-        found, ratio = 1e3 * np.array(values), np.log(np.array(values) / errors[policy, "drawing"])
+        found = 1e3 * np.array(values)
+        ratio = np.log(np.array(values) / errors[policy, "drawing"])
         low, high = bootstrap_interval(found, statistic=np.mean)
         least, most = np.exp(bootstrap_interval(ratio, statistic=np.mean))
         row = policy, model, f"{found.mean():.2f}", f"{low:.2f} to {high:.2f}", f"{found.max():.2f}"

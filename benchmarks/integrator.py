@@ -82,7 +82,8 @@ class Run(NamedTuple):
 def main() -> None:
     arguments = parser_of(__doc__).parse_args()
     seeds, seconds, mixed = (1, 0.1, 8) if arguments.quick else (SEEDS, SECONDS, MIXED)
-    rows, kept = compared(seeds, seconds), how_often_kept(mixed, seconds)
+    rows = compared(seeds, seconds)
+    kept = how_often_kept(mixed, seconds)
     write_csv(arguments.out / "integrator.csv", HEADER, rows)
     draw(rows, arguments.out / "integrator.png")
     tables = f"{markdown_table(HEADER, rows)}\n\n{markdown_table(KEPT_HEADER, kept)}"
@@ -167,7 +168,8 @@ def compared(seeds: int, seconds: float) -> list[tuple[str, ...]]:
 
 def how_often_kept(count: int, seconds: float) -> list[tuple[str, ...]]:
     """A row for every tolerance that is stated to keep an accuracy."""
-    kinds, scene = [(*USUAL, "wild")[i % 4] for i in range(count)], SCENE
+    kinds = [(*USUAL, "wild")[i % 4] for i in range(count)]
+    scene = SCENE
     scenes = [scene if i // 4 % 2 else scene.replace(random_loads(i)) for i in range(count)]
     cases = cases_of(
         scenes,
@@ -176,10 +178,8 @@ def how_often_kept(count: int, seconds: float) -> list[tuple[str, ...]]:
     )
     rows = []
     for share, stated in STATED.items():
-        errors, numbers = (
-            np.array([measure(case, with_tolerance(share)).error for case in cases]),
-            [],
-        )
+        errors = np.array([measure(case, with_tolerance(share)).error for case in cases])
+        numbers = []
         for within, wild in zip(stated, (False, True), strict=True):
             own = errors[[(kind == "wild") == wild for kind in kinds]]
             kept = f"{np.count_nonzero(own <= within * rod_length(scene))} of {own.size}"

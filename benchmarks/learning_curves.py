@@ -28,15 +28,16 @@ HEADER = ("training", "seeds", "steps", "minutes", "error [mm]", "low [mm]", "hi
 
 def main() -> None:
     arguments = parser_of(__doc__).parse_args()
-    drawn, rows, ends = styles(ALGORITHMS), list[tuple[object, ...]](), list[tuple[object, ...]]()
+    drawn = styles(ALGORITHMS)
+    rows = list[tuple[object, ...]]()
+    ends = list[tuple[object, ...]]()
     figure, axes = plt.subplots(figsize=(6.0, 4.0), constrained_layout=True)
     for algorithm in ALGORITHMS:
         curves = curves_of(algorithm)
-        steps, minutes = (
-            curves.values("steps")[0].astype(int),
-            curves.values("seconds").mean(axis=0) / 60.0,
-        )
-        errors, seeds = 1e3 * curves.values("typical"), len(curves.rows)
+        steps = curves.values("steps")[0].astype(int)
+        minutes = curves.values("seconds").mean(axis=0) / 60.0
+        errors = 1e3 * curves.values("typical")
+        seeds = len(curves.rows)
         middle, (low, high) = interquartile_mean(errors), bootstrap_interval(errors)
         axes.plot(minutes, middle, color=drawn[algorithm].rgb, label=with_seeds(algorithm, seeds))
         axes.fill_between(minutes, low, high, color=drawn[algorithm].rgb, alpha=0.2, linewidth=0)

@@ -182,12 +182,17 @@ def main() -> None:
 def measured(name: str, count: int, seconds: float) -> list[tuple[str, ...]]:
     """A row for every preset."""
     scene = ste.Scene.parse({"name": name, **ARMS[name]}, name)
-    low, high = np.array([tendon.tension_limits for tendon in scene.tendons]).T
-    rests = [*(low + np.random.default_rng(1).random((count, low.size)) * (high - low))]
-    motions = [
-        motion_tensions(scene, kind, seed, seconds) for kind in USUAL for seed in SEEDS[:count]
-    ]
-    exact = reference_motions(scene, [*rests, *motions], REFERENCE * rod_length(scene)).tips
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    least, greatest = limits.T
+    random = np.random.default_rng(1)
+    shares = random.random((count, least.size))
+    rests = [*(least + shares * (greatest - least))]
+    motions = []
+    for kind in USUAL:
+        for seed in SEEDS[:count]:
+            motions.append(motion_tensions(scene, kind, seed, seconds))
+    tolerance = REFERENCE * rod_length(scene)
+    exact = reference_motions(scene, [*rests, *motions], tolerance).tips
     return [row(scene, preset, rests, motions, exact) for preset in PRESETS]
 
 
@@ -198,8 +203,10 @@ def row(
     motions: list[np.ndarray],
     exact: tuple[np.ndarray | None, ...],
 ) -> tuple[str, ...]:
-    asked, started = accuracy_of(scene, preset), time.process_time()
-    found, trial = search(scene, asked), time.process_time() - started
+    asked = accuracy_of(scene, preset)
+    started = time.process_time()
+    found = search(scene, asked)
+    trial = time.process_time() - started
     model = ste.build_model(found.applied_to(scene), "scene")
     still = [
         distance(tip_path(model, tension), tip) for tension, tip in zip(rests, exact, strict=False)

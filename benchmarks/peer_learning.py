@@ -150,7 +150,8 @@ class Curve(BaseCallback):
             if episode["l"] == follow_ball.PERIODS
         ]
         if len(whole) == EPISODES:
-            wall, cpu = time.perf_counter() - self._began[0], time.process_time() - self._began[1]
+            wall = time.perf_counter() - self._began[0]
+            cpu = time.process_time() - self._began[1]
             self.points.append(
                 (self.num_timesteps, wall, cpu, follow_ball.their_return(float(np.mean(whole))))
             )
@@ -164,7 +165,8 @@ class Curve(BaseCallback):
 def trained(name: str, seed: int, steps: int) -> tuple[Curve, tuple[Any, ...]]:
     """The curve of a training and its row of the table. What compiles does so before, in a training
     of another seed."""
-    way, curve = WAYS[name], Curve()
+    way = WAYS[name]
+    curve = Curve()
     way.make(seed + 1).learn(1)
     way.make(seed).learn(steps or way.steps, callback=curve)
     (first, wall, cpu), (there, to_there, cpu_there) = (

@@ -43,12 +43,8 @@ SIMULATORS = {
     "soromox": "soromox_strains",
 }
 """Modules of benchmarks/_peers, by what --peers takes."""
-COLOURS = {
-    "soft_tendon_env": "#d1495b",
-    "MuJoCo": "#2e6f95",
-    "PyElastica": "#66a182",
-    "SoRoMoX": "#edae49",
-}
+OWN = "#d1495b"
+PEER_LINES = {"MuJoCo": "o-", "PyElastica": "s--", "SoRoMoX": "^:"}
 MOTIONS = ("smooth", "step", "redrawn")
 SEED = 0
 INTEGRATION = {"quadrature.intervals": 24, "integrator.columns": 4, "integrator.step": 5e-4}
@@ -240,8 +236,10 @@ def front(runs: Iterable[Measured]) -> list[Measured]:
 
 
 def select(runs: Iterable[Measured], simulator: str, name: str) -> list[Measured]:
-    """Runs of a simulator on an input."""
-    return [run for run in runs if run.simulator == simulator and run.input == name]
+    """Runs of a simulator on an input, but those of what users choose."""
+    choices = [choice.label for choice in own.CHOICES]
+    of_input = [run for run in runs if run.simulator == simulator and run.input == name]
+    return [run for run in of_input if run.setting not in choices]
 
 
 def millimetres(distance: float) -> str:
@@ -276,7 +274,7 @@ def tables(
         intro += f" Not measured: {name} ({why})."
     bars = [f"{name} {millimetres(case.error_bar)} mm" for name, case in inputs.items()]
     parts = [intro, summary(runs, list(simulators)), hard_table(runs, list(simulators))]
-    parts += [f"Error bars: {', '.join(bars)}.", settings_table(runs)]
+    parts += [f"Error bars of the reference: {', '.join(bars)}.", settings_table(runs)]
     return "\n\n".join(parts)
 
 
@@ -352,43 +350,69 @@ def outcome(run: Measured) -> str:
 
 
 def draw(runs: list[Measured], picture: Path) -> None:
-    """Errors over CPU times, a panel per input."""
+    """Errors over CPU times, a panel per input: this package's settings as a cloud, what users
+    choose as named marks, the best settings of the other simulators as lines."""
     figure, panels = plt.subplots(
-        1, len(MOTIONS), figsize=(15, 5.5), constrained_layout=True, sharex=True, sharey=True
+        1, len(MOTIONS), figsize=(13, 5), constrained_layout=True, sharex=True, sharey=True
     )
     longest = max(run.seconds for run in runs)
     for axes, name in zip(panels, MOTIONS, strict=True):
         for simulator in dict.fromkeys(run.simulator for run in runs):
             measured = select(runs, simulator, name)
-            draw_simulator(axes, simulator, measured, longest)
+            if simulator == own.NAME:
+                axes.scatter(*points(measured), s=9, color=OWN, alpha=0.25, linewidths=0)
+                axes.plot(*points(front(measured)), color=OWN, label=f"{simulator}, best settings")
+            else:
+                draw_peer(axes, simulator, measured, longest)
+        draw_choices(axes, [run for run in runs if run.input == name])
         axes.set(
             xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", title=name
         )
         axes.axvline(1e3, color="black", linewidth=0.8, alpha=0.5)
-        axes.grid(which="both", alpha=0.2)
-    panels[0].set_ylabel("largest tip distance from the reference [mm], arm of 1 m")
+        axes.annotate(
+            "slower than real time",
+            (1e3, 0.0),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(4, 6),
+            textcoords="offset points",
+            rotation=90,
+            fontsize=8,
+        )
+        axes.grid(alpha=0.2)
+    panels[0].set_ylabel("largest tip error [mm], arm of 1 m")
     panels[0].legend(frameon=False, loc="upper right", fontsize=9)
-    figure.suptitle(
-        "A dot for every setting, a line through the best of each simulator; right of the vertical"
-        " line: slower than the arm"
-    )
     write_picture(figure, picture, dpi=110)
 
 
-def draw_simulator(axes: Axes, simulator: str, runs: list[Measured], longest: float) -> None:
-    """Dots of a simulator, hollow where it simulated less than `longest` [s], and its best."""
-    finite = [run for run in runs if np.isfinite(run.error)]
-    is_whole = all(run.seconds == longest for run in finite)
-    colour = COLOURS[simulator]
-    fill = colour if is_whole else "none"
-    label = simulator
-    if not is_whole:
-        label += f", first {finite[0].seconds:g} s"
-    best = points(front(finite))
-    dots = {"color": colour, "facecolors": fill, "linewidths": 1.2}
-    axes.scatter(*points(finite), s=10, alpha=0.3, **dots)
-    axes.scatter(*best, s=26, **dots)
-    axes.plot(*best, color=colour, linewidth=2, linestyle="-" if is_whole else ":", label=label)
+def draw_peer(axes: Axes, simulator: str, runs: list[Measured], longest: float) -> None:
+    """Line through the best settings of another simulator, which may have simulated less than
+    `longest` [s]."""
+    best = front(runs)
+    if best:
+        seconds = best[0].seconds
+        label = simulator if seconds == longest else f"{simulator}, first {seconds:g} s"
+        axes.plot(*points(best), PEER_LINES[simulator], color="0.5", markersize=4, label=label)
+
+
+def draw_choices(axes: Axes, runs: list[Measured]) -> None:
+    """Named marks of what users choose."""
+    labels = {choice.label: choice.name for choice in own.CHOICES}
+    chosen = [run for run in runs if run.setting in labels and np.isfinite(run.error)]
+    axes.scatter(*points(chosen), s=60, marker="*", color="black", zorder=3)
+    for run in chosen:
+        name = labels[run.setting]
+        is_length = name.endswith("mm")
+        axes.annotate(
+            f'"{name}"',
+            (1e3 * run.cpu, 1e3 * run.error),
+            # lengths stand to the right, presets to the left: both follow one line
+            xytext=(7, 3) if is_length else (-7, -9),
+            textcoords="offset points",
+            horizontalalignment="left" if is_length else "right",
+            fontsize=9,
+            fontweight="bold",
+            zorder=4,
+        )
 
 
 def points(runs: Iterable[Measured]) -> Array:

@@ -53,7 +53,9 @@ class Faulty(SimulatedRobot):
     """A simulated robot with one of FAULTS, or none, from `begins` [s] of its clock on. `slack_at`:
     when the last command was slack."""
 
-    fault, begins, slack_at = "", math.inf, math.nan
+    fault = ""
+    begins = math.inf
+    slack_at = math.nan
 
     def read(self):
         measured = super().read()
@@ -78,7 +80,8 @@ class Failing:
     """A policy that fails as its robot's fault says."""
 
     def __init__(self, policy: Policy, robot: Faulty) -> None:
-        self._policy, self._robot = policy, robot
+        self._policy = policy
+        self._robot = robot
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         if perf_counter() >= self._robot.begins:
@@ -120,10 +123,12 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     log.unlink(missing_ok=True)
     real = RobotEnv(env, robot, settle=0.0, log=log)  # it is at rest
     if fault in FAULTS:
-        robot.fault, robot.begins = fault, perf_counter() + 1.0
+        robot.fault = fault
+        robot.begins = perf_counter() + 1.0
     report = ended(lambda: run_policy(Failing(policy, robot), real, seconds), real)
     since = f"{1e3 * (robot.slack_at - robot.begins):.0f}" if fault in FAULTS else "-"
-    timing, noticed = report.timing, 1e3 * report.stop.seconds
+    timing = report.timing
+    noticed = 1e3 * report.stop.seconds
     logged = log.read_text().count("\n") - 2 if log.exists() else 0
     late = [f"{1e3 * value:.3f}" for value in (timing.p50, timing.p99, timing.worst)]
     return (

@@ -105,7 +105,8 @@ def main() -> None:
     arguments = parser_of(__doc__).parse_args()
     quick = arguments.quick
     warnings.simplefilter("ignore")
-    rows, shares = [], {}
+    rows = []
+    shares = {}
     for family in FAMILIES:
         sizes = family.sizes[:2] if quick else family.sizes
         rows += cost_rows(
@@ -139,7 +140,8 @@ def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:
     it."""
     scene = ste.load_scene("four_tendon")
     table = scene_to_dict(scene)
-    segment, tendon = table["segments"][0], table["tendons"][0]
+    segment = table["segments"][0]
+    tendon = table["tendons"][0]
     angles = 2.0 * np.pi * np.arange(tendons) / tendons
     offsets = [
         [float(y), float(z)] for y, z in 0.01 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -202,14 +204,13 @@ FAMILIES = (
 
 def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
     """CPU seconds of an evaluation by size."""
-    ready, best = [], [np.inf] * len(sizes)
+    ready = []
+    best = [np.inf] * len(sizes)
     for size in sizes:
         model = model_on(*family.scene(size))
-        n, scratch, random = (
-            model.coordinate_count,
-            make_scratch(model.arm, 3),
-            np.random.default_rng(0),
-        )
+        n = model.coordinate_count
+        scratch = make_scratch(model.arm, 3)
+        random = np.random.default_rng(0)
         scratch.work.strain.xi[:] = model.arm.rod.reference_strain
         q = random.uniform(0.0, 1.0, n) * 0.1 * model.coordinate_scale()
         ready.append(
@@ -226,7 +227,8 @@ def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> list[f
 
 def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
     """CPU seconds per row and step of a vector environment."""
-    ready, best = [], [np.inf] * len(sizes)
+    ready = []
+    best = [np.inf] * len(sizes)
     for size in sizes:
         scene, intervals = family.scene(size)
         own = scene.replace(
@@ -297,7 +299,8 @@ class Shares(NamedTuple):
 def measured_shares(fidelity: str, turns: int) -> Shares:
     """What Python and what compiled code take, on one thread."""
     counts = (1, 4, 16, 64, 256)
-    whole, compiled = [np.inf] * len(counts), [np.inf] * len(counts)
+    whole = [np.inf] * len(counts)
+    compiled = [np.inf] * len(counts)
     ready = [stepping(rows, fidelity=fidelity) for rows in counts]
     clocks = [Clock(step().episodes.arms) for step in ready]
     for _ in range(turns):
@@ -305,17 +308,23 @@ def measured_shares(fidelity: str, turns: int) -> Shares:
             clock.total = 0.0
             whole[i] = min(whole[i], cpu_of(step))
             compiled[i] = min(compiled[i], clock.total / PERIODS)
-    size, own = np.array(counts, dtype=float), np.array(compiled)
+    # seconds = a + b rows in Python, by the first and the last count, and c rows in compiled code
+    size = np.array(counts, dtype=float)
+    own = np.array(compiled)
     rest = np.array(whole) - own
-    python = float((rest[-1] - rest[0]) / (size[-1] - size[0]))
-    return Shares(counts, whole, float(rest[0] - python), python, float(own[-1] / size[-1]))
+    more_rows = size[-1] - size[0]
+    python = float((rest[-1] - rest[0]) / more_rows)
+    fixed = float(rest[0] - python)
+    per_row = float(own[-1] / size[-1])
+    return Shares(counts, whole, fixed, python, per_row)
 
 
 class Clock:
     """Adds up the CPU time of the compiled step."""
 
     def __init__(self, arms: Any) -> None:
-        self.total, self._step = 0.0, arms.step
+        self.total = 0.0
+        self._step = arms.step
         arms.step = self
 
     def __call__(self, *arguments: Any, **named: Any) -> None:
@@ -354,7 +363,7 @@ def growth_table(rows: Sequence[tuple[str, ...]]) -> str:
         exponent = np.polyfit(np.log(sizes), np.log(microseconds), 1)[0]
         ends = (f"{sizes[0]:g}–{sizes[-1]:g}", f"{microseconds[0]:g}–{microseconds[-1]:g}")  # noqa: RUF001
         table.append((what, cost, *ends, f"{exponent:.2f}"))
-    return markdown_table(("what grows", "cost", "sizes", "CPU [us]", "exponent"), table)
+    return markdown_table(("what grows", "cost", "sizes", "CPU [µs]", "exponent"), table)
 
 
 def cores_table(shares: dict[str, Shares]) -> str:
@@ -386,7 +395,8 @@ def memory_table(quick: bool) -> str:
         if quick
         else (("TipPose", "Shape", "Reach"), ("fast", "standard"))
     )
-    environment, rows = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, []
+    environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
+    rows = []
     for task in tasks:
         commands = [
             [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", own, str(few), str(many)]
@@ -433,7 +443,7 @@ def draw(rows: Sequence[tuple[str, ...]], path: Path) -> None:
     for (what, cost), (sizes, microseconds) in curves(rows).items():
         if cost == "evaluation":
             axes.loglog(sizes, microseconds, marker="o", label=what)
-    axes.set(xlabel="size", ylabel="CPU time of an evaluation [us]")
+    axes.set(xlabel="size", ylabel="CPU time of an evaluation [µs]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
     write_picture(figure, path)

@@ -33,7 +33,9 @@ class RandomPolicy:
     """Actions from a uniform distribution."""
 
     def __init__(self, largest: float, actions: int) -> None:
-        self.largest, self.actions, self.generator = largest, actions, np.random.default_rng(0)
+        self.largest = largest
+        self.actions = actions
+        self.generator = np.random.default_rng(0)
 
     def predict(
         self,

@@ -62,6 +62,10 @@ class Stamp(NamedTuple):
             raise ValueError(f"a stamp should have {', '.join(cls._fields)}, not {table}")
         return cls(*(table[name] for name in cls._fields))
 
+    def comment(self) -> str:
+        """The comment that programs read."""
+        return f"<!-- made {json.dumps(self._asdict())} -->"
+
     def text(self) -> str:
         """The comment that programs read, and the line that people read, with this machine."""
         source = ""
@@ -69,8 +73,7 @@ class Stamp(NamedTuple):
             changed = "+" if self.commit.endswith("+") else ""
             source = f" at commit {self.commit[:10]}{changed}"
         sentence = f"Made by `{self.command}`{source} on {self.made}. Machine: {machine()}."
-        comment = f"<!-- made {json.dumps(self._asdict())} -->"
-        return f"{comment}\n<small>{sentence}</small>"
+        return f"{self.comment()}\n<small>{sentence}</small>"
 
 
 def read_stamp(text: str) -> Stamp | None:
@@ -112,6 +115,7 @@ class Made(Configuration):
     blocks: dict[str, str] = Field(default={})
     files: tuple[str, ...] = ()
     minutes: float | None = Field(default=None, gt=0.0)
+    is_measured: bool = True
 
     @property
     def names(self) -> list[str]:
@@ -190,16 +194,17 @@ class Made(Configuration):
             STAMPS.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n")
             return
         page = ROOT / self.page
+        origin = stamp.text() if self.is_measured else stamp.comment()
         for block, name in self.blocks.items():
             before, after = around_markers(page, block)
             text = read_text(folder / name).strip()
             with replacing(page) as path:
-                path.write_text(f"{before}\n{stamp.text()}\n\n{text}\n{after}", encoding="utf-8")
+                path.write_text(f"{before}\n{origin}\n\n{text}\n{after}", encoding="utf-8")
         if not self.blocks:
             # The stamp stands below the title.
             title, _, text = read_text(folder / page.name).partition("\n\n")
             with replacing(page) as path:
-                path.write_text(f"{title}\n\n{stamp.text()}\n\n{text}", encoding="utf-8")
+                path.write_text(f"{title}\n\n{origin}\n\n{text}", encoding="utf-8")
 
 
 def succeeds(command: list[str]) -> bool:

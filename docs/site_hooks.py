@@ -23,6 +23,8 @@ BOOSTS = {"how_to/recipes.md": 4, "how_to/controllers.md": 2, "api/": 0.3}
 """Weights in the search, by the beginnings of paths: answers before signatures."""
 NOT_SEARCHED = "---\nsearch: {exclude: true}\n---\n"
 SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
+NUMBERS = re.compile(r"<td>(-?\d[-\d.,]*(?: \(-?\d[-\d.,]*(?: to -?\d[-\d.,]*)?\))?)</td>")
+"""Cells of a number alone, or with a mean or an interval in brackets."""
 FENCE_LINK_OR_CODE = re.compile(
     r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`",
     re.MULTILINE | re.DOTALL,
@@ -53,7 +55,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
-    """Lets long names, such as those of tests, break behind an underscore or a dot."""
+    """Lets long names, such as those of tests, break behind an underscore or a dot, and numbers of
+    a table, such as "1.8 (2.9)", nowhere."""
+    content = NUMBERS.sub(r'<td class="numbers">\1</td>', content)
     broken = re.compile(r"(?<=\w[_.])(?=\w)")
     return re.sub(
         r"<code>([\w.\[\]]{30,})</code>",

@@ -56,7 +56,8 @@ class Feedforward:
     """Actions from tensions as a function of time, whatever is observed."""
 
     def __init__(self, tension: CubicSpline, steps: int) -> None:
-        self._tension, self._step = tension, 0
+        self._tension = tension
+        self._step = 0
         self._bar = tqdm(total=steps, desc="circle", unit="step")
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -81,7 +82,8 @@ def parse_arguments() -> argparse.Namespace:
 def tensions_around(env) -> CubicSpline:
     """Tensions (10,) [N] that hold the tip on the target, as a function of time within a turn."""
     times = np.linspace(0.0, TURN, PLACES + 1)
-    tensions, start = [], None
+    tensions = []
+    start = None
     for pose in tqdm(env.target_at(times).tip_pose[:-1], desc="inverse statics", unit="pose"):
         found = ste.tension_for_tip_pose(env.model, pose, start=start)
         tensions.append(found.tension)

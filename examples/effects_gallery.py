@@ -176,10 +176,8 @@ def contact(axes: plt.Axes) -> None:
 
 def contact_friction(axes: plt.Axes) -> None:
     axes.set_title("contact: friction on a floor")
-    floor, pull = (
-        {"type": "plane", "position": [0.0, 0.0, -0.01]},
-        {"type": "sine", "frequency": 0.02},
-    )
+    floor = {"type": "plane", "position": [0.0, 0.0, -0.01]}
+    pull = {"type": "sine", "frequency": 0.02}
     sideways = [{"at": 0.3, "force": [0.0, 0.1, 0.0], "signal": pull}]
     for friction, colour in ((0.0, WITHOUT), (0.5, WITH)):
         table = {"obstacles": [floor], "friction": friction}
@@ -308,7 +306,8 @@ def actuators(axes: plt.Axes) -> None:
     times = np.linspace(0.0, 0.4, 81)
     axes.plot([-0.05, 0.0, 0.0, 0.4], [0.0, 0.0, 3.0, 3.0], color=WITHOUT, label="command")
     for (label, table), colour in zip(cases.items(), (THIRD, WITH, "black"), strict=True):
-        simulation, found = ste.Simulation(arm({"effects.actuators": table})), [0.0]
+        simulation = ste.Simulation(arm({"effects.actuators": table}))
+        found = [0.0]
         for now, later in zip(times[:-1], times[1:], strict=True):
             simulation.step([3.0, 0.0, 0.0], later - now)
             found.append(simulation.state.effects[0])

@@ -75,42 +75,46 @@ class Ball(Target):
 
     def draw(self, generator, setting):
         turns, waves = generator.uniform(0.5, 3.0, 2)
-        theta, swing = generator.uniform(0.15, 0.5 * np.pi - 0.25), generator.uniform(0.0, 0.35)
+        theta = generator.uniform(0.15, 0.5 * np.pi - 0.25)
+        swing = generator.uniform(0.0, 0.35)
         phi, phase = generator.uniform(0.0, 2.0 * np.pi, 2)
+        # one way, from 0 to 2 pi: theta swings, and phi goes round
         s = 2.0 * np.pi * np.linspace(0.0, 1.0, 2001)
-        theta = np.clip(theta + swing * np.sin(waves * s + phase), 1e-3, 0.5 * np.pi - 1e-3)
+        swinging = theta + swing * np.sin(waves * s + phase)
+        # above the equator, and not at the pole
+        theta = np.clip(swinging, 1e-3, 0.5 * np.pi - 1e-3)
         phi = phi + turns * s
-        directions = np.stack(
-            [np.cos(theta), np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)], axis=1
-        )
-        return BallCourse(0.1 * directions + [0.15, 0.0, 0.0], self.speed)
+        x = np.cos(theta)
+        y = np.sin(theta) * np.cos(phi)
+        z = np.sin(theta) * np.sin(phi)
+        directions = np.stack([x, y, z], axis=1)
+        centre = np.array([0.15, 0.0, 0.0])
+        return BallCourse(0.1 * directions + centre, self.speed)
 
 
 class BallCourse(PoseCourse):
     def __init__(self, points, speed):
         steps = np.diff(points, axis=0)
         lengths = np.linalg.norm(steps, axis=1)
-        self.points, self.way, self.directions, self.speed = (
-            points,
-            np.cumsum([0.0, *lengths]),
-            steps / lengths[:, None],
-            speed,
-        )
+        self.points = points
+        self.way = np.cumsum([0.0, *lengths])
+        self.directions = steps / lengths[:, None]
+        self.speed = speed
 
     def sample(self, times):
         end = self.way[-1]
         gone = self.speed * times % (2.0 * end)
-        at, sign = end - np.abs(end - gone), np.where(gone < end, 1.0, -1.0)
-        pose, twist = np.tile(np.eye(4), (times.size, 1, 1)), np.zeros((times.size, 6))
-        pose[:, :3, 3] = np.stack(
-            [np.interp(at, self.way, column) for column in self.points.T], axis=1
-        )
-        piece = np.clip(
-            np.searchsorted(self.way, at, side="right") - 1, 0, len(self.directions) - 1
-        )
-        twist[:, 3:] = (
-            self.speed * sign[:, None] * self.directions[piece]
-        )  # the ball's frame does not turn
+        place = end - np.abs(end - gone)
+        sign = np.where(gone < end, 1.0, -1.0)
+        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        twist = np.zeros((times.size, 6))
+        columns = [np.interp(place, self.way, column) for column in self.points.T]
+        pose[:, :3, 3] = np.stack(columns, axis=1)
+        behind = np.searchsorted(self.way, place, side="right")
+        piece = np.clip(behind - 1, 0, len(self.directions) - 1)
+        # the ball's frame does not turn
+        velocity = self.speed * sign
+        twist[:, 3:] = velocity[:, None] * self.directions[piece]
         return pose_samples(pose, twist)
 
 
@@ -128,13 +132,16 @@ def ball_error(seen):
 def following(tracking):
     """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm,
     from LEAST to MOST as 0 to 1."""
+    distance = tracking.distance
     off = tracking.tip_pose[:, :3, 3] - tracking.target_pose[:, :3, 3]
-    apart = tip_velocity(tracking.reading) - tracking.target.tip_twist[:, 0, 3:]
-    leaving = (off * apart).sum(axis=1) / np.maximum(tracking.distance, 1e-9)
-    reward = (
-        1.5 * (tracking.distance < 0.01) - tracking.distance / 0.2 - np.maximum(leaving, 0.0) / 0.3
-    )
-    return np.clip((reward - LEAST) / (MOST - LEAST), 0.0, 1.0)
+    ball_velocity = tracking.target.tip_twist[:, 0, 3:]
+    apart = tip_velocity(tracking.reading) - ball_velocity
+    leaving = (off * apart).sum(axis=1) / np.maximum(distance, 1e-9)
+    is_near = distance < 0.01
+    cost = distance / 0.2 + np.maximum(leaving, 0.0) / 0.3
+    reward = 1.5 * is_near - cost
+    share = (reward - LEAST) / (MOST - LEAST)
+    return np.clip(share, 0.0, 1.0)
 
 
 def their_return(episode_return, periods=PERIODS):
@@ -226,7 +233,8 @@ def mean_return(policy, episodes=50):
     """Their mean return of episodes that no training has met."""
     env = make_sb3_vec_env(ID, episodes, **OPTIONS, observation="error")
     env.seed(10_000)
-    observation, total = env.reset(), np.zeros(episodes)
+    observation = env.reset()
+    total = np.zeros(episodes)
     for _ in range(PERIODS):
         observation, rewards, _, _ = env.step(policy.predict(observation, deterministic=True)[0])
         total += rewards

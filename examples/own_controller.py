@@ -20,7 +20,8 @@ class ResolvedRate:
     away at this rate."""
 
     def __init__(self, model, limits, period, rate=0.5):
-        self.model, self.gain = model, rate * period
+        self.model = model
+        self.gain = rate * period
         self.least, self.greatest = limits.T
 
     def act(self, now: ControllerInput, memory=None) -> ControllerOutput:
@@ -45,7 +46,8 @@ if __name__ == "__main__":
     policy = make_policy("resolved_rate", env)
     observation, info = env.reset(seed=0)
     print(f"the goal is {1e3 * info['position_error']:.0f} mm away")
-    state, ended = None, False
+    state = None
+    ended = False
     while not ended:
         action, state = policy.predict(observation, state)
         observation, _, terminated, truncated, info = env.step(action)

@@ -15,27 +15,35 @@ class LengthObserver:
     """The model's own motion, which is moved by a share of K^-1 B (B^T K^-1 B)^-1 e: the least
     bending for an error e of tendon lengths."""
 
-    needs, history = ("tendon_length",), 1
+    needs = ("tendon_length",)
+    history = 1
 
     def __init__(self, model, setting, share=0.3):
-        self.simulation, self.period, self.share = ste.Simulation(model), setting.period, share
-        terms = model.terms(*np.zeros((2, model.coordinate_count)))
-        self.straight = model.tendon_lengths(np.zeros(model.coordinate_count))
+        self.simulation = ste.Simulation(model)
+        self.period = setting.period
+        self.share = share
+        rest = np.zeros(model.coordinate_count)
+        terms = model.terms(rest, rest)
+        self.straight = model.tendon_lengths(rest)
+        # K^-1 B, and what tendons are pulled in by it
         softness = np.linalg.solve(terms.stiffness, terms.actuation)
-        self.pull, self.bend = (
-            terms.actuation.T,
-            softness @ np.linalg.inv(terms.actuation.T @ softness),
-        )
+        self.pull = terms.actuation.T
+        self.bend = softness @ np.linalg.inv(self.pull @ softness)
 
     def estimate(self, measured, last):
         longer = measured.tendon_length - self.straight
-        q, q_dot = -self.bend @ longer, np.zeros(len(self.bend))
+        q = -self.bend @ longer
+        q_dot = np.zeros(len(self.bend))
         if last is not None:
             self.simulation.reset(last.q, last.q_dot)
             self.simulation.step(measured.sent[-1], self.period)
-            q, q_dot = self.simulation.state.q, self.simulation.state.q_dot
-        missed = -self.bend @ (longer + self.pull @ q)
-        return Estimate(q + self.share * missed, q_dot + self.share**2 / self.period * missed)
+            q = self.simulation.state.q
+            q_dot = self.simulation.state.q_dot
+        predicted = -self.pull @ q
+        missed = self.bend @ (predicted - longer)
+        correction = self.share * missed
+        rate_correction = self.share**2 / self.period * missed
+        return Estimate(q + correction, q_dot + rate_correction)
 
 
 if __name__ == "__main__":

@@ -119,7 +119,9 @@ class Rollouts:
     def __init__(
         self, envs: gym.vector.VectorEnv, agent: Agent, arguments: argparse.Namespace
     ) -> None:
-        self.envs, self.agent, self.arguments = envs, agent, arguments
+        self.envs = envs
+        self.agent = agent
+        self.arguments = arguments
         apart = [
             1 + arguments.episode * row // envs.num_envs for row in range(envs.num_envs)
         ]  # first episodes end one after the other,
@@ -135,16 +137,16 @@ class Rollouts:
 
     @torch.no_grad()
     def next(self) -> Batch:
-        given, seen, done = self.arguments, [], []
+        given = self.arguments
+        seen = []
+        done = []
         self.errors = []
         for _ in range(given.rollout):
             observation = torch.as_tensor(self.observation)
             distribution = self.agent.distribution(observation)
             action = distribution.sample()
-            log_probability, value = (
-                distribution.log_prob(action).sum(1),
-                self.agent.value(observation)[:, 0],
-            )
+            log_probability = distribution.log_prob(action).sum(1)
+            value = self.agent.value(observation)[:, 0]
             is_transition = (
                 ~self.ended if given.autoreset == "next_step" else np.ones_like(self.ended)
             )
@@ -172,7 +174,8 @@ class Rollouts:
     def batch(self, seen, done) -> Batch:
         """Generalised advantage estimation (Schulman et al. 2016), backwards; no sum goes beyond
         the end of an episode."""
-        given, advantage = self.arguments, torch.zeros(self.envs.num_envs)
+        given = self.arguments
+        advantage = torch.zeros(self.envs.num_envs)
         advantages = []
         for (_, _, _, value), (reward, follows, ended, _) in zip(
             reversed(seen), reversed(done), strict=True
@@ -183,7 +186,8 @@ class Rollouts:
         observation, action, log_probability, value = (
             torch.stack(parts) for parts in zip(*seen, strict=True)
         )
-        found, is_transition = torch.stack(advantages), torch.stack([step[3] for step in done])
+        found = torch.stack(advantages)
+        is_transition = torch.stack([step[3] for step in done])
         return Batch(
             *(
                 each[is_transition]
@@ -197,7 +201,8 @@ def update(
 ) -> float:
     """Epochs of the clipped objective of PPO (Schulman et al. 2017); the divergence from the policy
     before."""
-    count, divergence = len(batch.action), 0.0
+    count = len(batch.action)
+    divergence = 0.0
     for _ in range(given.epochs):
         for chosen in torch.randperm(count).split(given.batch):
             part = Batch(*(values[chosen] for values in batch))
@@ -241,16 +246,15 @@ def main() -> None:
     envs = gym.make_vec(given.id, num_envs=given.rows, **learning, **options)
     agent = Agent(envs.single_observation_space.shape[0], envs.single_action_space.shape[0])
     optimizer = torch.optim.Adam(agent.parameters(), lr=given.learning_rate, eps=1e-5)
-    rollouts, updates = (
-        Rollouts(envs, agent, given),
-        max(given.steps // (given.rows * given.rollout), 1),
-    )
+    rollouts = Rollouts(envs, agent, given)
+    updates = max(given.steps // (given.rows * given.rollout), 1)
     began = time.perf_counter()
     for number in range(1, updates + 1):
         optimizer.param_groups[0]["lr"] = given.learning_rate * (1.0 - 0.9 * (number - 1) / updates)
         divergence = update(agent, optimizer, rollouts.next(), given)
         if number % 10 == 0 or number == updates:
-            steps, seconds = number * given.rows * given.rollout, time.perf_counter() - began
+            steps = number * given.rows * given.rollout
+            seconds = time.perf_counter() - began
             error = 1e3 * np.mean(rollouts.errors)
             print(
                 f"{steps:8d} steps, {steps / seconds:6.0f} a second: mean error {error:6.1f} mm,"

@@ -115,7 +115,8 @@ def write_inputs(folder: Path, out: Path) -> int:
         places = [f"p{i}_{axis}" for i in range(1, 5) for axis in "xyz"]
         writer.writerow(["hold", "tension_0", "tension_1", *places, "held_out"])
         for name in names:
-            tension, positions = np.array(TORQUES[name]) / PULLEY, read_hold(folder / f"{name}.csv")
+            tension = np.array(TORQUES[name]) / PULLEY
+            positions = read_hold(folder / f"{name}.csv")
             writer.writerow([name, *tension, *positions.ravel(), int(name not in FIRST_FIT)])
     return len(names)
 

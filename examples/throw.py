@@ -14,11 +14,13 @@ GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}  # [m/s^2]
 def throw(tension, simulation, start):
     """Negative square of the tip's speed [m/s] after tensions (PERIODS n_a,) [N] from a state, and
     its gradient by an adjoint sweep."""
-    simulation.state, periods = start, []
+    simulation.state = start
+    periods = []
     for command in tension.reshape(PERIODS, -1):
         periods.append(simulation.linearize(command, PERIOD))
         simulation.state = periods[-1].next
-    q, q_dot = simulation.state.q, simulation.state.q_dot
+    q = simulation.state.q
+    q_dot = simulation.state.q_dot
     velocity = (simulation.model.terms(q, q_dot).tip_jacobian @ q_dot)[3:]
     by_state, by_last = np.split(
         -2.0 * velocity @ periods[-1].tip_twist[3:], [len(periods[-1].state)]

@@ -69,10 +69,12 @@ def one_round(
 ) -> tuple[list[np.ndarray], float]:
     """Frames of a round of the target, and the root mean square in it of the error of that name
     [m]."""
-    policy, state = make_policy(controller, env), None
+    policy = make_policy(controller, env)
+    state = None
     observation, _ = env.reset(seed=seed)
     lead, steps = (round(time * env.unwrapped.metadata["render_fps"]) for time in (LEAD, ROUND))
-    frames, errors = [], []
+    frames = []
+    errors = []
     for step in tqdm(range(lead + steps), desc="lead and round", unit="step"):
         action, state = policy.predict(observation, state)
         observation, *_, info = env.step(action)

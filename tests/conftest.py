@@ -102,7 +102,8 @@ def random_state():
         least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
         u = least + 0.2 * rng.random(model.tendon_count) * (greatest - least)
         rest = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
-        stiffness, strain = rest.stiffness, model.arm.strain
+        stiffness = rest.stiffness
+        strain = model.arm.strain
         load = rest.actuation @ u
         energy = (
             0.5 * load @ np.linalg.lstsq(stiffness, load)[0]

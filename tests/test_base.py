@@ -151,15 +151,19 @@ def test_targets_and_observations_move_along(task, target):
 
 
 def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the_base_is():
-    errors, pose = [], static_equilibrium(model_on(twins(LOADS)[0], 6), [2.0, 0.0, 1.0]).tip_pose
+    errors = []
+    pose = static_equilibrium(model_on(twins(LOADS)[0], 6), [2.0, 0.0, 1.0]).tip_pose
     for scene in twins(LOADS):
-        model, last, memory = model_on(scene, 6), None, None
+        model = model_on(scene, 6)
+        last = None
+        memory = None
         goal = Reference(np.zeros(1), (scene.base.pose @ pose)[None])
         controller = controllers_of("TipPose")["predictive"].make(
             model, np.tile([0.0, 5.0], (3, 1)), 0.02
         )
         observer = ExtendedKalmanFilter(model, Setting(0.02, np.zeros(3), ("tendon_length",)))
-        arm, sent = Simulation(model), [np.zeros(3)] * observer.history
+        arm = Simulation(model)
+        sent = [np.zeros(3)] * observer.history
         arm.reset_at_rest()
         for k in range(12):
             lengths = model.tendon_lengths(arm.state.q)
@@ -175,7 +179,8 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
             decision = controller.act(
                 ControllerInput(*last[:3], sent[-1], goal, 0.02 * k, last.input_error), memory
             )
-            memory, sent = decision.memory, [*sent, decision.tension]
+            memory = decision.memory
+            sent = [*sent, decision.tension]
             arm.step(decision.tension, 0.02)
             errors.append(np.linalg.norm(arm.tip_pose[:3, 3] - goal.tip_pose[0, :3, 3]))
     here, there = np.split(np.array(errors), 2)

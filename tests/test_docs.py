@@ -5,7 +5,7 @@ The blocks of one page share a namespace and a temporary folder. A block with a 
 (```toml title="my_arm.toml")
 is written there. Blocks of `py`, whose libraries the tests lack, are only compiled. A block that
 would run for long is shortened by a comment in the line before it, which says what: <!-- test:
-replace "300_000" by "512" -->.
+replace "300_000" by "512" -->. A block of `text` is the end of what the page has printed up to it.
 """
 
 import contextlib
@@ -31,6 +31,10 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMANDS = ("soft-tendon", "python", "make", "pip", "rerun")
 """What shell blocks and command lines in the text may begin with."""
+
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+LAST_DIGITS = 0.02
+"""Share by which a printed number may differ from a quoted one, on another processor say."""
 
 FENCE = re.compile(
     r'((?:^<!-- test: [^\n]*-->\n)*)^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$',
@@ -87,6 +91,7 @@ longer."""
 def test_python_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}
+    printed = io.StringIO()
     for block in blocks_of(page.read_text(encoding="utf-8")):
         if block.file is not None:
             Path(block.file).write_text(block.text, encoding="utf-8")
@@ -95,7 +100,51 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
                 "\n" * (block.line - 1) + block.tested, str(page), "exec"
             )  # a traceback names the line of the page
             if block.language == "python":
-                exec(code, namespace)
+                with contextlib.redirect_stdout(printed):
+                    exec(code, namespace)
+        if block.language == "text":
+            difference = misquoted(block.tested, printed.getvalue())
+            assert difference is None, f"{name_of(page)}, line {block.line}: {difference}"
+
+
+def misquoted(quoted: str, printed: str) -> str | None:
+    """Difference between lines that a page quotes and the last lines that it printed, in words;
+    None: there is none but in the last digits."""
+    quoted_lines = quoted.splitlines()
+    printed_lines = printed.splitlines()[-len(quoted_lines) :]
+    if len(printed_lines) < len(quoted_lines):
+        return f"it quotes {len(quoted_lines)} lines, but printed {len(printed_lines)}"
+    for quoted_line, printed_line in zip(quoted_lines, printed_lines, strict=True):
+        difference = f"it quotes {quoted_line!r}, but printed {printed_line!r}"
+        if NUMBER.sub("#", quoted_line) != NUMBER.sub("#", printed_line):
+            return difference
+        quoted_numbers = [float(text) for text in NUMBER.findall(quoted_line)]
+        printed_numbers = [float(text) for text in NUMBER.findall(printed_line)]
+        if quoted_numbers != pytest.approx(printed_numbers, rel=LAST_DIGITS):
+            return difference
+    return None
+
+
+@pytest.mark.parametrize(
+    ("quoted", "printed", "is_right"),
+    [
+        ("tip 0.0361 mm\n", "first\ntip 0.0360 mm\n", True),
+        ("tip 0.0361 mm\n", "tip 0.0461 mm\n", False),
+        ("tip 0.0361 mm\n", "tip 0.0361 mm, by 1e-06 of it\n", False),
+        ("tip 0.0361 mm\n", "tip 0.0361 m\n", False),
+        ("one\ntwo\n", "two\n", False),
+    ],
+)
+def test_quoted_outputs_are_compared_in_words_and_numbers(quoted, printed, is_right):
+    assert (misquoted(quoted, printed) is None) == is_right
+
+
+def test_tutorials_quote_outputs_behind_blocks_that_print_them():
+    """A quotation on a page whose programs do not run would be compared with nothing."""
+    for page in PAGES:
+        languages = [block.language for block in blocks_of(page.read_text(encoding="utf-8"))]
+        if "text" in languages:
+            assert "python" in languages[: languages.index("text")], name_of(page)
 
 
 def command_lines(text: str) -> list[str]:

@@ -92,9 +92,11 @@ class Rod:
             2.0 * elastic[0],
             2.0 * viscous[0],
         )  # half of the first element is the rod's
-        self.shear, self.shear_damping = elastic[:, SHEAR].T.copy(), viscous[:, SHEAR].T.copy()
+        self.shear = elastic[:, SHEAR].T.copy()
+        self.shear_damping = viscous[:, SHEAR].T.copy()
         elastic, viscous, _ = screw_matrices(scene, between)
-        self.bend, self.bend_damping = elastic[:, BENDING].T.copy(), viscous[:, BENDING].T.copy()
+        self.bend = elastic[:, BENDING].T.copy()
+        self.bend_damping = viscous[:, BENDING].T.copy()
         for axis in range(3):  # without PyElastica's shear correction, with the taper at its place
             self.rod.shear_matrix[axis, axis] = self.shear[axis]
             self.rod.bend_matrix[axis, axis] = self.bend[axis]
@@ -119,10 +121,8 @@ def routes(scene: Scene, arc_length: Array, width: float) -> Array:
     Presence is the share of `width` [m] around the place, as far as it is on the rod, that the
     tendon covers.
     """
-    first, last = (
-        np.maximum(arc_length - 0.5 * width, 0.0),
-        np.minimum(arc_length + 0.5 * width, rod_length(scene)),
-    )
+    first = np.maximum(arc_length - 0.5 * width, 0.0)
+    last = np.minimum(arc_length + 0.5 * width, rod_length(scene))
     found = np.empty((len(scene.tendons), len(arc_length), 5))
     for values, tendon in zip(found, scene.tendons, strict=True):
         start, end = tendon_ends(scene, tendon)
@@ -162,69 +162,89 @@ def add_stress(tendons, section, strains, motion, out):  # type: ignore[no-untyp
     directors, velocity, omega = motion
     forces, torques = out
     elements = sigma.shape[1]
-    n, m = np.empty(3), np.empty(3)
+    n = np.empty(3)
+    m = np.empty(3)
     for i in range(elements):
-        x, y, z = (
-            sigma[0, i],
-            sigma[1, i],
-            sigma[2, i] + 1.0,
-        )  # of the backbone's slope, in the element's frame
-        w0, w1, w2 = omega[0, i], omega[1, i], omega[2, i]
-        turn = y * w2 - z * w1, z * w0 - x * w2, x * w1 - y * w0
-        left, right = max(i - 1, 0), min(i, elements - 2)
+        # the backbone's slope, in the element's frame
+        x = sigma[0, i]
+        y = sigma[1, i]
+        z = sigma[2, i] + 1.0
+        turn = cross((x, y, z), (omega[0, i], omega[1, i], omega[2, i]))
+        # curvature at an element: the mean of those at its ends
+        left = max(i - 1, 0)
+        right = min(i, elements - 2)
         k0 = 0.5 * (kappa[0, left] + kappa[0, right])
         k1 = 0.5 * (kappa[1, left] + kappa[1, right])
         k2 = 0.5 * (kappa[2, left] + kappa[2, right])
+        stretched = 1.0 - 1.0 / dilatation[i]
         for axis in range(3):
             rate = turn[axis]
             for j in range(3):
-                rate += directors[axis, j, i] * (velocity[j, i + 1] - velocity[j, i]) / length
-            n[axis] = shear_damping[axis, i] * rate + shear[axis, i] * sigma[axis, i] * (
-                1.0 - 1.0 / dilatation[i]
-            )
+                change = velocity[j, i + 1] - velocity[j, i]
+                rate += directors[axis, j, i] * change / length
+            elastic = shear[axis, i] * sigma[axis, i] * stretched
+            n[axis] = shear_damping[axis, i] * rate + elastic
         for tendon in range(tension.size):
-            dy, dz, slope_y, slope_z, present = at_elements[tendon, i]
-            t0, t1, t2 = slope_y + x - k2 * dz, slope_z + y + k2 * dy, z + k0 * dz - k1 * dy
-            pull = present * tension[tendon] / np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
-            n[0] += pull * t0
-            n[1] += pull * t1
-            n[2] += pull * t2
+            t, pull, _ = tangent((x, y, z), (k0, k1, k2), at_elements[tendon, i], tension[tendon])
+            for axis in range(3):
+                n[axis] += pull * t[axis]
         for j in range(3):
-            force = (
-                directors[0, j, i] * n[0] + directors[1, j, i] * n[1] + directors[2, j, i] * n[2]
-            )
+            force = 0.0
+            for axis in range(3):
+                force += directors[axis, j, i] * n[axis]
             forces[j, i] += force
             forces[j, i + 1] -= force
-        torques[0, i] += length * (y * n[2] - z * n[1])
-        torques[1, i] += length * (z * n[0] - x * n[2])
-        torques[2, i] += length * (x * n[1] - y * n[0])
+        moment = cross((x, y, z), (n[0], n[1], n[2]))
+        for axis in range(3):
+            torques[axis, i] += length * moment[axis]
     for i in range(elements - 1):
-        x, y, z = (
-            0.5 * (sigma[0, i] + sigma[0, i + 1]),
-            0.5 * (sigma[1, i] + sigma[1, i + 1]),
-            1.0 + 0.5 * (sigma[2, i] + sigma[2, i + 1]),
-        )
-        k0, k1, k2 = kappa[0, i], kappa[1, i], kappa[2, i]
+        # means of the elements on either side
+        x = 0.5 * (sigma[0, i] + sigma[0, i + 1])
+        y = 0.5 * (sigma[1, i] + sigma[1, i + 1])
+        z = 1.0 + 0.5 * (sigma[2, i] + sigma[2, i + 1])
+        k = (kappa[0, i], kappa[1, i], kappa[2, i])
         w0 = 0.5 * (omega[0, i] + omega[0, i + 1])
         w1 = 0.5 * (omega[1, i] + omega[1, i + 1])
         w2 = 0.5 * (omega[2, i] + omega[2, i + 1])
-        turn = k1 * w2 - k2 * w1, k2 * w0 - k0 * w2, k0 * w1 - k1 * w0
+        turn = cross(k, (w0, w1, w2))
+        stretched = 1.0 - 1.0 / node_dilatation[i] ** 3
         for axis in range(3):
             rate = (omega[axis, i + 1] - omega[axis, i]) / length + turn[axis]
-            m[axis] = bend_damping[axis, i] * rate + bend[axis, i] * kappa[axis, i] * (
-                1.0 - 1.0 / node_dilatation[i] ** 3
-            )
+            elastic = bend[axis, i] * kappa[axis, i] * stretched
+            m[axis] = bend_damping[axis, i] * rate + elastic
         for tendon in range(tension.size):
-            dy, dz, slope_y, slope_z, present = at_nodes[tendon, i]
-            t0, t1, t2 = slope_y + x - k2 * dz, slope_z + y + k2 * dy, z + k0 * dz - k1 * dy
-            pull = present * tension[tendon] / np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
-            m[0] += pull * dz * t2
-            m[1] -= pull * dy * t2
-            m[2] += pull * (dy * t1 - dz * t0)
-        across = k1 * m[2] - k2 * m[1], k2 * m[0] - k0 * m[2], k0 * m[1] - k1 * m[0]
+            t, pull, offset = tangent((x, y, z), k, at_nodes[tendon, i], tension[tendon])
+            dy, dz = offset
+            m[0] += pull * dz * t[2]
+            m[1] -= pull * dy * t[2]
+            m[2] += pull * (dy * t[1] - dz * t[0])
+        across = cross(k, (m[0], m[1], m[2]))
         for axis in range(3):
-            torques[axis, i] += m[axis] + 0.5 * length * across[axis]
-            torques[axis, i + 1] += -m[axis] + 0.5 * length * across[axis]
+            half = 0.5 * length * across[axis]
+            torques[axis, i] += m[axis] + half
+            torques[axis, i + 1] += -m[axis] + half
+
+
+@njit
+def tangent(slope, k, route, tension):  # type: ignore[no-untyped-def]
+    """Tangent of a tendon, its tension over the tangent's length, and its offset (y, z)."""
+    x, y, z = slope
+    k0, k1, k2 = k
+    dy, dz, slope_y, slope_z, present = route
+    t0 = slope_y + x - k2 * dz
+    t1 = slope_z + y + k2 * dy
+    t2 = z + k0 * dz - k1 * dy
+    length = np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
+    return (t0, t1, t2), present * tension / length, (dy, dz)
+
+
+@njit
+def cross(a, b):  # type: ignore[no-untyped-def]
+    """Cross product of two vectors."""
+    first = a[1] * b[2] - a[2] * b[1]
+    second = a[2] * b[0] - a[0] * b[2]
+    third = a[0] * b[1] - a[1] * b[0]
+    return first, second, third
 
 
 def prepare(scene: Scene, setting: Setting) -> Run:
@@ -235,8 +255,11 @@ def prepare(scene: Scene, setting: Setting) -> Run:
 def advance(rod: Rod, tensions: Array, step: float, hold: float) -> Array:
     """Tips at the end of each row of tensions, held for `hold` [s]; those after the first that is
     not finite are left out."""
-    collection, stepper = rod.simulator(), elastica.PositionVerlet()
-    time, count, tips = 0.0, max(1, round(hold / step)), []
+    collection = rod.simulator()
+    stepper = elastica.PositionVerlet()
+    time = 0.0
+    count = max(1, round(hold / step))
+    tips = []
     for tension in tensions:
         rod.tension[:] = tension
         for _ in range(count):

@@ -57,7 +57,8 @@ def prepare(scene: Scene, setting: Setting) -> Run:
     no limits of tensions."""
     root = mujoco_chain(scene, setting.bodies).getroot()
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-    model.opt.timestep, model.opt.integrator = setting.step, INTEGRATORS[setting.integrator]
+    model.opt.timestep = setting.step
+    model.opt.integrator = INTEGRATORS[setting.integrator]
     model.opt.disableflags = (
         mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
     )
@@ -72,7 +73,8 @@ def simulate(model: mujoco.MjModel, tensions: Array) -> Motion:
     mujoco.mj_forward(model, data)
     WARNINGS.clear()
     mujoco.set_mju_user_warning(WARNINGS.append)
-    steps, tip = round(HOLD / model.opt.timestep), data.site("tip")
+    steps = round(HOLD / model.opt.timestep)
+    tip = data.site("tip")
     tips = np.empty((len(tensions) + 1, 3))
     tips[0] = tip.xpos
     times = np.zeros(len(tensions) + 1)
@@ -82,7 +84,8 @@ def simulate(model: mujoco.MjModel, tensions: Array) -> Motion:
             data.ctrl[:] = tension
             mujoco.mj_step(model, data, nstep=steps)
             mujoco.mj_kinematics(model, data)
-            tips[row], times[row] = tip.xpos, data.time
+            tips[row] = tip.xpos
+            times[row] = data.time
 
     cpu = cpu_time(step)
     mujoco.set_mju_user_warning(None)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import PRESETS, at_fidelity
 from soft_tendon_env.model.build import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene
 
@@ -81,6 +82,22 @@ class Setting:
         return scene.replace({"strain": FIELDS[self.fields], **changes})
 
 
+@dataclass(frozen=True)
+class Fidelity:
+    """What users choose: a preset, or a length as the tip error."""
+
+    name: str
+
+    @property
+    def label(self) -> str:
+        return f'fidelity="{self.name}"'
+
+    def scene(self, scene: Scene) -> Scene:
+        return at_fidelity(scene, self.name)
+
+
+CHOICES = tuple(Fidelity(name) for name in (*PRESETS, "1mm", "0.1mm"))
+"""Settings that the picture names."""
 QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2"))
 HARD = (
     Setting("moments 0-2", step=0.01),
@@ -89,12 +106,14 @@ HARD = (
 )
 
 
-def settings() -> Sequence[Setting]:
-    return [Setting(*choice) for choice in itertools.product(FIELDS, ORDERS, STEPS, INTERVALS)]
+def settings() -> Sequence[Setting | Fidelity]:
+    grid = itertools.product(FIELDS, ORDERS, STEPS, INTERVALS)
+    return [*(Setting(*choice) for choice in grid), *CHOICES]
 
 
-def prepare(scene: Scene, setting: Setting) -> Run | None:
-    """None where a setting has too few quadrature points for its coordinates."""
+def prepare(scene: Scene, setting: Setting | Fidelity) -> Run | None:
+    """None where a setting has too few quadrature points for its coordinates, or where none
+    reaches a length."""
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", QuadratureWarning

@@ -109,7 +109,8 @@ class Spiral(BaseThreadlikeRoutingParams):
 
 
 def offset(path: Spiral, s: jax.Array) -> jax.Array:
-    distance, angle = path.radius + path.taper * s, path.phase + path.rate * s
+    distance = path.radius + path.taper * s
+    angle = path.phase + path.rate * s
     return jnp.stack(
         [jnp.zeros_like(distance), distance * jnp.cos(angle), distance * jnp.sin(angle)]
     )
@@ -250,7 +251,8 @@ def prepare(scene: Scene, setting: Setting) -> Run:
 
 def simulate(scene: str, setting: Setting, tensions: Array) -> Motion:
     tips = tips_of(scene, setting.order, setting.step is None, len(tensions))
-    table, chosen = jnp.asarray(tensions), jnp.array(setting.step or setting.tolerance)
+    table = jnp.asarray(tensions)
+    chosen = jnp.array(setting.step or setting.tolerance)
     tip = np.full((len(tensions) + 1, 3), np.nan)
 
     def run() -> None:

@@ -12,18 +12,16 @@ import numpy as np
 
 from soft_tendon_env.accuracy.reference import (
     ReferenceMotion,
+    continued,
     distance,
+    pieces,
     start_at_rest,
     tip_path,
-    trajectory,
 )
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.types import Array
-
-LOOKED_AT = 5
-"""Rows of tensions after which a motion ends that is too far from full physics already."""
 
 
 class TrialInput(NamedTuple):
@@ -31,6 +29,22 @@ class TrialInput(NamedTuple):
 
     reference: ReferenceMotion
     case: int  # of the loads
+    rows: int = 0  # of tensions through which the reference is certain; 0 of an equilibrium
+    share: float = 1.0  # of the tensions that motions usually have
+
+    @property
+    def bound(self) -> float:
+        """Bound of the reference's error [m] as far as it is certain."""
+        errors = self.reference.errors
+        return float(errors[self.rows]) if self.rows < len(errors) else np.inf
+
+    def distance(self, path: Array | None) -> float:
+        """Largest distance [m] of a path from the reference as far as that is certain."""
+        tips = self.reference.tips
+        samples = self.rows + 1
+        if tips is None or len(tips) < samples:
+            return np.nan
+        return distance(path, tips[:samples])
 
     @property
     def tensions(self) -> Array:
@@ -55,31 +69,43 @@ class CaseModels:
         return self._models[case]
 
     def path(self, test: TrialInput, hopeless: float = np.inf) -> Array | None:
-        """Positions of the tip in a test, see `tip_path`.
+        """Positions of the tip in a test as far as its reference is certain, see `tip_path`.
 
         None where it has none, or is farther from the reference than `hopeless` [m] at a time.
         """
-        model = self.model(test.case)
         if test.reference.is_equilibrium:
-            return tip_path(model, test.tensions)
+            return tip_path(self.model(test.case), test.tensions)
+        path = self._begun(test, hopeless)
+        is_whole = path is not None and len(path) == test.rows + 1
+        return path if is_whole else None
+
+    def bounds(self, test: TrialInput) -> Array:
+        """Bounds (samples,) [m] of the tip's distance in a motion up to each sample.
+
+        They go as far as the model has the motion and the reference knows of it.
+        """
+        reference = test.reference
+        samples = len(reference.errors)
+        path = self._begun(test._replace(rows=samples - 1), np.inf)
+        if path is None or reference.tips is None:
+            return np.zeros(0)
+        samples = len(path)
+        away = np.linalg.norm(path - reference.tips[:samples], axis=1)
+        return np.asarray(np.maximum.accumulate(away) + reference.errors[:samples])
+
+    def _begun(self, test: TrialInput, hopeless: float) -> Array | None:
+        """Positions of the tip (samples, 3) [m] in a motion, to where it strays or ends."""
+        model = self.model(test.case)
         if test.case not in self._starts:
             self._starts[test.case] = start_at_rest(model)
         state = self._starts[test.case]
         tips = test.reference.tips
         assert tips is not None  # of every test that is kept
 
-        # piece by piece, so that a motion which strays ends early; a state continues bit for bit
-        pieces = []
-        for begin in range(0, len(test.tensions), LOOKED_AT):
-            rows = test.tensions[begin : begin + LOOKED_AT]
-            motion = None if state is None else trajectory(model, rows, state)
-            if motion is None:
+        # piece by piece, so that a motion which strays ends early
+        path: Array | None = None
+        for piece in pieces(model, test.tensions[: test.rows], state):
+            path = continued(path, piece)
+            if distance(path, tips[: len(path)]) > hopeless:
                 return None
-            piece = motion.tip_pose[:, :3, 3]
-            end = begin + len(piece)
-            if distance(piece, tips[begin:end]) > hopeless:
-                return None
-            state = motion.final
-            # a piece begins with the last sample of the one before
-            pieces.append(piece[1:] if begin else piece)
-        return np.concatenate(pieces)
+        return path

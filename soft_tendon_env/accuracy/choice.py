@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from soft_tendon_env.accuracy.input_motions import DURATION
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 
 SMOOTH_FIELDS = 2
@@ -46,11 +47,21 @@ class Choice(NamedTuple):
     not_unique: int = 0
     inputs: int = 0  # that were tried, those with them
     loads: dict[str, Any] | None = None  # table of the largest effects that were tried
+    seconds: float = DURATION  # [s] from the start of motions with less than what is asked for
+    tensions: float = 1.0  # part of the tensions of usual motions that it speaks of
+    # times [s] and bounds up to them, as shares of the length, where the error is not within what
+    # is asked for to the end of motions
+    growth: tuple[tuple[float, float], ...] = ()
 
     @property
     def left_out(self) -> int:
         """Inputs that the error does not speak of."""
         return self.missing + self.not_unique
+
+    @property
+    def speaks_of_all(self) -> bool:
+        """Whether the error holds for all inputs, to the end of motions with usual tensions."""
+        return not self.left_out and self.seconds >= DURATION and self.tensions == 1.0
 
     def applied_to(self, scene: Scene) -> Scene:
         """The scene with this choice."""
@@ -86,7 +97,8 @@ class Choice(NamedTuple):
 
     def with_finer_steps(self, times: float) -> Choice:
         """The choice with a tolerance of time steps that is so many times less."""
-        return self._replace(integrator={"tolerance": self.integrator["tolerance"] / times})
+        finer = self.integrator["tolerance"] / times
+        return self._replace(integrator={**self.integrator, "tolerance": finer})
 
     def describe(self, scene: Scene) -> str:
         """The choice in words.
@@ -98,10 +110,33 @@ class Choice(NamedTuple):
             return f"{kind} are a guess, since {self.obstacle}"
         share = f"{100 * self.error:.2g} % of the length"
         size = f"{1e3 * self.error * rod_length(scene):.2g} mm"
-        left_out = ""
+        return f"{kind} were within {share}, {size}, in a trial{self.limits}"
+
+    @property
+    def limits(self) -> str:
+        """Words that say what the error does not speak of; empty where it speaks of everything."""
+        words = ""
+        if self.seconds < DURATION:
+            words += f" of {self.seconds:.2g} s of motion"
+        if self.tensions < 1.0:
+            words += f" under {self.tensions:.3g} of the tensions of the usual motions"
         if self.left_out:
-            left_out = f" without {self.left_out} inputs under which the arm's motion is not unique"
-        return f"{kind} were within {share}, {size}, in a trial{left_out}"
+            words += f" without {self.left_out} inputs under which the arm's motion is not unique"
+        return words
+
+    def describe_growth(self, share: float) -> str:
+        """How long motions stay within a share of the length, and how far off they are later."""
+        known = [pair for pair in self.growth if math.isfinite(pair[1])]
+        parts = []
+        if 0.0 < self.seconds < DURATION:
+            parts.append(f"{100 * share:.3g} % of the length for {self.seconds:.2g} s")
+        if known and known[-1][1] > share:
+            seconds, bound = known[-1]
+            parts.append(f"{100 * bound:.2g} % after {seconds:.2g} s")
+        if len(known) < len(self.growth):
+            last = known[-1][0] if known else 0.0
+            parts.append(f"not known after {last:.2g} s")
+        return ", ".join(parts)
 
     @property
     def obstacle(self) -> str:

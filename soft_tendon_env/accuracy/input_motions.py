@@ -26,6 +26,9 @@ USUAL: tuple[Motion, ...] = MOTIONS[:3]
 HOLD = 0.02
 """Time [s] for which each row of a table of tensions is held: the environments' control period."""
 
+DURATION = 2.0
+"""Duration [s] of the usual motions, from rest, for which errors are stated."""
+
 REDRAWN_EVERY = 5
 """Rows between new tensions of the redrawn kind: 100 ms."""
 
@@ -104,7 +107,7 @@ def tension_limits(scene: Scene) -> tuple[Array, Array]:
     return limits[:, 0], limits[:, 1]
 
 
-def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2.0) -> Array:
+def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = DURATION) -> Array:
     """Table of tensions (rows, n_a) [N] of a test input, each row held for `HOLD` [s].
 
     The same seed gives the same table.

@@ -54,6 +54,8 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
     with FileLock(folder / f"{key}.lock"):  # one process makes it, the others find it
         kept = kept_choice(folder, key, scene, least)
         if kept is not None:
+            if not kept.speaks_of_all:
+                say_once(f"{scene.name!r}: {kept.describe(scene)}, by a trial that was kept")
             return kept
         say_once(
             f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
@@ -83,6 +85,7 @@ def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
         try:
             record = read_json(path)
             tried = record.pop("codes")
+            record["growth"] = tuple((seconds, bound) for seconds, bound in record["growth"])
             choice = Choice(**record)
         except (OSError, ValueError, TypeError, KeyError):  # damaged
             continue

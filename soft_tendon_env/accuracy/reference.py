@@ -9,7 +9,7 @@ error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -37,6 +37,23 @@ from soft_tendon_env.tools.types import Array
 STEPS = (5e-2, 1e-2, 2e-3)
 """Tolerance of time steps at each level, as a share of that of the motions; the last one holds for
 the levels that follow."""
+
+PIECE = 5
+"""Rows of tensions of a piece of a motion, after which it may end."""
+
+WORK_SHARES = (0.15, 0.35, 0.5)
+"""Shares of a motion's most work that its levels may take; the last one holds for those that
+follow. The finer a level the more evaluations of more coordinates it has."""
+
+CONVERGING = 1.0 / 3.0
+"""Ratio of the changes from level to level below which these converge geometrically."""
+
+LARGEST_RATIO = 0.9
+"""Largest ratio that a geometric series is taken to have: a bound of nine times the change."""
+
+SAFETY = 2.0
+"""Factor of what a geometric series says is left of a motion's error, since the next ratio may be
+larger."""
 
 REST_ROWS = 10
 """Rows of a motion that take as long as an equilibrium, as measured on
@@ -88,6 +105,28 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
         return simulate(model, tensions, HOLD * len(tensions), HOLD, beginning)
     except (SimulationDiverged, StrainLimitError):
         return None
+
+
+def pieces(model: Model, tensions: Array, start: State | None) -> Iterator[Trajectory]:
+    """Motion in pieces of PIECE rows each, to its end or to where there is none.
+
+    start: where it begins; None: there is no such place, and no piece.
+    """
+    state = start
+    for begin in range(0, len(tensions), PIECE):
+        rows = tensions[begin : begin + PIECE]
+        motion = None if state is None else trajectory(model, rows, state)
+        if motion is None:
+            return
+        yield motion
+        state = motion.final  # a state continues bit for bit
+
+
+def continued(tips: Array | None, piece: Trajectory) -> Array:
+    """Positions of the tip (samples, 3) [m] with those of the next piece of its motion."""
+    positions = piece.tip_pose[:, :3, 3]
+    # a piece begins with the last sample of the one before
+    return positions if tips is None else np.concatenate([tips, positions[1:]])
 
 
 def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
@@ -210,19 +249,51 @@ class Rung:
 class ReferenceMotion:
     """Motion or equilibrium of full physics under one input, refined level by level."""
 
-    def __init__(self, ladder: Ladder, tensions: Array) -> None:
-        """tensions: (rows, n_a) [N], each row held for HOLD, or (n_a,) of an equilibrium."""
+    def __init__(
+        self,
+        ladder: Ladder,
+        tensions: Array,
+        most_work: float = np.inf,
+        lost: float = np.inf,
+    ) -> None:
+        """tensions: (rows, n_a) [N], each row held for HOLD, or (n_a,) of an equilibrium.
+
+        most_work: evaluations times coordinates squared, at which a motion ends. lost: distance [m]
+        of levels, at which it does too.
+        """
         self.ladder = ladder
         self.tensions = tensions
-        self.tips: Array | None = None  # (rows + 1, 3) [m]; None: full physics has no such motion
-        self.error = np.inf  # [m], bound of the tips' error
+        self.most_work = most_work
+        self.lost = lost
+        # (samples, 3) [m], the start first, to the end or as far as the motion is known; None: full
+        # physics has no such motion
+        self.tips: Array | None = None
+        self.errors = np.full(1, np.inf)  # (samples,) [m], bounds of the tips' errors up to there
         self.depth = 0  # levels that were computed
+        self._change: Array | None = None  # (samples,) [m] of the tips by the last level
+        self._rows = len(tensions)  # that the next level is computed for at most
         self._q: Array | None = None  # at the last level, of an equilibrium
 
     @property
     def is_equilibrium(self) -> bool:
         """Whether it is one, and no motion."""
         return self.tensions.ndim == 1
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the motion is known to its end."""
+        samples = 1 if self.is_equilibrium else len(self.tensions) + 1
+        return self.tips is not None and len(self.tips) == samples
+
+    @property
+    def error(self) -> float:
+        """Bound of the tips' error [m]; inf where the motion is not known to its end."""
+        return float(self.errors[-1]) if self.is_whole else np.inf
+
+    def rows_within(self, error: float) -> int:
+        """Rows of tensions through which the tips' error is at most so large [m]."""
+        samples = int(np.count_nonzero(self.errors <= error))
+        return max(samples - 1, 0)
 
     @property
     def next_size(self) -> float:
@@ -237,24 +308,89 @@ class ReferenceMotion:
     def refine(self) -> None:
         """Computes the next level; the change bounds the error."""
         rung = self.ladder.rung(self.depth)
-        before = self.tips
-        self.tips = self._rest(rung) if self.is_equilibrium else self._motion(rung)
+        if self.is_equilibrium:
+            self._refine_rest(rung)
+        else:
+            self._refine_motion(rung)
         self.depth += 1
 
-        # the first level has nothing that it could be compared with
-        if before is None:
-            self.error = np.inf
-            return
-        # time steps may err alike at both levels; equilibria have none
-        steps = 0.0 if self.is_equilibrium else rung.steps
-        self.error = distance(self.tips, before) + steps
-
-    def _rest(self, rung: Rung) -> Array | None:
+    def _refine_rest(self, rung: Rung) -> None:
+        before = self.tips
         self._q = rung.rest(self.tensions, self._q)
-        return None if self._q is None else rung.model.tip_pose(self._q)[None, :3, 3]
+        self.tips = None if self._q is None else rung.model.tip_pose(self._q)[None, :3, 3]
+        self.errors = np.full(1, np.inf)
+        # the first level has nothing that it could be compared with
+        if before is not None:
+            self.errors[0] = distance(self.tips, before)
+
+    def _refine_motion(self, rung: Rung) -> None:
+        coarse = self.tips
+        coarse_errors = self.errors
+        tips = self._motion(rung)
+        if tips is None:
+            self.tips = None
+            self.errors = np.full(1, np.inf)
+            return
+        # the first level has nothing that it could be compared with
+        errors = np.full(len(tips), np.inf)
+        if coarse is not None:
+            both = min(len(tips), len(coarse))
+            apart = np.linalg.norm(tips[:both] - coarse[:both], axis=1)
+            change = np.maximum.accumulate(apart)
+            # time steps may err alike at both levels
+            errors[:both] = remaining_error(change, self._change) + rung.steps
+            self._change = change
+        has_no_work_left = coarse is not None and len(tips) == self._rows + 1 < len(coarse)
+        if coarse is not None and has_no_work_left and errors[-1] <= self.lost:
+            # what follows is known from the level before
+            later = slice(len(tips), None)
+            tips = np.concatenate([tips, coarse[later]])
+            errors = np.concatenate([errors, coarse_errors[later]])
+            errors = np.maximum.accumulate(errors)
+        self.tips = tips
+        self.errors = errors
 
     def _motion(self, rung: Rung) -> Array | None:
-        return None if rung.start is None else tip_path(rung.model, self.tensions, rung.start)
+        """Positions of the tip (samples, 3) [m] at a level; None: there is no such motion.
+
+        They end where its work is done, where it has strayed from the coarser level, or where full
+        physics has no motion any more.
+        """
+        share = WORK_SHARES[min(self.depth, len(WORK_SHARES) - 1)]
+        work_left = share * self.most_work
+        tips: Array | None = None
+        for piece in pieces(rung.model, self.tensions[: self._rows], rung.start):
+            tips = continued(tips, piece)
+            work_left -= piece.evaluations * rung.model.coordinate_count**2.0
+            if work_left <= 0.0 or self._has_strayed(tips):
+                self._rows = len(tips) - 1  # nothing can be compared with what follows
+                break
+        return tips
+
+    def _has_strayed(self, tips: Array) -> bool:
+        """Whether the coarser level is too far away at the last of these samples of the tip."""
+        if self.tips is None or len(tips) > len(self.tips):
+            return False
+        last = len(tips) - 1
+        return float(np.linalg.norm(tips[last] - self.tips[last])) > self.lost
+
+
+def remaining_error(change: Array, before: Array | None) -> Array:
+    """Bound (samples,) [m] of a motion's error after a change (samples,) [m] by the last level.
+
+    It is the change, or what is left of a geometric series: less, and times SAFETY, where the
+    change is a small part of the one before, and more where it is nearly as large.
+    """
+    if before is None:
+        return change
+    bound = change.copy()
+    samples = min(len(change), len(before))
+    last = change[:samples]
+    smallest = np.finfo(float).tiny
+    ratio = np.minimum(last / np.maximum(before[:samples], smallest), LARGEST_RATIO)
+    left = last * ratio / (1.0 - ratio)
+    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, np.maximum(last, left))
+    return np.maximum.accumulate(bound)
 
 
 def refine_once(
@@ -297,13 +433,11 @@ def reference_motions(
         count = ladder.rung(depth).model.coordinate_count
         refine_once(unsettled, f"{scene.name}: full physics, {count} coordinates")
         level = LEVELS[depth]
-        unsettled = [
-            motion for motion in unsettled if motion.tips is None or motion.error > tolerance
-        ]
+        unsettled = [motion for motion in unsettled if motion.error > tolerance]
         # what full physics has not at this level it has at no finer one, where others are settled
-        is_hopeless = all(motion.tips is None for motion in unsettled)
+        is_hopeless = all(not motion.is_whole for motion in unsettled)
         if is_hopeless and len(unsettled) < len(motions):
             break
-    tips = tuple(motion.tips for motion in motions)
+    tips = tuple(motion.tips if motion.is_whole else None for motion in motions)
     errors = tuple(motion.error for motion in motions)
     return Reference(tips, errors, level)

@@ -37,6 +37,10 @@ FINER_STEPS = 10.0
 TIGHTER = 5.0
 """Factor by which the tolerance is reduced where these change the tip."""
 
+MOST_HALVINGS = 16
+"""Halvings of the longest step that a choice allows: ten, as a scene has them, end the motion of a
+lightly damped arm whose tolerance was reduced."""
+
 MOST_TIGHTENED = 5
 """How often it is, at most."""
 
@@ -76,7 +80,8 @@ def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
         "borders": [*scene.strain.borders, *part_borders(scene)],
     }
     quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
-    integrator = {"tolerance": asked.tolerance * rod_length(scene)}
+    tolerance = asked.tolerance * rod_length(scene)
+    integrator = {"tolerance": tolerance, "max_halvings": MOST_HALVINGS}
     choice = Choice(rich, quadrature, integrator, 0, np.inf)
 
     # intervals of a part, while the rod is in parts

@@ -16,6 +16,8 @@ from soft_tendon_env.accuracy.candidates import known_fields, strain_tables
 from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.input_motions import (
+    DURATION,
+    HOLD,
     USUAL,
     motion_tensions,
     slack_tensions,
@@ -31,30 +33,34 @@ from soft_tendon_env.accuracy.reference import (
 )
 from soft_tendon_env.accuracy.settling import settle
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.reference_model import part_borders
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.scene import (
-    Scene,
-    extrapolation_columns,
-    rod_length,
-)
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
 SEED = 500
 """Seed of the motions and tensions of every trial."""
 
-SECONDS = 2.0
-"""Duration [s] of the motions, one of each usual kind; less where they take long to compute."""
+SECONDS = DURATION
+"""Duration [s] of the motions, one of each usual kind."""
 
-PARTS_COST = 1.0
-"""By how much more of its time an arm in several parts takes: its motions are so much shorter."""
+MOST_WORK = 7e7
+"""Work of the reference of a motion at most, in evaluations times coordinates squared: 3 to 7 s of
+CPU time. Only arms whose damping is so light that motions last come near it."""
 
-UNDAMPED_COST = 3.0
-"""As PARTS_COST, of an arm whose damping leaves it short steps."""
+CERTAIN = 0.25
+"""Largest error of the reference of a motion that is judged by it, in units of what is asked for.
+What follows is not certain."""
 
-UNDAMPED_COLUMNS = 2
-"""Columns of extrapolation that an arm with so little damping is left with."""
+LEAST_SECONDS = 0.2
+"""Shortest time [s] through which a motion should be certain. Others are tried with smaller
+tensions."""
+
+SMALLER = 0.5
+"""Factor of tensions of a motion that is not certain."""
+
+MOST_SMALLER = 3
+"""How often tensions are made smaller at most."""
 
 RESTS = 16
 """Equilibria under random tensions, besides the slack arm's."""
@@ -77,6 +83,9 @@ FIRST_LEVELS = 2
 
 MOST_LEVELS = 3
 """Levels of full physics that an input gets at most."""
+
+HORIZONS = (0.1, 0.2, 0.5, 1.0, DURATION)
+"""Times [s] for which an error that grows is told."""
 
 OWN = 0
 """Case of loads that are the scene's own."""
@@ -135,8 +144,7 @@ class Trial:
         shares = np.random.default_rng(SEED).random((RESTS, low.size))
         drawn = low + shares * (high - low)
         rests = [slack_tensions(self.scene), *drawn]
-        duration = self._seconds()
-        motions = [motion_tensions(self.scene, kind, SEED, duration) for kind in USUAL]
+        motions = [motion_tensions(self.scene, kind, SEED, SECONDS) for kind in USUAL]
 
         ladders = []
         for effects in self.cases:
@@ -148,19 +156,12 @@ class Trial:
         for group in (rests, motions):
             for place, tensions in enumerate(group):
                 case = turns[place % len(turns)]
-                motion = ReferenceMotion(ladders[case], tensions)
+                motion = self._reference(ladders[case], tensions)
                 inputs.append(TrialInput(motion, case))
         return inputs
 
-    def _seconds(self) -> float:
-        """Duration [s] of the motions."""
-        factor = 1.0
-        if part_borders(self.scene):
-            factor += PARTS_COST
-        free_steps = self.scene.replace({"integrator": {}})
-        if extrapolation_columns(free_steps) <= UNDAMPED_COLUMNS:
-            factor += UNDAMPED_COST
-        return SECONDS / factor
+    def _reference(self, ladder: Ladder, tensions: Array) -> ReferenceMotion:
+        return ReferenceMotion(ladder, tensions, MOST_WORK, UNSURE * self.unit)
 
     def _compute(self, everything: list[TrialInput]) -> None:
         """Computes the reference to where it can judge.
@@ -191,12 +192,44 @@ class Trial:
             self._refine(rough)
 
         for test in everything:
-            if test.reference.tips is None:
-                self.missing += 1
-            elif test.reference.error > UNSURE * self.unit:
-                self.not_unique += 1
-            else:
-                self.tests.append(test)
+            self._keep(test)
+
+    def _keep(self, test: TrialInput) -> None:
+        """Keeps a test that can be judged by, or counts it as left out."""
+        for _ in range(MOST_SMALLER):
+            if test.reference.is_equilibrium or self._is_certain(test.reference):
+                break
+            test = self._with_smaller_tensions(test)
+        reference = test.reference
+        is_unsure = reference.error > UNSURE * self.unit
+        if not reference.is_equilibrium:
+            is_unsure = not self._is_certain(reference)
+        if reference.tips is None:
+            self.missing += 1
+        elif is_unsure:
+            self.not_unique += 1
+        else:
+            self.tests.append(test._replace(rows=self._certain_rows(reference)))
+
+    def _certain_rows(self, reference: ReferenceMotion) -> int:
+        """Rows of tensions through which a reference can be judged by."""
+        return 0 if reference.is_equilibrium else reference.rows_within(CERTAIN * self.unit)
+
+    def _is_certain(self, reference: ReferenceMotion) -> bool:
+        """Whether a motion is certain for long enough."""
+        seconds = HOLD * self._certain_rows(reference)
+        return seconds >= min(LEAST_SECONDS, SECONDS)
+
+    def _with_smaller_tensions(self, test: TrialInput) -> TrialInput:
+        """The test of a motion with tensions that are nearer to those of the slack arm."""
+        slack = slack_tensions(self.scene)
+        tensions = slack + SMALLER * (test.tensions - slack)
+        smaller = self._reference(test.reference.ladder, tensions)
+        for _ in range(MOST_LEVELS):
+            if self._can_judge(smaller):
+                break
+            smaller.refine()
+        return test._replace(reference=smaller, share=SMALLER * test.share)
 
     def _with_unique_starts(self, everything: list[TrialInput]) -> list[TrialInput]:
         """Tests without the motions that begin where a column may fall to any side."""
@@ -210,8 +243,9 @@ class Trial:
         return unique
 
     def _can_judge(self, motion: ReferenceMotion) -> bool:
-        """Whether a model could be within what is asked for by this reference."""
-        return motion.tips is not None and motion.error <= self.unit / MARGIN
+        """Whether a model could be within what is asked for by this reference, to its end."""
+        part = 1.0 / MARGIN if motion.is_equilibrium else CERTAIN
+        return motion.error <= part * self.unit
 
     def _refine(self, motions: list[ReferenceMotion]) -> None:
         """Computes the next level of full physics."""
@@ -231,10 +265,10 @@ class Trial:
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
             enough = self._enough(test) if is_bounded else np.inf
-            path = models.path(test, enough + test.reference.error)
-            self._decide(test.reference, path, enough)
-            error = test.reference.error
-            away = distance(path, test.reference.tips)
+            path = models.path(test, enough + test.bound)
+            self._decide(test, path, enough)
+            error = test.bound
+            away = test.distance(path)
             if not error <= UNSURE * self.unit:  # refined, it turned out to be not unique
                 self.tests.remove(test)
                 self.not_unique += 1
@@ -252,18 +286,49 @@ class Trial:
         margin = LARGER_LOADS_MARGIN if test.case == GREATEST else MARGIN
         return self.unit / margin
 
-    def _decide(self, reference: ReferenceMotion, path: Array | None, enough: float) -> None:
+    def _decide(self, test: TrialInput, path: Array | None, enough: float) -> None:
         """Refines a reference until it says whether a path is near `enough` [m], or to the end."""
         least = REFERENCE * self.unit
-        while reference.depth < MOST_LEVELS and reference.error > least:
-            away = distance(path, reference.tips)
-            error = reference.error
+        reference = test.reference
+        while reference.depth < MOST_LEVELS and test.bound > least:
+            away = test.distance(path)
+            error = test.bound
             is_near = away + error <= enough
             is_far = away - error > enough
             is_clear = np.isfinite(enough) and (is_near or is_far)
             if is_clear:
                 return
             reference.refine()
+
+    def growth(self, model: Model) -> Array:
+        """Bounds of the tip's distance [m] from the reference in all motions up to each sample.
+
+        They go beyond where the reference is certain; inf: not known.
+        """
+        models = CaseModels(self.cases, model)
+        worst = np.zeros(round(DURATION / HOLD) + 1)
+        for test in self.tests:
+            if not test.reference.is_equilibrium:
+                bounds = models.bounds(test)
+                known = len(bounds)
+                worst[:known] = np.maximum(worst[:known], bounds)
+                worst[known:] = np.inf
+        return worst
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] through which all motions are certain."""
+        times = [DURATION]
+        for test in self.tests:
+            is_motion = not test.reference.is_equilibrium
+            if is_motion and test.rows < len(test.tensions):
+                times.append(HOLD * test.rows)
+        return min(times)
+
+    @property
+    def share(self) -> float:
+        """Part of the tensions of the usual motions that all motions had."""
+        return min((test.share for test in self.tests), default=1.0)
 
     def agree_at_rest(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """Whether the tips of two models with the same coordinates agree at some rests.
@@ -333,7 +398,7 @@ def best_choice(trial: Trial, asked: Accuracy, progress: Progress, least: int = 
         choice = _first_near(trial, asked, progress, least)
         # an input that turned out to be not unique may have ruled out a choice before
         if len(trial.tests) == inputs:
-            return _with_inputs(choice, trial)
+            return _with_inputs(choice, trial, asked)
 
 
 def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -> Choice:
@@ -375,10 +440,18 @@ def judged(
     )
 
 
-def _with_inputs(choice: Choice, trial: Trial) -> Choice:
-    """The choice with what it was tried on."""
+def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
+    """The choice with what it was tried on, and how its error grows where that is not within."""
     largest = trial.cases[GREATEST if len(trial.cases) > 1 else OWN]
+    is_within = choice.error <= asked.share and trial.seconds == DURATION
+    if np.isfinite(choice.error) and not is_within:
+        bounds = trial.growth(trial.model(choice)) / rod_length(trial.scene)
+        samples = int(np.count_nonzero(bounds <= asked.share))
+        growth = [(seconds, float(bounds[round(seconds / HOLD)])) for seconds in HORIZONS]
+        within = HOLD * max(samples - 1, 0)
+        choice = choice._replace(seconds=within, growth=tuple(growth))
     return choice._replace(
+        tensions=trial.share,
         missing=trial.missing,
         not_unique=trial.not_unique,
         inputs=trial.inputs,

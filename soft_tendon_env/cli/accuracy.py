@@ -15,7 +15,12 @@ from soft_tendon_env.accuracy.trial import Trial
 from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
+from soft_tendon_env.evaluation.tables import (
+    markdown_table,
+    measured_number,
+    number,
+    write_csv,
+)
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, fields_of
@@ -81,14 +86,18 @@ def run(settings: Accuracy) -> None:
 
 
 def measure(model: Model, trial: Trial, fidelity: str, tolerance: float) -> dict[str, Any]:
-    """Cost and error of a fidelity: tolerance and tip_error [m], cpu_time [s]."""
+    """Cost and error of a fidelity: tolerance and tip_error [m], cpu_time [s].
+
+    The error is NaN where there is no reference, or the model has no such motion.
+    """
+    tip_error = trial.distance(model)
     return {
         "asked": fidelity,
         "tolerance": tolerance,
         "coordinates": model.coordinate_count,
         "intervals": model.grid.per_piece,
         "cpu_time": cpu_time(model, trial),
-        "tip_error": trial.distance(model),
+        "tip_error": tip_error if np.isfinite(tip_error) else np.nan,
     }
 
 
@@ -100,7 +109,7 @@ def cells_of(record: dict[str, Any]) -> list[str]:
         str(record["coordinates"]),
         str(record["intervals"]),
         number(1e3 * record["cpu_time"]),
-        number(1e3 * record["tip_error"]),
+        measured_number(1e3 * record["tip_error"]),
     ]
 
 

@@ -20,6 +20,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import records, write_csv, write_markdown
 from soft_tendon_env.policies.names import Controller, PolicyName
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
@@ -89,6 +90,7 @@ def run(settings: Arena) -> None:
         f" {hours:.2g} hours; {machine()}",
         flush=True,
     )
+    print(settings.actuators)
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
@@ -101,11 +103,11 @@ def run(settings: Arena) -> None:
     panels = {}
     for regime, of_regime in standings.items():
         rows += [{"regime": regime, **row} for row in records(of_regime)]
-        panels[f"information: {regime}"] = of_regime
+        panels[REGIMES[regime].title] = of_regime
     write_csv(out / "arena.csv", rows)
     draw_errors(panels, out / "arena.png")
 
-    parts = [f"{episodes.capitalize()}."]
+    parts = [f"{episodes.capitalize()}. {settings.actuators}"]
     parts += [f"Note: {note}." for note in notes]
     parts += ["![Errors of all policies by setting and regime](arena.png)", text]
     write_markdown(out / "arena.md", "\n\n".join(parts))

@@ -75,7 +75,8 @@ class Demo(Workers):
 
 def run(settings: Demo) -> None:
     """Run all policies, print and write."""
-    out, known = Path(settings.out), controllers_of(TASK)
+    out = Path(settings.out)
+    known = controllers_of(TASK)
     with mistakes():
         require("pictures", "recording")
         check_cluster(settings.cluster)
@@ -114,7 +115,8 @@ def play(settings: Demo, file: "RerunFile", out: Path) -> str:
     models = {
         name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()
     }
-    circle, random = "circle", f"{settings.episodes} random targets"
+    circle = "circle"
+    random = f"{settings.episodes} random targets"
     # both are made before the first is played: what is wrong is said before anything takes long
     experiments = {
         circle: make_experiment(settings, files, "circle", 1, out),
@@ -172,8 +174,10 @@ def make_experiment(
 
 def numbers_in_picture(circle: Summary, random: Summary) -> dict[str, str]:
     """Cells of a policy's row in the picture by heading, as the tables have them."""
-    position, angle = error_unit(ERROR), error_unit("angle_error")
-    on_circle, on_random = summary_cells(circle), summary_cells(random)
+    position = error_unit(ERROR)
+    angle = error_unit("angle_error")
+    on_circle = summary_cells(circle)
+    on_random = summary_cells(random)
     return {
         f"circle\n[{position.symbol}]": on_circle[f"{position.heading} RMS"],
         f"random\n[{position.symbol}]": on_random[f"{position.heading} RMS"],

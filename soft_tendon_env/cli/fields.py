@@ -13,7 +13,7 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import (
 )
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.cli.options import ArmSettings
-from soft_tendon_env.evaluation.tables import markdown_table, number
+from soft_tendon_env.evaluation.tables import markdown_table, measured_number
 from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
@@ -75,7 +75,7 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     """Table of the errors by number of fields; the arm has `bare` coordinates without any."""
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
-        errors = [number(1e3 * fields.errors[kind][i]) for kind in USUAL]
+        errors = [measured_number(1e3 * fields.errors[kind][i]) for kind in USUAL]
         singular_value = f"{fields.singular_values[count - 1]:.2g}" if count else "-"
         rows.append((str(bare + count), str(count), singular_value, *errors))
     intro = (

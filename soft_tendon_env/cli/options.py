@@ -233,7 +233,8 @@ def _check_keys(command: str, kind: type[Configuration], unknown: Sequence[str])
 
 def _as_given(kind: type[Configuration], key: Key, arguments: Sequence[str]) -> str:
     """A key as the command line has it."""
-    name, rest = str(key[0]), key[1:]
+    name = str(key[0])
+    rest = key[1:]
     option = _flag(kind, name)
     if name == "options" and rest:
         shortcut = f"--{rest[0]}"

@@ -19,6 +19,7 @@ from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.environment import (
     PATIENCE,
@@ -78,6 +79,9 @@ class Run(EnvironmentArguments, EpisodeSettings):
         ge=1,
         description="periods without a reading, or late, after which the tendons go slack",
     )
+    beyond_training: bool = Field(
+        default=False, description="let an agent act on an arm that is none of its training"
+    )
     record: str | None = Field(
         default=None,
         description="file for the Rerun viewer: the measured tip over the simulated arm",
@@ -97,7 +101,7 @@ def run(settings: Run) -> None:
         name = PolicyName.parse(settings.policy, task)
         options = name.options(settings.options)
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
-        policy = name.load(env)
+        policy = load_trained(name, env, settings.beyond_training)
         rehearse(policy, env, settings.seed)
 
         robot_options = dict[str, Any]()
@@ -145,6 +149,22 @@ def run(settings: Run) -> None:
     print(report.timing)
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
+
+
+def load_trained(name: PolicyName, env: Any, beyond_training: bool) -> Policy:
+    """The policy of a name, for an arm of its training unless it may act on any.
+
+    Raises ValueError, OSError.
+    """
+    if beyond_training:
+        return name.load_beyond_training(env)
+    outside = name.outside(env)
+    if outside:
+        raise ValueError(
+            f"{name.text} was not trained for this arm: {outside}. Train an agent for it, or let"
+            " this one act all the same with --beyond-training"
+        )
+    return name.load(env)
 
 
 def load_robot(name: str, options: Mapping[str, Any]) -> Robot:

@@ -3,8 +3,19 @@
 protocol.py has their interfaces, catalogue.py all of them by name.
 """
 
+from soft_tendon_env.control.avoidance import Avoidance
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, controllers_of
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter
+from soft_tendon_env.control.objectives import (
+    LinearError,
+    Objective,
+    Posture,
+    Shape,
+    TipDirection,
+    TipPose,
+    TipPosition,
+)
+from soft_tendon_env.control.own_cost import Effort, Smoothness
 from soft_tendon_env.control.protocol import (
     Controller,
     ControllerInput,
@@ -18,12 +29,28 @@ from soft_tendon_env.control.uncertainty import Setting, Uncertainty
 
 __all__ = [
     "CONTROLLERS",
+    "Avoidance",
     "Controller",
     "ControllerInput",
     "ControllerOutput",
+    "Effort",
     "Entry",
     "Estimate",
     "ExtendedKalmanFilter",
     "InputError",
+    "LinearError",
+    "Measurement",
+    "Objective",
+    "Posture",
 ]
-__all__ += ["Measurement", "Reference", "Setting", "Uncertainty", "controllers_of"]
+__all__ += [
+    "Reference",
+    "Setting",
+    "Shape",
+    "Smoothness",
+    "TipDirection",
+    "TipPose",
+    "TipPosition",
+    "Uncertainty",
+    "controllers_of",
+]

@@ -14,10 +14,18 @@ from soft_tendon_env.tools.types import Array
 OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened constraints
 
 
-class Allocation(NamedTuple):
-    """Solution of a bounded program: x (m,), multipliers (m,), and whether it was solved.
+class Rows(NamedTuple):
+    """Linear inequality constraints least <= matrix x <= greatest of a program."""
 
-    The multipliers are there to start the next one from.
+    matrix: Array  # (r, m)
+    least: Array  # (r,)
+    greatest: Array  # (r,)
+
+
+class Allocation(NamedTuple):
+    """Solution of a bounded program: x (m,), multipliers, and whether it was solved.
+
+    The multipliers (m,), or (m + r,) with r rows, are there to start the next one from.
     """
 
     x: Array
@@ -26,7 +34,12 @@ class Allocation(NamedTuple):
 
 
 def allocate(
-    hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None
+    hessian: Array,
+    gradient: Array,
+    least: Array,
+    greatest: Array,
+    start: Array | None = None,
+    rows: Rows | None = None,
 ) -> Allocation:
     """Quadratic program with bounds: the x of least x^T hessian x / 2 + gradient^T x.
 
@@ -35,27 +48,30 @@ def allocate(
         gradient: (m,).
         least: bounds (m,) of x.
         greatest: (m,).
-        start: multipliers (m,) of a similar problem.
+        start: multipliers of a similar problem, with as many rows.
+        rows: constraints besides the bounds; None: there are none.
 
     Returns:
         x within the bounds, and multipliers for the next problem. Where the program cannot be
         solved, x is zero within the bounds and `solved` false.
     """
     size = gradient.size
+    if rows is None:
+        rows = Rows(np.empty((0, size)), np.empty(0), np.empty(0))
     nothing = np.zeros(size)
-    fallback = Allocation(np.clip(nothing, least, greatest), nothing, solved=False)
+    no_multipliers = np.zeros(size + rows.least.size)
+    fallback = Allocation(np.clip(nothing, least, greatest), no_multipliers, solved=False)
     if not np.isfinite(hessian).all() or not np.isfinite(gradient).all():
         return fallback
     # the solver's tolerances are absolute: a problem of usual size
     unit = np.trace(hessian) / size
     if not np.isfinite(unit) or unit <= 0.0:
         return fallback
-    upper = np.array(greatest, dtype=np.float64)
-    lower = np.array(least, dtype=np.float64)
-    no_rows = np.empty((0, size))  # of constraints besides the bounds
-    inequalities = np.zeros(size, dtype=np.int32)
+    upper = np.concatenate([greatest, rows.greatest])
+    lower = np.concatenate([least, rows.least])
+    inequalities = np.zeros(upper.size, dtype=np.int32)
     x, _, flag, info = daqp.solve(
-        hessian / unit, gradient / unit, no_rows, upper, lower, inequalities, dual_start=start
+        hessian / unit, gradient / unit, rows.matrix, upper, lower, inequalities, dual_start=start
     )
     if flag not in OPTIMAL or not np.isfinite(x).all():
         return fallback

@@ -8,13 +8,20 @@ can do.
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
-from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
+from soft_tendon_env.control.objectives import (
+    Objective,
+    Shape,
+    TipPose,
+    TipPosition,
+    TrackedObjective,
+)
+from soft_tendon_env.control.own_cost import OwnCost
 from soft_tendon_env.control.paper_laws import PaperShape, PaperTipPose
 from soft_tendon_env.control.predictive import DEFAULT, Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller
@@ -22,13 +29,15 @@ from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracki
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.registration import IDS
-from soft_tendon_env.tools.configuration import not_registered, shown
+from soft_tendon_env.tools.configuration import not_among, not_registered, shown
 from soft_tendon_env.tools.registry import Registry, register
 from soft_tendon_env.tools.types import Array
 
 # control periods ahead for which laws of feedback need the reference: the velocity at the end of
 # this one
 LOOKS_AHEAD = 2
+# keyword argument of what makes controllers that take a cost of the user's own
+OBJECTIVES = "objectives"
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,32 @@ class Entry:
             looks_ahead=looks_ahead,
             parameters=numbers,
         )
+
+    @property
+    def takes_objectives(self) -> bool:
+        """Whether `make` has a keyword argument `objectives`, for a cost of the user's own."""
+        return OBJECTIVES in inspect.signature(self.make).parameters
+
+    def with_cost(self, cost: OwnCost) -> "Entry":
+        """Returns the controller with a cost of the user's own.
+
+        Args:
+            cost: its objectives, and parameters such as the weight of effort.
+
+        Returns:
+            The new entry.
+
+        Raises:
+            ValueError: the controller has no such parameter.
+        """
+        for name in cost.parameters:
+            if name not in self.parameters:
+                raise ValueError(
+                    f"objectives has {name.capitalize()}, and the controller no parameter {name!r}:"
+                    f" {not_among(name, self.parameters)}"
+                )
+        entry = self.with_parameters(cost.parameters) if cost.parameters else self
+        return replace(entry, make=partial(entry.make, **{OBJECTIVES: cost.objectives}))
 
 
 class ControllerRegistry(Registry[Entry]):
@@ -205,7 +240,7 @@ def tip_pose_objective(model: Model) -> TipPose:
     return TipPose(0.1 * model.length)
 
 
-def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry]:
+def _tip_controllers(objective: Callable[[Model], TrackedObjective]) -> dict[str, Entry]:
     """Controllers of the tip with their presets."""
 
     def statics(model: Model, limits: Array, period: float) -> StaticFeedforward:
@@ -230,7 +265,16 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
         )
         return ReferenceGovernor(statics(model, limits, period), controller)
 
-    def predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
+    def predictive(
+        model: Model,
+        limits: Array,
+        period: float,
+        objectives: Sequence[Objective] | None = None,
+        **tuning: Any,
+    ) -> Controller:
+        # an own cost is minimised as it is: no governor moves its target within reach
+        if objectives is not None:
+            return Predictive(model, limits, period, objectives, Tuning(**tuning))
         controller = Predictive(model, limits, period, objective(model), Tuning(**tuning))
         return ReferenceGovernor(statics(model, limits, period), controller)
 
@@ -249,9 +293,15 @@ def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry
     return entries
 
 
-def _shape_predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
+def _shape_predictive(
+    model: Model,
+    limits: Array,
+    period: float,
+    objectives: Sequence[Objective] | None = None,
+    **tuning: Any,
+) -> Controller:
     """Predictive control of shapes, which tensions hold: they need no governor."""
-    return Predictive(model, limits, period, Shape(model), Tuning(**tuning))
+    return Predictive(model, limits, period, objectives or Shape(model), Tuning(**tuning))
 
 
 OF_POSITION = _tip_controllers(lambda model: TipPosition())

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.objectives import TrackedObjective
 from soft_tendon_env.control.protocol import (
     Controller,
     ControllerInput,
@@ -51,7 +51,9 @@ class StaticFeedforward(ModelController):
     It is for the reference one period ahead, when tensions have acted.
     """
 
-    def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
+    def __init__(
+        self, model: Model, limits: Array, period: float, objective: TrackedObjective
+    ) -> None:
         super().__init__(model, limits, period)
         self.objective = objective
         self.preferred = np.clip(0.0, self.least, self.greatest)

@@ -1,10 +1,11 @@
-"""Control objectives: errors of tip pose, tip position or shape from a reference.
+"""Control objectives: errors of tip pose, position, direction or shape, with their Jacobians.
 
-Errors are in metres, with their Jacobians.
+Errors are in metres. Predictive control minimises the squares of any objectives; feedback and
+inverse statics need a TrackedObjective, whose targets move.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,8 +21,17 @@ from soft_tendon_env.control.rigid_motions import (
 )
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
+from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
+
+LEAST_WEIGHT = 1e-9
+"""Least weight of an objective [-]: at a smaller one nothing is left of it beside others."""
+
+
+def checked_weight(weight: float) -> float:
+    """The weight of an objective. Raises TypeError, ValueError."""
+    return checked_number("weight", weight, LEAST_WEIGHT, f"a number, at least {LEAST_WEIGHT:g}")
 
 
 class Aim(NamedTuple):
@@ -42,59 +52,138 @@ class Aim(NamedTuple):
     bias: Array
 
 
+class Posture(NamedTuple):
+    """Configuration of the arm at an instant of a plan, and the reference that it should follow."""
+
+    q: Array  # (n,)
+    tip_pose: Array  # (4, 4)
+    tip_jacobian: Array  # (6, n) of the tip's body twist
+    reference: Reference
+    ahead: float  # [s] from now
+    time: float  # [s] since the episode began
+
+
+class LinearError(NamedTuple):
+    """Error (k,) and its Jacobian (k, n): with the coordinates it changes by -jacobian @ dq."""
+
+    error: Array
+    jacobian: Array
+
+
 class Objective(Protocol):
-    """Task-space error that a controller drives to zero.
+    """Error whose square predictive control makes small along its plan.
+
+    `follows` names the fields of a Reference, one of which it reads; none where it needs none.
+    """
+
+    follows: ClassVar[tuple[str, ...]] = ()
+
+    def linear_error(self, posture: Posture) -> LinearError:
+        """Computes the error of a posture, and how it falls with the coordinates.
+
+        Args:
+            posture: planned, or of now.
+
+        Returns:
+            Error (k,) in metres, or what should count as such, and Jacobian (k, n).
+        """
+
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
+        """Moves the target for a model whose tip is elsewhere than the measured one.
+
+        Args:
+            model_pose: of the model's tip (4, 4).
+            reference: for the arm.
+            measured_pose: of the arm's tip (4, 4).
+
+        Returns:
+            The reference for the model; by default it stays where it is.
+        """
+        return reference
+
+
+class TrackedObjective(Objective, Protocol):
+    """Task-space error of a target that moves, which any controller drives to zero.
 
     The arm is at coordinates q (n,), with its tip at `tip_pose` (4, 4).
     """
 
+    def linear_error(self, posture: Posture) -> LinearError:
+        error = self.error(posture.q, posture.tip_pose, posture.reference, posture.ahead)
+        return LinearError(error, self.jacobian(posture.tip_jacobian))
+
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error (k,) from the reference at a time ahead [s], in metres.
+        """Computes the error from the reference at a time ahead.
 
         It is what would bring the arm there in unit time.
+
+        Args:
+            q: coordinates (n,).
+            tip_pose: of the arm (4, 4).
+            reference: to follow.
+            time: ahead of now [s].
+
+        Returns:
+            Error (k,) in metres.
         """
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian (k, n) of the arm's velocity, in metres.
+        """Computes the Jacobian of the arm's velocity, by which the error falls.
 
-        It is made of that of the tip's body twist (6, n).
+        Args:
+            tip_jacobian: of the tip's body twist (6, n).
+
+        Returns:
+            Jacobian (k, n), in metres.
         """
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
-        """Error and Jacobian at a time ahead [s], from the terms at now.q.
+        """Computes what feedback drives to zero, at a time ahead.
 
-        The target's velocity is measured over `period` [s].
+        Args:
+            now: state and reference.
+            terms: of the model at now.q.
+            time: ahead of now [s].
+            period: [s] over which the target's velocity is measured.
+
+        Returns:
+            Error, velocity of the target, Jacobian and bias.
         """
-
-    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target for a model whose tip is elsewhere than the measured one.
-
-        Its tip is at `model_pose` (4, 4), where the arm's is measured at `measured_pose` (4, 4).
-        """
-        return reference
 
     def moved_back(
         self, reference: Reference, nearest: Array, time: float, share: float
     ) -> Reference:
-        """The target, moved everywhere by a share of the way to a nearest pose.
+        """Moves the target everywhere by a share of the way to a nearest pose.
 
-        The way leads to the pose `nearest` (4, 4) from where the target is at `time` [s].
+        Args:
+            reference: whose target is moved.
+            nearest: pose (4, 4) to which the way leads.
+            time: ahead of now [s], at which the way begins at the target.
+            share: of the way.
+
+        Returns:
+            The reference that is moved; by default it stays where it is.
         """
         return reference
 
 
 @dataclass(frozen=True)
-class TipPose(Objective):
+class TipPose(TrackedObjective):
     """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres.
 
-    Targets are moved by body displacements.
+    All of it counts `weight` times. Targets are moved by body displacements.
     """
 
+    follows = ("tip_pose",)
     angle_weight: float = 0.1
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        checked_weight(self.weight)
 
     @cached_property
     def _weight(self) -> Array:
-        return np.repeat([self.angle_weight, 1.0], 3)
+        return self.weight * np.repeat([self.angle_weight, 1.0], 3)
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         return self._weight * pose_error(tip_pose, _pose(reference, time))
@@ -128,18 +217,24 @@ class TipPose(Objective):
 
 
 @dataclass(frozen=True)
-class TipPosition(Objective):
+class TipPosition(TrackedObjective):
     """The way from tip to target in the tip frame; the tip may point anywhere.
 
-    Targets are moved in the world frame.
+    It counts `weight` times. Targets are moved in the world frame.
     """
+
+    follows = ("tip_position", "tip_pose")
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        checked_weight(self.weight)
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         way = _position(reference, time) - tip_pose[:3, 3]
-        return np.asarray(tip_pose[:3, :3].T @ way)
+        return np.asarray(self.weight * (tip_pose[:3, :3].T @ way))
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        return tip_jacobian[3:]
+        return self.weight * tip_jacobian[3:]
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
         target = _position(now.reference, time)
@@ -147,11 +242,11 @@ class TipPosition(Objective):
         into_tip = now.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ now.q_dot, 2)
         return Aim(
-            error=into_tip @ (target - now.tip_pose[:3, 3]),
-            velocity=into_tip @ (next_target - target) / period,
+            error=self.weight * (into_tip @ (target - now.tip_pose[:3, 3])),
+            velocity=self.weight * (into_tip @ (next_target - target) / period),
             jacobian=self.jacobian(terms.tip_jacobian),
             # the frame turns, the target's axes do not
-            bias=terms.tip_bias[3:] + np.cross(angular, linear),
+            bias=self.weight * (terms.tip_bias[3:] + np.cross(angular, linear)),
         )
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
@@ -167,20 +262,72 @@ class TipPosition(Objective):
         return reference._replace(tip_position=_positions(reference) + share * way)
 
 
-class Shape(Objective):
-    """Shape error in coordinates, in the norm of the energy that holds them apart.
+@dataclass(frozen=True)
+class TipDirection(Objective):
+    """The angle by which the tip's x axis, along the rod, is off a direction; it may roll.
 
-    Bending the rod by an angle of 1 counts as half its length.
-
-    Targets stay where they are: shapes are made of tensions, and within reach.
+    A radian is worth `weight` metres. The direction (3,) is in the world frame; None: that of the
+    target's pose.
     """
 
-    def __init__(self, model: Model) -> None:
+    direction: tuple[float, float, float] | None = None
+    weight: float = 0.1
+
+    def __post_init__(self) -> None:
+        checked_weight(self.weight)
+        if self.direction is None:
+            return
+        direction = checked_array("direction", self.direction, (3,))
+        if not direction.any():
+            raise ValueError("direction is (0, 0, 0): it should be a vector of any length but zero")
+
+    @property
+    def follows(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Fields of a Reference, of which a direction of its own needs none."""
+        return ("tip_pose",) if self.direction is None else ()
+
+    def linear_error(self, posture: Posture) -> LinearError:
+        if self.direction is None:
+            axis = _pose(posture.reference, posture.ahead)[:3, 0]
+        else:
+            axis = np.array(self.direction) / np.linalg.norm(self.direction)
+        x, y, z = posture.tip_pose[:3, :3].T @ axis
+        sine = np.hypot(y, z)
+        # the axis (0, -z, y) / sine turns the tip's x axis to the direction; where they are
+        # parallel or opposite, any axis across does
+        turn = np.array([1.0, 0.0])
+        if sine > 0.0:
+            turn = np.array([-z, y]) / sine
+        angle = np.arctan2(sine, x)
+        return LinearError(self.weight * angle * turn, self.weight * posture.tip_jacobian[1:3])
+
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
+        if self.direction is not None:
+            return reference
+        return _displace(reference, pose_error(measured_pose, model_pose))
+
+
+class Shape(TrackedObjective):
+    """Shape error in coordinates, in the norm of the energy that holds them apart.
+
+    Bending the rod by an angle of 1 counts as half its length. Targets stay where they are: shapes
+    are made of tensions, and within reach.
+
+    Args:
+        model: whose coordinates they are.
+        weight: of the error against that of other objectives.
+    """
+
+    follows = ("q",)
+
+    def __init__(self, model: Model, weight: float = 1.0) -> None:
         n = model.coordinate_count
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
         # root of the stiffness: the square of the error is the energy, in units of bending
         root = np.linalg.cholesky(stiffness / model.bending_energy).T
-        self._root = np.asarray(0.5 * model.length * root, dtype=np.float64)
+        self._root = np.asarray(
+            checked_weight(weight) * (0.5 * model.length * root), dtype=np.float64
+        )
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         assert reference.q is not None

@@ -11,15 +11,16 @@ lag of the actuators, and the displacement between the tip that is measured and 
 Internal states of effects begin at rest with the episode and are advanced by the model.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.allocation import Allocation, allocate
+from soft_tendon_env.control.allocation import Allocation, Rows, allocate
 from soft_tendon_env.control.command_filter import lagged_plan
 from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
 from soft_tendon_env.control.force_errors import corrected_rollout
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.objectives import LinearError, Objective, Posture
 from soft_tendon_env.control.protocol import (
     FAILURES,
     ControllerInput,
@@ -80,7 +81,7 @@ class Predictive(ModelController):
         model: what the controller believes of the arm.
         limits: (n_a, 2) [N] of tensions.
         period: of control [s].
-        objective: the error to drive to zero.
+        objectives: the errors to drive to zero, one or several whose squares add up.
         tuning: weights and horizon.
     """
 
@@ -89,11 +90,11 @@ class Predictive(ModelController):
         model: Model,
         limits: Array,
         period: float,
-        objective: Objective,
+        objectives: Objective | Sequence[Objective],
         tuning: Tuning = DEFAULT,
     ) -> None:
         super().__init__(model, limits, period)
-        self.objective = objective
+        self.objectives = tuple(objectives) if isinstance(objectives, Sequence) else (objectives,)
         self.observer = tuning.observer
         self.horizon = tuning.horizon
         self._hold = tuning.hold
@@ -190,7 +191,13 @@ class Predictive(ModelController):
         gradient = gradient + unit * penalty_gradient
         least = np.tile(self.least, self.horizon) - tension
         greatest = np.tile(self.greatest, self.horizon) - tension
-        return allocate(hessian, gradient, least, greatest, multipliers)
+        rows = None
+        if now.greatest_change is not None:
+            most = np.tile(self._hold * now.greatest_change, self.horizon)
+            # of the first interval it is the first period that is asked for
+            most[: last.size] = now.greatest_change
+            rows = Rows(self._change, -most - change, most - change)
+        return allocate(hessian, gradient, least, greatest, multipliers, rows)
 
     def _predicted(self, tension: Array) -> tuple[Array | None, Array | None]:
         """Rates (n,) and internal states of effects (m,) after a period under tensions (n_a,).
@@ -237,13 +244,7 @@ class Predictive(ModelController):
         n = now.q.size
         size = gain.size
         N = self.horizon
-        aim = self.objective
-        reference = aim.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)
-        times = [k * self._interval for k in range(N + 1)]
-        error = [
-            aim.error(q, tip_pose, reference, time)
-            for q, tip_pose, time in zip(rollout.q, rollout.tip_pose, times, strict=True)
-        ]
+        linear = self._linear_errors(rollout, now)
         # change of coordinates and rates by the tensions that act, interval by interval
         change = np.zeros((2 * n, N * size))
         slopes = list[Array]()
@@ -253,13 +254,39 @@ class Predictive(ModelController):
             acting = slice(k * size, (k + 1) * size)
             change[:, earlier] = rollout.by_state[k] @ change[:, earlier]
             change[:, acting] = rollout.by_tension[k] * gain
-            jacobian = aim.jacobian(rollout.tip_jacobian[k + 1])
-            slopes.append(jacobian @ change[:n])
-            planned = self._decay ** (k + 1) * error[0]
-            remaining.append(error[k + 1] - planned)
+            slopes.append(linear[k + 1].jacobian @ change[:n])
+            planned = self._decay ** (k + 1) * linear[0].error
+            remaining.append(linear[k + 1].error - planned)
         # by the tensions that act, then by those of the plan
         by_plan, _ = self._lagged(now)
         by_acting = np.concatenate(slopes).reshape(-1, N, size)
         slope = np.einsum("ekt,kj->ejt", by_acting, by_plan).reshape(-1, N * size)
         errors = np.concatenate(remaining)
         return slope.T @ slope, -slope.T @ errors
+
+    def _linear_errors(self, rollout: Rollout, now: ControllerInput) -> list[LinearError]:
+        """Errors of all objectives where every interval begins, and where the last one ends."""
+        references = [
+            objective.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)
+            for objective in self.objectives
+        ]
+        linear = list[LinearError]()
+        for k, q in enumerate(rollout.q):
+            ahead = k * self._interval
+            errors = list[LinearError]()
+            for objective, reference in zip(self.objectives, references, strict=True):
+                posture = Posture(
+                    q=q,
+                    tip_pose=rollout.tip_pose[k],
+                    tip_jacobian=rollout.tip_jacobian[k],
+                    reference=reference,
+                    ahead=ahead,
+                    time=now.time + ahead,
+                )
+                errors.append(objective.linear_error(posture))
+            together = LinearError(
+                np.concatenate([part.error for part in errors]),
+                np.concatenate([part.jacobian for part in errors]),
+            )
+            linear.append(together)
+        return linear

@@ -81,6 +81,8 @@ class ControllerInput(NamedTuple):
     force_error: ForceError | None = None  # likewise, of the model's generalised forces
     actuators: LaggingActuators | None = None  # None: they follow at once
     timing_spread: float = 0.0  # [s] by which the arrival of commands is uncertain
+    # (n_a,) [N] by which actuators let tensions change in a period; None: by any amount
+    greatest_change: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,15 @@ class ModelController:
         self.period = period
         self.least, self.greatest = limits.T.copy()
         self._near = AT_LIMIT * (self.greatest - self.least)
+
+    def reachable(self, now: ControllerInput) -> tuple[Array, Array]:
+        """Least and greatest tensions (n_a,) [N] that actuators reach in the period that begins."""
+        if now.greatest_change is None:
+            return self.least, self.greatest
+        last = np.clip(now.tension, self.least, self.greatest)
+        least = np.maximum(self.least, last - now.greatest_change)
+        greatest = np.minimum(self.greatest, last + now.greatest_change)
+        return least, greatest
 
     def hold(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
         """The last tensions: where the model has no motion, or the task no solution."""

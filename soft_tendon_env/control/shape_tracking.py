@@ -124,5 +124,6 @@ class ShapeTracking(ShapeController):
         # within the limits, the tensions whose motion is nearest to that of these
         loose = LOOSE * np.trace(step.metric) / tension.size
         motion = step.metric + loose * np.eye(tension.size)
-        allocation = allocate(motion, -motion @ tension, self.least, self.greatest, memory)
+        least, greatest = self.reachable(now)
+        allocation = allocate(motion, -motion @ tension, least, greatest, memory)
         return self.output(allocation.x, allocation.multipliers, not allocation.solved)

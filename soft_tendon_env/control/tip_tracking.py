@@ -14,7 +14,7 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import ImplicitStep, discrete_gains, implicit_step
-from soft_tendon_env.control.objectives import Aim, Objective
+from soft_tendon_env.control.objectives import Aim, TrackedObjective
 from soft_tendon_env.control.protocol import (
     FAILURES,
     ControllerInput,
@@ -51,7 +51,7 @@ class TipTracking(ModelController):
         model: Model,
         limits: Array,
         period: float,
-        objective: Objective,
+        objective: TrackedObjective,
         *,
         settling_time: float = 0.2,
         damping: float = 1.0,
@@ -85,7 +85,8 @@ class TipTracking(ModelController):
         hessian = task.T @ task + passive
         gradient = -task.T @ missing - passive @ preferred
         multipliers = None if memory is None else memory.multipliers
-        allocation = allocate(hessian, gradient, self.least, self.greatest, multipliers)
+        least, greatest = self.reachable(now)
+        allocation = allocate(hessian, gradient, least, greatest, multipliers)
         # the integral does not wind up by what cannot be done: by what the limits refuse, and in
         # directions in which no tensions move the tip
         unlimited, *_ = np.linalg.lstsq(hessian, -gradient, rcond=None)

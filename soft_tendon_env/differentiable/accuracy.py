@@ -1,6 +1,7 @@
 """Accuracy of gradients through an arm: the adjoint beside central differences of a rollout."""
 
 import warnings
+import weakref
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,10 @@ ROWS = 4
 """Rows of an environment whose arms are tried."""
 
 
+_checked: weakref.WeakSet[Episodes] = weakref.WeakSet()
+"""Episodes of environments whose gradients were checked."""
+
+
 class GradientWarning(UserWarning):
     """Gradients of this arm differ from finite differences of its motion."""
 
@@ -56,40 +61,69 @@ class GradientAccuracy(NamedTuple):
 def check_gradients(episodes: Episodes) -> None:
     """Warn (GradientWarning) where gradients through arms of an environment are not accurate.
 
-    Commands are within the upper half of the environment's, or from 0 on: below that elastic
-    tendons hang slack.
+    Commands are within the upper half of the environment's, or from 0 on. Elastic tendons, which
+    hang slack below that, are tried over all commands too.
 
     Args:
         episodes: whose first arms, as drawn, are tried; accurate are gradients with a cosine of at
             least LEAST_COSINE.
     """
+    _checked.add(episodes)
     scale = episodes.actuation.actions
     middle = 0.5 * (scale.least + scale.greatest)
     least = np.minimum(np.maximum(scale.least, 0.0), middle)
-    change = scale.increment
-    if change is None:
-        change = CHANGE * (scale.greatest - least)
+    ranges = [least]
+    if has_elastic_tendons(episodes) and np.any(scale.least < least):
+        ranges.append(scale.least)
     reports = []
     for row in range(min(ROWS, episodes.arms.size)):
         model = episodes.arms.model_of(row)
-        report = gradient_accuracy(
-            model,
-            episodes.period,
-            least,
-            scale.greatest,
-            change,
-        )
-        reports.append(report)
+        for lowest in ranges:
+            change = scale.increment
+            if change is None:
+                change = CHANGE * (scale.greatest - lowest)
+            report = gradient_accuracy(
+                model,
+                episodes.period,
+                lowest,
+                scale.greatest,
+                change,
+            )
+            reports.append(report)
     worst = min(reports, key=_quality)
     if not worst.cosine >= LEAST_COSINE:
         warnings.warn(
             f"gradients through this arm have a cosine of {worst.cosine:.3f} with differences of"
             f" its motion, and {worst.ratio:.2f} times their length: learning by them may end at"
-            " larger errors. A shorter control_period, softer tendons or slower commands bring"
-            " them nearer; PPO and SAC need none",
+            " larger errors. A shorter control_period, softer tendons, none that hang slack or"
+            " slower commands bring them nearer; PPO and SAC need none",
             GradientWarning,
             stacklevel=3,
         )
+
+
+def check_elastic_gradients(episodes: Episodes) -> None:
+    """Warn as `check_gradients`, once for an environment, where tendons are elastic.
+
+    Stiff ones that become taut within a control period are as impacts, whose gradients differ most.
+
+    Args:
+        episodes: of the environment.
+    """
+    if has_elastic_tendons(episodes) and episodes not in _checked:
+        check_gradients(episodes)
+
+
+def has_elastic_tendons(episodes: Episodes) -> bool:
+    """Whether tendons of an environment's arms are springs.
+
+    Args:
+        episodes: of the environment.
+
+    Returns:
+        True if its scene has `effects.tendon_elasticity`.
+    """
+    return "tendon_elasticity" in episodes.model.scene.effects.chosen()
 
 
 def _quality(report: GradientAccuracy) -> tuple[bool, float]:

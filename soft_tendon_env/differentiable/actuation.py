@@ -70,6 +70,7 @@ class TensorActuation:
             _tensor(actions.least),
             _tensor(actions.greatest),
             _tensor(actions.increment),
+            _tensor(actions.greatest_change),
         )
         self.command: torch.Tensor = _tensor(actuation.command)
         self._in_transit = _tensor(actuation.in_transit)
@@ -84,8 +85,10 @@ class TensorActuation:
             Commands (rows, parts, n_a), with the errors of the actuators.
         """
         actuation = self._actuation
-        unlimited = self.scale.wanted(action, self.command)
-        self.command = inward_clip(unlimited, self.scale.least, self.scale.greatest)
+        command = self.scale.wanted(action, self.command)
+        if self.scale.greatest_change is not None:
+            command = self._at_rate(action)
+        self.command = inward_clip(command, self.scale.least, self.scale.greatest)
         if self._in_transit is None:
             acting = self.command[:, None].expand(-1, actuation.substeps, -1)
         else:
@@ -98,6 +101,19 @@ class TensorActuation:
             slack = _tensor(actuation.slack)
             acting = inward_clip(gain * acting + offset, slack, math.inf)
         return acting
+
+    def _at_rate(self, action: torch.Tensor) -> torch.Tensor:
+        """Commands (rows, n_a) that actions ask for, as far as the actuators' rate lets them."""
+        most = self.scale.greatest_change
+        before = self.command.detach()
+        asked = self.scale.wanted(action, before)
+        command = inward_clip(asked, before - most, before + most)
+        # increments, and what is cut off, go on from the command before: its gradient comes in by a
+        # difference of zero
+        goes_on = command != asked
+        if self.scale.increment is not None:
+            goes_on = torch.ones_like(goes_on)
+        return command + goes_on * (self.command - before)
 
 
 def _tensor(values: Any) -> Any:

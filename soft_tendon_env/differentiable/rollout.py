@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from gymnasium.error import ResetNeeded
 
+from soft_tendon_env.differentiable.accuracy import check_elastic_gradients
 from soft_tendon_env.differentiable.actuation import TensorActuation, inward_clip
 from soft_tendon_env.differentiable.observation import TensorObservation
 from soft_tendon_env.differentiable.period import arm_tensors, control_period
@@ -70,11 +71,16 @@ def rollout(
         ValueError: for actions of another shape or with NaN. `backward` raises what Arms.adjoint
             does, as where effects have internal states that follow the motion, or rows have been
             drawn anew.
+
+    Warns:
+        GradientWarning: once, where gradients through elastic tendons are far from differences.
     """
     episodes = episodes_of(env)
     periods = checked_count("periods", periods, 1)
     if not hasattr(episodes, "present"):
         raise ResetNeeded("rollout was called before reset")
+    if torch.is_grad_enabled():
+        check_elastic_gradients(episodes)
     arms = arm_tensors(episodes.arms)
     actuation = TensorActuation(episodes.actuation)
     action = torch.tensor(episodes.observed.action)

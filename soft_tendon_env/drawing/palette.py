@@ -72,16 +72,21 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     no lightness is left, the next free colour.
     """
     words = re.split(r"[^a-z0-9]+", policy.lower())
-    colours = [other.colour for other in taken]
-    kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
-    share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
+    kinds = [word for word in words if word in MODEL_BASED or word in LEARNED]
+    filters = [FILTERS[word] for word in words if word in FILTERS]
+    kind = kinds[0] if kinds else None
+    share = filters[0] if filters else 1.0
     marker = _marker(kind, share)
+    taken_colours = [other.colour for other in taken]
+    colours = [*OTHERS]
     if kind is not None:
-        for shade in _shades(kind, share):
-            if shade not in colours:
-                return Style(shade, marker)
-    repeated = OTHERS[len(taken) % len(OTHERS)]  # where none is free
-    return Style(next((other for other in OTHERS if other not in colours), repeated), marker)
+        colours = [*_shades(kind, share), *OTHERS]
+    for colour in colours:
+        if colour not in taken_colours:
+            return Style(colour, marker)
+    # none is free: they begin again
+    turn = len(taken) % len(OTHERS)
+    return Style(OTHERS[turn], marker)
 
 
 def styles(policies: Iterable[str]) -> dict[str, Style]:
@@ -94,10 +99,12 @@ def styles(policies: Iterable[str]) -> dict[str, Style]:
 
 def lighten(colour: RGB, share: float) -> RGB:
     """A colour of another lightness, as a share of its own."""
-    hue, lightness, saturation = colorsys.rgb_to_hls(*(value / 255 for value in colour))
+    shares = [value / 255 for value in colour]
+    hue, lightness, saturation = colorsys.rgb_to_hls(*shares)
     lighter = min(LIGHTEST, share * lightness)
-    red, green, blue = colorsys.hls_to_rgb(hue, lighter, saturation)
-    return round(255 * red), round(255 * green), round(255 * blue)
+    lighter_shares = colorsys.hls_to_rgb(hue, lighter, saturation)
+    red, green, blue = [round(255 * value) for value in lighter_shares]
+    return red, green, blue
 
 
 def _marker(kind: str | None, share: float) -> str:

@@ -74,6 +74,7 @@ class Picture(NamedTuple):
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
     time: float = 0.0  # [s] since the episode began, for what moves by itself
+    has_axes: bool = True  # whether the target's orientation is to be reached too
     # of the arm, where its numbers are not those of the renderer's model
     scene: Scene | None = None
 
@@ -123,7 +124,9 @@ class ArmRenderer:
         self._inside = []  # of every tendon, which sections it passes
         for tendon in scene.tendons:
             start, end = tendon_ends(scene, tendon)
-            self._inside.append((self._arc_length >= start) & (self._arc_length <= end))
+            is_after_start = self._arc_length >= start
+            is_before_end = self._arc_length <= end
+            self._inside.append(is_after_start & is_before_end)
         lower, upper, vertical, upright = shapes.view_box(scene)
         self._box = (lower, upper)
         self.turn = shapes.viewpoint(vertical, upright)
@@ -131,8 +134,9 @@ class ArmRenderer:
         # lines and letters grow with the frame
         dpi = 100.0 * min(width / 640, height / 480)
         rest = 0.1  # pixels are rounded down
-        size = ((width + rest) / dpi, (height + rest) / dpi)
-        figure = Figure(figsize=size, dpi=dpi, facecolor=PAPER)
+        inches_wide = (width + rest) / dpi
+        inches_high = (height + rest) / dpi
+        figure = Figure(figsize=(inches_wide, inches_high), dpi=dpi, facecolor=PAPER)
         self._canvas = FigureCanvasAgg(figure)
         axes = paint_floor(figure, scene, self.turn)
         self.artists = moving_artists(figure, axes)
@@ -184,22 +188,33 @@ class ArmRenderer:
         colour = np.concatenate([part.colour for part in pieces])
         width = np.concatenate([part.width for part in pieces])
         depth = np.concatenate([part.depth for part in pieces])
+        # a painter's order: what is nearer covers what is farther
         from_afar = np.argsort(-depth, kind="stable")
-        areas.set_verts(corners[from_afar] @ across)
+        seen = corners[from_afar] @ across
+        areas.set_verts(seen)
         areas.set_facecolor(colour[from_afar])
         areas.set_linewidth(width[from_afar])
         nothing = np.empty((0, 3))
         # the target: a curve, a point and three axes, as far as there are any
-        stations = nothing if picture.target_backbone is None else picture.target_backbone
-        backbone.set_data(*(stations @ across).T)
+        curve = nothing
+        if picture.target_backbone is not None:
+            curve = picture.target_backbone
+        x, y = (curve @ across).T
+        backbone.set_data(x, y)
         positions = nothing
         segments = []
         if picture.target_pose is not None:
-            positions = picture.target_pose[None, :3, 3]
-            directions = picture.target_pose[:3, :3].T
-            for end in positions + AXES * self._model.length * directions:
-                segments.append(np.stack([*positions, end]) @ across)
-        place.set_data(*(positions @ across).T)
+            position = picture.target_pose[:3, 3]
+            positions = position[None]
+            # a point has no axes
+            directions = picture.target_pose[:3, :3].T if picture.has_axes else nothing
+            length = AXES * self._model.length
+            for direction in directions:
+                end = position + length * direction
+                segment = np.stack([position, end])
+                segments.append(segment @ across)
+        x, y = (positions @ across).T
+        place.set_data(x, y)
         axes.set_segments([*segments, *segments])  # each lies on a wider white line
         title.set_text(picture.title)
 
@@ -225,10 +240,11 @@ class ArmRenderer:
             solid(mount, MOUNT, self.turn),
             solid(rod, TUBE, self.turn),
         ]
-        for pose, (_, _, wide, thick) in zip(discs, self._discs, strict=True):
+        for pose, disc in zip(discs, self._discs, strict=True):
+            _, _, wide, thick = disc
             half = 0.5 * thick
-            disc = cylinder(pose, -half, half, wide)
-            pieces.append(solid(disc, TUBE, self.turn))
+            corners = cylinder(pose, -half, half, wide)
+            pieces.append(solid(corners, TUBE, self.turn))
         return pieces
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
@@ -238,18 +254,20 @@ class ArmRenderer:
         """
         towards = self.turn[2]
         colours = shapes.tension_colors(self._model, tension) / 255.0
-        tube_depth = -shapes.positions(backbone[0]) @ towards
+        axis = shapes.positions(backbone[0])
+        axis_depth = -axis @ towards
         # painted after all sections around, whatever its tendons' own depth
         step = np.gradient(self._arc_length)  # by which neighbours differ in depth
-        far_side = tube_depth - 1.5 * self._radius - step
+        far_side = axis_depth - 1.5 * self._radius - step
         near_side = far_side - 0.1 * self._radius - step
         faded = FADED * DIMMED * TUBE
         curves = shapes.tendon_curves(self._model, backbone, self._arc_length)
         lines = []
-        for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
+        for samples, inside, colour in zip(curves, self._inside, colours, strict=True):
+            curve = samples[0]
             depth = -curve @ towards
-            behind_axis = middle(depth - tube_depth[inside])
-            is_behind = behind_axis > 0.0
+            behind_axis = depth - axis_depth[inside]
+            is_behind = middle(behind_axis) > 0.0
             pale = (1.0 - FADED) * colour + faded
             shade = np.where(is_behind[:, None], pale, colour)
             far = middle(far_side[inside])
@@ -271,7 +289,18 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     # areas, the target's backbone, its axes, its place: each is painted over those before it
     artists: list[Any] = [
         PolyCollection([], edgecolors="face", joinstyle="round", **shared),
-        Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared),
+        # dots with a rim: the arm that follows them stays to be seen
+        Line2D(
+            [],
+            [],
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            color=TARGET,
+            markeredgecolor=PAPER,
+            markeredgewidth=0.7,
+            **shared,
+        ),
         LineCollection(
             [],
             colors=[PAPER] * 3 + [*POSE_AXES],
@@ -311,9 +340,11 @@ def outline(segment: Segment, places: Array) -> Array:
 
     They are at arc lengths (m,) [m].
     """
-    half = 0.5 * segment.shape.hull(places, segment.length)[:2]
+    height_and_width = segment.shape.hull(places, segment.length)[:2]
+    half_sizes = 0.5 * height_and_width
     corners = segment.shape.outline(CIRCLE)
-    return (half[:, None] * corners[..., None]).reshape(CIRCLE.size, -1)
+    scaled = half_sizes[:, None] * corners[..., None]
+    return scaled.reshape(CIRCLE.size, -1)
 
 
 def cylinder(
@@ -328,8 +359,10 @@ def cylinder(
     """
     rings = np.tile(np.eye(4), (4, 1, 1))
     rings[:, 0, 3] = (start, start, end, end)
-    radii = radius * np.array([0.0, 1.0, 1.0, 0.0])  # the outer rings close its ends
-    return tube(pose @ rings, radii[:, None, None] * CIRCLE)
+    # the outer rings have no radius: they close its ends
+    radii = radius * np.array([0.0, 1.0, 1.0, 0.0])
+    outlines = radii[:, None, None] * CIRCLE
+    return tube(pose @ rings, outlines)
 
 
 def tube(poses: Array, outline: Array) -> Array:
@@ -337,20 +370,33 @@ def tube(poses: Array, outline: Array) -> Array:
 
     They lie on outlines (m, 2, AROUND) [m] at poses (m, 4, 4).
     """
-    across = poses[:, :3, 1:3] @ outline
-    rings = poses[:, None, :3, 3] + across.swapaxes(1, 2)
-    turned = np.roll(rings, -1, axis=1)
-    around = [rings[:-1], turned[:-1], turned[1:], rings[1:]]
-    return np.stack(around, axis=2).reshape(-1, 4, 3)
+    axes_across = poses[:, :3, 1:3]
+    centre = poses[:, None, :3, 3]
+    across = axes_across @ outline
+    ring = centre + across.swapaxes(1, 2)
+    turned = np.roll(ring, -1, axis=1)
+    # corners of a quadrilateral: this ring and the next, here and one corner on
+    around = [
+        ring[:-1],
+        turned[:-1],
+        turned[1:],
+        ring[1:],
+    ]
+    corners = np.stack(around, axis=2)
+    return corners.reshape(-1, 4, 3)
 
 
 def normals(corners: Array) -> Array:
     """Outward normals (n, 3) of the quadrilaterals of a tube, zero for those without area."""
     first, second, third, fourth = np.moveaxis(corners, 1, 0)
-    normal = np.cross(third - first, fourth - second)
+    # that of the two diagonals; a ring without radius leaves a triangle
+    diagonal = third - first
+    other_diagonal = fourth - second
+    normal = np.cross(diagonal, other_diagonal)
     size = np.linalg.norm(normal, axis=1)
     smallest = 1e-300  # in place of zero, by which nothing can be divided
-    return normal / np.maximum(size, smallest)[:, None]
+    divisor = np.maximum(size, smallest)
+    return normal / divisor[:, None]
 
 
 def solid(
@@ -374,12 +420,10 @@ def solid(
     mirrored = np.clip(normal @ half_way, 0.0, None)
     glossy = mirrored[:, None] ** SHININESS
     lit = AMBIENT + DIFFUSE * diffuse[:, None]
-    shade = np.clip(
-        colour * lit + GLOSSY * glossy,
-        0.0,
-        1.0,
-    )
-    depth = -seen.mean(axis=1) @ towards
+    bright = colour * lit + GLOSSY * glossy
+    shade = np.clip(bright, 0.0, 1.0)
+    centre = seen.mean(axis=1)
+    depth = -centre @ towards
     width = np.full(len(seen), SEAM)
     return Pieces(seen, shade, width, depth)
 
@@ -406,11 +450,13 @@ def trail(points: Array, turn: Array) -> list[Pieces]:
     """A line through past positions (k, 3) [m] that pales with age."""
     if len(points) < 2:
         return []
+    lines = len(points) - 1
+    # share of the paper in the colour, from the oldest to the newest
+    pale = np.linspace(PALEST, 0.0, lines)[:, None]
     paper = np.array(PAPER)
-    age = np.linspace(PALEST, 0.0, len(points) - 1)[:, None]
-    colour = age * paper + (1.0 - age) * TRAIL
-    depth = -points @ turn[2]
-    return [line(points, colour, THREAD, middle(depth))]
+    colour = pale * paper + (1.0 - pale) * TRAIL
+    depth = middle(-points @ turn[2])
+    return [line(points, colour, THREAD, depth)]
 
 
 def middle(values: Array) -> Array:
@@ -436,12 +482,14 @@ def paint_floor(
     highest = corners.max(axis=0)
     # one scale for both axes: that of the narrower one
     pixels = figure.bbox.size
-    per_pixel = np.max((highest - lowest) / (ROOM * pixels))  # [m]
+    filled_pixels = ROOM * pixels
+    per_pixel = np.max((highest - lowest) / filled_pixels)  # [m]
     half = 0.5 * per_pixel * pixels
-    middle_of_box = 0.5 * (lowest + highest)
-    middle_of_box[1] += RAISED * (1.0 - ROOM[1]) * half[1]
-    left, low = middle_of_box - half
-    right, high = middle_of_box + half
+    centre = 0.5 * (lowest + highest)
+    # the title has its room above the box
+    centre[1] += RAISED * (1.0 - ROOM[1]) * half[1]
+    left, low = centre - half
+    right, high = centre + half
     axes = figure.add_axes(
         (0.0, 0.0, 1.0, 1.0),
         xlim=(left, right),
@@ -450,15 +498,19 @@ def paint_floor(
     axes.set_axis_off()
     # lines on the floor, along both of its axes
     first, second = [axis for axis in range(3) if axis != vertical]
-    floor = (lower if upright else upper)[vertical]
+    lowest_corner = lower if upright else upper
+    floor = lowest_corner[vertical]
     spacing = GRID * rod_length(scene)
     lines = []
     for along, aside in ((first, second), (second, first)):
-        numbers = np.arange(np.ceil(lower[aside] / spacing), upper[aside] / spacing)
-        for place in numbers * spacing:
+        # lines through multiples of the spacing in the world
+        begin = np.ceil(lower[aside] / spacing)
+        end = upper[aside] / spacing
+        for number in np.arange(begin, end):
             ends = np.full((2, 3), floor)
-            ends[:, aside] = place
+            ends[:, aside] = number * spacing
             ends[:, along] = (lower[along], upper[along])
             lines.append(ends @ across)
-    axes.add_collection(LineCollection(lines, colors=[FLOOR], linewidths=0.8))
+    collection = LineCollection(lines, colors=[FLOOR], linewidths=0.8)
+    axes.add_collection(collection)
     return axes

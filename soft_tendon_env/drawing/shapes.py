@@ -14,7 +14,7 @@ from soft_tendon_env.effects.contact.obstacles import Obstacle, read_distances
 from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.coordinates import make_arm
+from soft_tendon_env.model.arm import make_arm
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
@@ -59,13 +59,16 @@ def drawing_stations(model: Model, count: int) -> Array:
     borders = model.grid.breakpoints
     length = borders[-1]
     shares = np.diff(borders) / length
+    # a piece has at least one station, its start
     pieces = np.ceil((count - 1) * shares).astype(int)
     stations = []
     start = borders[0]
     for end, piece_count in zip(borders[1:], pieces, strict=True):
-        stations.append(np.linspace(start, end, piece_count, endpoint=False))
+        piece = np.linspace(start, end, piece_count, endpoint=False)
+        stations.append(piece)
         start = end
-    return np.concatenate([*stations, [length]])
+    tip = np.array([length])
+    return np.concatenate([*stations, tip])
 
 
 def base_poses(
@@ -77,16 +80,21 @@ def base_poses(
 
     The scene's effects move it; scene: with other numbers.
     """
-    scene = scene or model.scene
+    if scene is None:
+        scene = model.scene
     poses = np.tile(scene.base.pose, (times.size, 1, 1))
     if not model.arm.effects.base.any():
         return poses
-    arm = model.arm if scene == model.scene else make_arm(scene, model.grid, model.arm.strain)
+    arm = model.arm
+    if scene != model.scene:
+        arm = make_arm(scene, model.grid, model.arm.strain)
     base = np.zeros(24)
+    rotation = base[:9].reshape(3, 3)
+    position = base[9:12]
     for pose, time in zip(poses, times, strict=True):
         place_base(arm, time, base)
-        pose[:3, :3] = base[:9].reshape(3, 3)
-        pose[:3, 3] = base[9:12]
+        pose[:3, :3] = rotation
+        pose[:3, 3] = position
     return poses
 
 
@@ -103,11 +111,15 @@ def backbones(
     base (samples, 4, 4): poses of the base, see `base_poses`; by default sections are seen from the
     base.
     """
-    places = model.grid.places(arc_length, np.empty(0))
-    out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
+    no_places = np.empty(0)
+    places = model.grid.places(arc_length, no_places)
+    packed_strain = model.grid.packed(strain)
     kinematics = make_workspace(model.arm).kinematics
-    read_backbones(model.arm, places, model.grid.packed(strain), kinematics, out)
-    return out if base is None else base[:, None] @ out
+    out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
+    read_backbones(model.arm, places, packed_strain, kinematics, out)
+    if base is None:
+        return out
+    return base[:, None] @ out
 
 
 def tendon_curves(
@@ -125,11 +137,13 @@ def tendon_curves(
         inside = (arc_length >= start) & (arc_length <= end)
         offset, _ = tendon_offset(model.scene, tendon, arc_length[inside])
         pose = backbone[:, inside]
+        # the section lies across the x axis of its pose
         y_axis = pose[..., :3, 1]
         z_axis = pose[..., :3, 2]
         along_y = y_axis * offset[:, :1]
         along_z = z_axis * offset[:, 1:]
-        curves.append(positions(pose) + along_y + along_z)
+        curve = positions(pose) + along_y + along_z
+        curves.append(curve)
     return curves
 
 
@@ -154,8 +168,10 @@ def surface(
     half_width = 0.5 * float(np.max(upper - lower))
     part = half_width * _square() @ rotation.T
     normal = rotation[:, 2]
-    height = float(normal @ (middle - position))  # of the box's middle above the plane
-    return np.asarray(part + middle - normal * height)
+    # of the box's middle above the plane
+    height = float(normal @ (middle - position))
+    below_middle = middle - normal * height
+    return np.asarray(part + below_middle)
 
 
 def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
@@ -188,8 +204,9 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
 
     It is that of the box around it, every corner moved to the nearest point of the obstacle.
     """
-    above = _square() + [0.0, 0.0, 1.0]
-    below = _square() - [0.0, 0.0, 1.0]
+    square = _square()
+    above = square + [0.0, 0.0, 1.0]
+    below = square - [0.0, 0.0, 1.0]
     seen_from_below = below[:, ::-1]
     cube = []
     for face in (above, seen_from_below):
@@ -197,21 +214,18 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
             cube.append(np.roll(face, axis, axis=-1))
     half_sizes = np.array(sizes[:3])
     edge_radius = sizes[3]
-    box = np.concatenate(cube) * (half_sizes + edge_radius)
+    edge_sizes = half_sizes + edge_radius
+    box = np.concatenate(cube) * edge_sizes
     # the obstacle's row, at rest at the origin
     motion = np.zeros(5)
     position = np.zeros(3)
+    rotation = np.eye(3).ravel()
     velocity = np.zeros(6)
-    row = np.concatenate([[kind], motion, sizes, position, np.eye(3).ravel(), velocity])
-    nearest = np.empty((1, 4 * len(box), 3))
-    distances = np.empty(nearest.shape[:2])
-    read_distances(
-        row[None],
-        box.reshape(-1, 3),
-        0.0,
-        distances,
-        nearest,
-    )
+    row = np.concatenate([[kind], motion, sizes, position, rotation, velocity])
+    points = box.reshape(-1, 3)
+    nearest = np.empty((1, len(points), 3))
+    distances = np.empty((1, len(points)))
+    read_distances(row[None], points, 0.0, distances, nearest)
     return nearest.reshape(box.shape)
 
 
@@ -232,13 +246,15 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
     hanging = np.zeros(3)
     if strength > 0.0:
         down = gravity
-        seen_from_base = gravity @ rotation
-        hanging = np.array(HANGING) * length * seen_from_base / strength
+        # in the frame of the base, where the tip of a limp arm hangs
+        direction = gravity @ rotation / strength
+        hanging = np.array(HANGING) * length * direction
     # the box in the frame of the base
     behind = np.array([-BEHIND, -ASIDE, -ASIDE])
     ahead = np.array([AHEAD, ASIDE, ASIDE])
     lower = np.minimum(behind * length, hanging)
     upper = np.maximum(ahead * length, hanging)
+    # its corners in the world
     corners = corners_of_box(lower, upper) @ rotation.T
     corners += base[:3, 3]
     vertical = int(np.argmax(np.abs(down)))
@@ -263,9 +279,14 @@ def viewpoint(
 
     `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
     """
+    sign = 1.0
+    azimuth = AZIMUTH
+    if not upright:
+        # from below, and from the other side, so that the same axis stays to the right
+        sign = -1.0
+        azimuth = 180.0 - AZIMUTH
     height = np.radians(elevation)
-    around = np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
-    sign = 1.0 if upright else -1.0
+    around = np.radians(azimuth)
     # towards the viewer, with the vertical axis last, then in its place
     level = np.cos(height)
     x = level * np.cos(around)
@@ -283,8 +304,10 @@ def mount_size(scene: Scene) -> tuple[float, float]:
     """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
     length = rod_length(scene)
     radii, _ = rod_radius(scene, np.zeros(1))
-    wide = RADIUS_OF_MOUNT * float(radii[0])
-    return BEHIND * length, max(wide, LEAST_RADIUS * length)
+    of_rod = RADIUS_OF_MOUNT * float(radii[0])
+    least = LEAST_RADIUS * length
+    depth = BEHIND * length
+    return depth, max(of_rod, least)
 
 
 def cylinders(position: Array) -> tuple[Array, Array]:
@@ -295,7 +318,8 @@ def cylinders(position: Array) -> tuple[Array, Array]:
     start = position[:, :-1]
     end = position[:, 1:]
     centre = 0.5 * (end + start)
-    return centre, rotation_from_z(end - start)
+    quaternion = rotation_from_z(end - start)
+    return centre, quaternion
 
 
 def rotation_from_z(direction: Array) -> Array:
@@ -332,16 +356,21 @@ def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
     """
     lower, upper, vertical, upright = view_box(model.scene)
     right = viewpoint(vertical, upright)[0]
+    # of the box as it is seen
     width = float(np.abs(right) @ (upper - lower))
-    x, y, z = (SPACING * number * width * right).tolist()
+    distance = SPACING * number * width
+    x, y, z = (distance * right).tolist()
     return x, y, z
 
 
 def label_place(model: Model) -> Array:
     """Place (3,) [m] of the name of an arm: behind its mount."""
     base = model.scene.base.pose
+    position = base[:3, 3]
+    along_rod = base[:3, 0]
     depth, _ = mount_size(model.scene)
-    return np.asarray(base[:3, 3] - LABEL * depth * base[:3, 0])
+    behind = LABEL * depth * along_rod
+    return np.asarray(position - behind)
 
 
 def camera(
@@ -363,7 +392,8 @@ def camera(
     middle_of_box = 0.5 * (lower + upper)
     half = 0.5 * (upper - lower) * share
     corners = corners_of_box(middle_of_box - half, middle_of_box + half)
-    points = np.stack([*corners, label_place(model)])
+    label = label_place(model)
+    points = np.stack([*corners, label])
     every_arm = np.concatenate([place + points for place in places])
     seen = every_arm @ turn.T
     lowest = seen.min(axis=0)
@@ -372,9 +402,11 @@ def camera(
     # every point is within the field of view: the nearer, the farther the camera stands back
     slope = math.tan(0.5 * FIELD_OF_VIEW)
     slopes = slope * np.array([aspect, 1.0])
-    aside = np.abs(seen - middle)[:, :2]
-    towards = (seen - middle)[:, 2:]
-    distance = (aside / slopes + towards).max()
+    from_middle = seen - middle
+    aside = np.abs(from_middle)[:, :2]
+    towards = from_middle[:, 2:]
+    needed = aside / slopes + towards
+    distance = needed.max()
     position = middle + [0.0, 0.0, distance]
     sign = 1.0 if upright else -1.0
     upward = sign * np.eye(3)[vertical]
@@ -387,7 +419,9 @@ def tension_colors(model: Model, tension: Array) -> Array:
     They go by their share of the largest that each actuator gives.
     """
     limits = np.abs([tendon.tension_limits for tendon in model.scene.tendons])
-    share = tension / limits.max(axis=1)
-    red, green, blue = PULL_COLORS.T
-    channels = [np.interp(share, PULLS, channel) for channel in (red, green, blue)]
+    largest = limits.max(axis=1)
+    share = tension / largest
+    channels = []
+    for channel in PULL_COLORS.T:
+        channels.append(np.interp(share, PULLS, channel))
     return np.stack(channels, axis=-1)

@@ -66,10 +66,12 @@ class Actuators(Effect):
         tendons = rod.tendon_length.size
         rows = 1  # what has arrived
         if self.delay:  # one on its way for every step of the delay, and one more
-            rows += math.ceil(self.delay / rod.step * (1.0 - SAME)) + 1
+            steps = self.delay / rod.step
+            rows += math.ceil(steps * (1.0 - SAME)) + 1
         table = np.zeros((rows, 1 + tendons))
         table[1:, 0] = NEVER
-        return np.concatenate([np.zeros(tendons), table.ravel()])
+        arrived = np.zeros(tendons)
+        return np.concatenate([arrived, table.ravel()])
 
 
 @register("effect", "tendon_elasticity")

@@ -250,7 +250,8 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
     numbers = effect.transmission(rod)
     for key, value in numbers.items():
         if known.get(key) is not type(value):
-            allowed = ", ".join(f"{name} ({kind.__name__})" for name, kind in known.items())
+            names = [f"{name} ({kind.__name__})" for name, kind in known.items()]
+            allowed = ", ".join(names)
             raise TypeError(
                 f"{type(effect).__name__}.transmission gives {key} = {shown(value)}: it may give"
                 f" {allowed}"
@@ -398,7 +399,8 @@ class Effects(Configuration):
             loads = effect.dead_loads()
             if loads is not None:
                 total += np.array(loads)
-        return DeadLoads(*(tuple(vector) for vector in total.tolist()))
+        vectors = [tuple(vector) for vector in total.tolist()]
+        return DeadLoads(*vectors)
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
         """These effects with their `strengths` at a random size up to their own.
@@ -409,9 +411,10 @@ class Effects(Configuration):
         for name, effect in self.chosen().items():
             table = tables[name]
             # all sizes are drawn before the directions
-            smaller = {
-                key: (1.0 - random.random()) * np.array(table[key]) for key in effect.strengths
-            }
+            smaller = {}
+            for key in effect.strengths:
+                share = 1.0 - random.random()
+                smaller[key] = share * np.array(table[key])
             for key, value in smaller.items():
                 table[key] = value
                 if value.ndim:

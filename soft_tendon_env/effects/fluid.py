@@ -81,12 +81,18 @@ class Fluid(Effect):
         half = 0.5 * self.density
         added = self.added_mass * self.density
         # a and c of the drag across, 1/3 (a v_y^2 + c v_z^2)^(3/2)
-        normal_y = (half * self.normal_drag * height) ** (2.0 / 3.0)
-        normal_z = (half * self.normal_drag * width) ** (2.0 / 3.0)
-        tangential = half * (self.tangential_drag * perimeter + self.disc_drag * faces)
-        gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
+        across = half * self.normal_drag
+        normal_y = (across * height) ** (2.0 / 3.0)
+        normal_z = (across * width) ** (2.0 / 3.0)
+        rubbed = self.tangential_drag * perimeter
+        met = self.disc_drag * faces
+        tangential = half * (rubbed + met)
+        gravity = (0.0, 0.0, 0.0)
+        if rod.effects.gravity is not None:
+            gravity = rod.effects.gravity.acceleration
+        displaced = self.density * volume
         return FluidParameters(
-            displaced=node_field((self.density * volume)[:, None]),
+            displaced=node_field(displaced[:, None]),
             added_y=node_field((added * added_y)[:, None]),
             added_z=node_field((added * added_z)[:, None]),
             normal_y=node_field(normal_y[:, None]),
@@ -109,7 +115,10 @@ class Fluid(Effect):
             raise ValueError("a fluid that streams has no potential energy")
         displaced = self.displaced_mass(arm.rod)[:, 0]
         gravity = np.array(self.parameters(arm.rod).gravity)
-        return float(displaced @ (arm.pose[:, :3, 3] @ gravity))
+        position = arm.pose[:, :3, 3]
+        # buoyancy pushes against gravity
+        along_gravity = position @ gravity
+        return float(displaced @ along_gravity)
 
 
 def _outside(rod: Discretisation) -> Array:
@@ -122,6 +131,7 @@ def _outside(rod: Discretisation) -> Array:
     def per_length(arc_length: Array) -> Array:
         width, height, perimeter, area = rod.hull(arc_length)
         no_faces = 0.0 * area
+        # of a flat plate that moves broadside on: pi / 4 of its squared width
         added_y = 0.25 * np.pi * height**2
         added_z = 0.25 * np.pi * width**2
         columns = [height, width, perimeter, no_faces, area, added_y, added_z]
@@ -132,11 +142,14 @@ def _outside(rod: Discretisation) -> Array:
         # what a disc has beyond the outline of the rod
         place, _, radius, thickness = rod.discs.T
         height, width, _, _, area, added_y, added_z = per_length(place).T
+        diameter = 2.0 * radius
         full = np.pi * radius**2
-        met_y = (2.0 * radius - height) * thickness
-        met_z = (2.0 * radius - width) * thickness
-        areas = np.stack([met_y, met_z, 0.0 * full, full - area])
-        volumes = thickness * (full - np.stack([area, added_y, added_z]))
+        met_y = (diameter - height) * thickness
+        met_z = (diameter - width) * thickness
+        no_surface = 0.0 * full
+        areas = np.stack([met_y, met_z, no_surface, full - area])
+        of_rod = np.stack([area, added_y, added_z])
+        volumes = thickness * (full - of_rod)
         slices[:4] += areas @ weights(rod, place, 2)  # of two nodes none is negative
         slices[4:] += volumes @ weights(rod, place)
     return slices
@@ -178,18 +191,24 @@ def fluid_wrench(fluid, nodes):
         across = sqrt(squared)
         drag = (tangential * x, across * drag_y, across * drag_z)
         # added mass and buoyancy
-        added = (load(fluid.added_y, at), load(fluid.added_z, at))
-        moment, force = stream_wrench(added, w, v, stream)
-        buoyancy = times(load(fluid.displaced, at), rotate_back(R, fluid.gravity))
+        added_y = load(fluid.added_y, at)
+        added_z = load(fluid.added_z, at)
+        moment, force = stream_wrench((added_y, added_z), w, v, stream)
+        down = rotate_back(R, fluid.gravity)
+        buoyancy = times(load(fluid.displaced, at), down)
         force = minus(force, plus(drag, buoyancy))
         add_to_block(nodes.wrench, pack, (moment, force))
         # -df/dv: the entries xx, yy, zy, zz of forces by velocities
         slope = 1.0 / sqrt(squared + STILL)
+        by_xx = 2.0 * tangential
+        by_yy = normal_y * across + slope * drag_y * drag_y
+        by_zy = slope * drag_z * drag_y
+        by_zz = normal_z * across + slope * drag_z * drag_z
         damping_at = pack * 21 * LANES
-        add(nodes.damping, damping_at + 9 * LANES, 2.0 * tangential)
-        add(nodes.damping, damping_at + 14 * LANES, normal_y * across + slope * drag_y * drag_y)
-        add(nodes.damping, damping_at + 19 * LANES, slope * drag_z * drag_y)
-        add(nodes.damping, damping_at + 20 * LANES, normal_z * across + slope * drag_z * drag_z)
+        add(nodes.damping, damping_at + 9 * LANES, by_xx)
+        add(nodes.damping, damping_at + 14 * LANES, by_yy)
+        add(nodes.damping, damping_at + 19 * LANES, by_zy)
+        add(nodes.damping, damping_at + 20 * LANES, by_zz)
 
 
 @kernel(inline=True)
@@ -203,19 +222,17 @@ def stream_wrench(added, w, v, stream):
     more = b - a
     v_x, v_y, v_z = v
     s_x, s_y, s_z = minus(v, stream)
-    moment = (
-        more * (v_y * v_z - s_y * s_z),
-        b * (s_x * s_z - v_x * v_z),
-        a * (v_x * v_y - s_x * s_y),
-    )
+    # v x A v - s x A s
+    about_x = more * (v_y * v_z - s_y * s_z)
+    about_y = b * (s_x * s_z - v_x * v_z)
+    about_z = a * (v_x * v_y - s_x * s_y)
+    # w x A stream - A (w x stream)
     w_x, w_y, w_z = w
     u_x, u_y, u_z = stream
-    force = (
-        b * (w_y * u_z) - a * (w_z * u_y),
-        -(more * (w_x * u_z)) - a * (w_z * u_x),
-        b * (w_y * u_x) - more * (w_x * u_y),
-    )
-    return moment, force
+    along_x = b * (w_y * u_z) - a * (w_z * u_y)
+    along_y = -(more * (w_x * u_z)) - a * (w_z * u_x)
+    along_z = b * (w_y * u_x) - more * (w_x * u_y)
+    return (about_x, about_y, about_z), (along_x, along_y, along_z)
 
 
 @kernel(inline=True)

@@ -50,7 +50,7 @@ from soft_tendon_env.mechanics.terms.transposed_kinematics import (
     add_to_block,
     index_of_node,
 )
-from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.mechanics.types import IntVector, node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.registry import register
 from soft_tendon_env.tools.types import (
@@ -106,7 +106,8 @@ def gravity_wrench(gravity, nodes):
         down = rotate_back(R, gravity.acceleration)
         weight = times(load(nodes.mass, pack * LANES), down)
         force_at = (pack * 6 + 3) * LANES
-        store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
+        others = load3(nodes.wrench, force_at)
+        store3(nodes.wrench, force_at, plus(others, weight))
 
 
 @register("effect", "tip_load")
@@ -138,11 +139,13 @@ class TipLoad(Effect):
         return np.array([*self.inertia, self.mass, self.mass, self.mass])
 
     def potential_energy(self, arm: Configured) -> float:
-        if any(self.moment) or (self.frame == "tip" and any(self.force)):
+        follows = self.frame == "tip" and any(self.force)
+        if any(self.moment) or follows:
             raise ValueError(
                 "a tip load with a moment, or one that follows the tip, has no potential energy"
             )
-        return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
+        tip = arm.pose[-1, :3, 3]
+        return -float(tip @ np.array(self.force))
 
     def dead_loads(self) -> DeadLoads | None:
         if self.frame == "tip" and self.acts:
@@ -226,14 +229,16 @@ class Disturbance(Effect):
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
         rows = []
+        furthest = rod.length * (1.0 + SAME)
         for i, push in enumerate(self.loads):
-            if push.at > rod.length * (1.0 + SAME):
+            if push.at > furthest:
                 key = ("effects", "disturbance", "loads", i, "at")
                 text = f"is {push.at:g} m: the rod has {rod.length:g} m"
                 raise ConfigurationError([Problem(key, text)])
             signal = push.signal.numbers if push.signal else ALWAYS
             rows.append([*signal, *push.moment, *push.force])
-        shares = weights(rod, [push.at for push in self.loads])
+        places = [push.at for push in self.loads]
+        shares = weights(rod, places)
         packed = [node_field(share[:, None]) for share in shares]
         return DisturbanceParameters(np.array(rows), np.array(packed))
 
@@ -248,22 +253,35 @@ def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:
     same = SAME * rod.length
     result = np.zeros((np.size(arc_length), places.size))
     for row, place in zip(result, np.ravel(arc_length), strict=True):
-        # nodes of the smooth piece that holds the place, without the empty intervals at the tip
-        after = int(np.searchsorted(rod.borders, place + same, side="right"))
-        border = min(after, rod.borders.size - 1)
-        begin = rod.borders[border - 1] - same
-        end = rod.borders[border] + same
-        inside = np.flatnonzero((places > begin) & (places < end))
-        is_new = np.append(True, np.diff(places[inside]) > same)
-        piece = inside[is_new]
+        piece = _nodes_of_piece(rod, places, place, same)
+        piece_places = places[piece]
+        last = piece_places[-1]
         # weights that are exact for powers of the distance from the place
-        order = np.argsort(np.abs(places[piece] - place), kind="stable")
+        distance = np.abs(piece_places - place)
+        order = np.argsort(distance, kind="stable")
         nearest = piece[order[:most]]
-        unit = places[piece[1]] - places[piece[0]]
-        away = (places[nearest] - min(place, places[piece[-1]])) / unit
+        unit = piece_places[1] - piece_places[0]
+        away = (places[nearest] - min(place, last)) / unit
         powers = np.arange(nearest.size)
-        row[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
+        vandermonde = away ** powers[:, None]
+        row[nearest] = np.linalg.solve(vandermonde, powers == 0)
     return result[:, 1:]
+
+
+def _nodes_of_piece(rod: Discretisation, places: Array, place: float, same: float) -> IntVector:
+    """Nodes, of those at places (nodes + 1,) [m], of the smooth piece that holds a place [m].
+
+    The empty intervals at the tip are left out. Places up to `same` [m] apart are one.
+    """
+    after = int(np.searchsorted(rod.borders, place + same, side="right"))
+    border = min(after, rod.borders.size - 1)
+    begin = rod.borders[border - 1] - same
+    end = rod.borders[border] + same
+    is_inside = (places > begin) & (places < end)
+    inside = np.flatnonzero(is_inside)
+    distances = np.diff(places[inside])
+    is_new = np.append(True, distances > same)
+    return inside[is_new]
 
 
 class DisturbanceParameters(Struct):
@@ -301,9 +319,10 @@ def disturbance_wrench(disturbance, nodes):
         for pack in range(nodes.packs):
             share = factor * load(weight, pack * LANES)
             R, _ = load_pose(nodes.pose, pack)
-            moment_here = rotate_back(R, times(share, moment))
-            force_here = rotate_back(R, times(share, force))
-            add_to_block(nodes.wrench, pack, (moment_here, force_here))
+            # in the frames of the nodes
+            moment_there = rotate_back(R, times(share, moment))
+            force_there = rotate_back(R, times(share, force))
+            add_to_block(nodes.wrench, pack, (moment_there, force_there))
 
 
 @limits_step(DisturbanceParameters)
@@ -315,12 +334,14 @@ def limit_disturbance_step(disturbance, nodes, longest):
     """
     for i in range(disturbance.loads.shape[0]):
         row = disturbance.loads[i]
-        if row[0] == SINE:
+        kind = row[0]
+        if kind == SINE:
             allow_turning(row[1], longest)
-        if row[0] == PULSE:
+        if kind == PULSE:
             for edge in (row[1], row[2]):
+                until = edge - nodes.time
                 if edge > nodes.time + EDGE:
-                    longest[0] = min(longest[0], edge - nodes.time)
+                    longest[0] = min(longest[0], until)
 
 
 @register("effect", "moving_base")
@@ -401,14 +422,19 @@ def move(motion, base: Base):
     rate_dot = -swing * omega * omega * sine
     w = times(rate, motion.axis)
     w_dot = times(rate_dot, motion.axis)
-    turn, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    turn_twist = (times(angle, motion.axis), (0.0, 0.0, 0.0))
+    turn, _ = exp_se3(turn_twist, coefficients(angle * angle))
     R = matmul(turn, R_rest)
     # r, with its rates
-    smooth = plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration))
+    drift = times(t, motion.velocity)
+    pushed = times(0.5 * t * t, motion.acceleration)
+    smooth = plus(drift, pushed)
     r = plus(r_rest, plus(smooth, times(sine, motion.amplitude)))
     smooth_dot = plus(motion.velocity, times(t, motion.acceleration))
-    r_dot = plus(smooth_dot, times(omega * cosine, motion.amplitude))
-    r_ddot = minus(motion.acceleration, times(omega * omega * sine, motion.amplitude))
+    swing_rate = omega * cosine
+    r_dot = plus(smooth_dot, times(swing_rate, motion.amplitude))
+    swing_rate_dot = omega * omega * sine
+    r_ddot = minus(motion.acceleration, times(swing_rate_dot, motion.amplitude))
     # of the point of the base that is at the world's origin
     v = minus(r_dot, cross(w, r))
     turning = minus(r_ddot, cross(w_dot, r))

@@ -74,8 +74,10 @@ def stiffening_stress(law, points):
     for block in range(2 * points.packs):
         for i in range(6):
             at = (block * 6 + i) * LANES
-            strain = load(points.strain, at) - load(points.reference, at)
+            reference = load(points.reference, at)
+            strain = load(points.strain, at) - reference
             root = load(points.root_stiffness, at)
+            # Sigma e^2 / e0^2
             slope = law.rate[i] * root * root * strain * strain
             add(points.stress, at, slope * strain)
             add(points.stiffness, at, 3.0 * slope)
@@ -119,9 +121,12 @@ class ViscoelasticMemory(Effect):
         moduli = np.array([branch.modulus for branch in self.branches])
         time = np.array([branch.relaxation_time for branch in self.branches])
         # what lasts over a substep, which is shorter than a step
-        lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)
+        is_short = rod.step > SHORT * time
+        decayed = np.exp(-0.5 * rod.step / time)
+        lasting = np.where(is_short, decayed, 1.0)
+        spring = lasting * moduli
         damper = (1.0 - lasting) * time * moduli
-        return MemoryParameters(moduli, time, lasting * moduli, damper)
+        return MemoryParameters(moduli, time, spring, damper)
 
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
@@ -130,10 +135,13 @@ class ViscoelasticMemory(Effect):
         strain = point_field(arm.strain.reshape(-1, 2, 6))
         weighted = arm.weight[:, None] * arm.stiffness
         stiffness = point_field(weighted.reshape(-1, 2, 6))
-        lag = strain - arm.state.reshape(-1, strain.size)
+        states = arm.state.reshape(-1, strain.size)
+        lag = strain - states
+        # int Sigma (e - s_k)^2 dX of each branch
+        squares = lag**2 @ stiffness
         energy = 0.0
-        for branch, squares in zip(self.branches, lag**2 @ stiffness, strict=True):
-            energy += branch.modulus * squares
+        for branch, square in zip(self.branches, squares, strict=True):
+            energy += branch.modulus * square
         return 0.5 * float(energy)
 
 
@@ -174,18 +182,23 @@ def remembered_stress(memory, points):
     h = points.since
     for k in range(memory.time.size):
         kept, changed, rated = lag_weights(h / memory.time[k])
+        modulus = memory.modulus[k]
+        spring = memory.spring[k]
+        damper = memory.damper[k]
         for at in range(0, per_branch, LANES):
             state_at = k * per_branch + at
-            strain = load(points.strain, at) - load(points.reference, at)
+            reference = load(points.reference, at)
+            whole = load(points.strain, at)
+            strain = whole - reference
             lag = strain - load(points.state, state_at)  # e - s_k, before the time h
             if h > 0.0:
-                change = load(points.strain, at) - load(points.before, at)
+                change = whole - load(points.before, at)
                 lag = kept * (lag - change) + changed * change
                 if h < math.inf:
                     lag = lag + (rated * h) * load(points.rate, at)
                 store(points.state, state_at, strain - lag)
             root = load(points.root_stiffness, at)
             stiffness = root * root
-            add(points.stress, at, memory.modulus[k] * stiffness * lag)
-            add(points.stiffness, at, memory.spring[k] * stiffness)
-            add(points.damping, at, memory.damper[k] * stiffness)
+            add(points.stress, at, modulus * stiffness * lag)
+            add(points.stiffness, at, spring * stiffness)
+            add(points.damping, at, damper * stiffness)

@@ -23,12 +23,15 @@ class ActionScale:
     """Action scaling of [-1, 1], to commands between limits or to changes of commands.
 
     Changes are of at most `increment` (n_a,), if there is one. Commands are tensions [N], or what
-    the scene's effects make of them, as the displacements [m] of elastic tendons' actuators.
+    the scene's effects make of them, as the displacements [m] of elastic tendons' actuators. The
+    actuators let them change by at most `greatest_change` (n_a,) in a period, whatever is asked
+    for; None: by any amount.
     """
 
     least: Array
     greatest: Array
     increment: Array | None
+    greatest_change: Array | None = None
 
     @cached_property
     def _reach(self) -> Array:
@@ -50,7 +53,7 @@ class ActionScale:
         return before + self.increment * action
 
     def command(self, action: Array, before: Array) -> Array:
-        """Commands that actions ask for, within the limits.
+        """Commands that actions ask for, within the limits and the rate.
 
         Args:
             action: (..., n_a) in [-1, 1].
@@ -59,8 +62,11 @@ class ActionScale:
         Returns:
             Commands (..., n_a).
         """
-        unlimited = self.wanted(action, before)
-        return np.asarray(np.minimum(np.maximum(unlimited, self.least), self.greatest))
+        command = self.wanted(action, before)
+        if self.greatest_change is not None:
+            above = np.maximum(command, before - self.greatest_change)
+            command = np.minimum(above, before + self.greatest_change)
+        return np.asarray(np.minimum(np.maximum(command, self.least), self.greatest))
 
     def action(self, command: Array, before: Array) -> Array:
         """Actions that ask for a command, or come as near to it as actions can.
@@ -121,7 +127,10 @@ class Actuation:
         increment = None
         if options.action == "increment":
             increment = share * (options.tension_rate * period)
-        self.actions = ActionScale(least, greatest, increment)
+        greatest_change = None
+        if options.rate_limit is not None:
+            greatest_change = share * (options.rate_limit * period)
+        self.actions = ActionScale(least, greatest, increment, greatest_change)
         self.substeps = substeps
         self.slack = np.minimum(least, 0.0)
         self._share = share

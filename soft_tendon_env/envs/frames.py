@@ -102,4 +102,5 @@ class RowRenderer:
             title="   ".join(title),
             time=float(episodes.arms.rows.clock[row, 0]),
             scene=episodes.arms.model_of(row).scene,
+            has_axes=episodes.task.goal is None,
         )

@@ -101,6 +101,9 @@ def _quantities(options: Options, arm: ArmScales) -> Iterator[OptionQuantity]:
         yield OptionQuantity("tension offset", "randomize.tension_offset", offset, share)
         share = options.tension_rate / arm.pull
         yield OptionQuantity("tension rate", "tension_rate", options.tension_rate, share)
+        if options.rate_limit is not None:
+            share = options.rate_limit / arm.pull
+            yield OptionQuantity("tension rate", "rate_limit", options.rate_limit, share)
     threshold = options.threshold or 0.0
     yield OptionQuantity("threshold", "threshold", threshold, threshold / arm.length)
     speed = options.tip_speed_limit or 0.0

@@ -122,8 +122,11 @@ class Options(Configuration):
         action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times
             the control period, 2 N by default, from those asked for before; "tension" maps it to
             the tension limits.
-        tension_rate: largest rate of change [N/s] of actions that are increments. Actions that are
-            tensions may jump.
+        tension_rate: largest rate of change [N/s] of actions that are increments.
+        rate_limit: largest rate of change [N/s] that the actuators let commands have, whatever
+            policy asks for them; None sets no limit, so that actions that are tensions may jump.
+            A command that is asked for goes as far towards it in a control period as the limit
+            lets it. With `effects.actuators.rate_limit` actuators also need time within a period.
         target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or
             another of TARGETS), a table with that `type` and its settings, or a target object. None
             takes the task's default.
@@ -156,6 +159,7 @@ class Options(Configuration):
     tension_limits: TensionLimits | None = None
     action: Literal["increment", "tension"] = "increment"
     tension_rate: Positive = 100.0
+    rate_limit: Positive | None = None
     target: NamedTarget | None = None
     difficulty: Difficulty | None = None
     observation: str | tuple[str, ...] = "full"

@@ -15,7 +15,7 @@ from soft_tendon_env.envs.options import groups_of
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
-from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop, trained_alike
+from soft_tendon_env.evaluation.entrants import agents_of, trained_alike
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import (
     RegimeNames,
@@ -25,7 +25,12 @@ from soft_tendon_env.evaluation.settings import (
     episode_steps,
 )
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
-from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
+from soft_tendon_env.evaluation.tables import (
+    NUMBERS_LEGEND,
+    number,
+    number_tables,
+    record_table,
+)
 from soft_tendon_env.policies.agent import IN_REPOSITORY, INTERFACE, lacks_seeds
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -37,6 +42,14 @@ PLANT = "fine"
 """Fidelity of the arm that the benchmark is played on."""
 TARGET = {"target": "random", "difficulty": "medium"}
 """Options of the target that all follow, but in the settings "easy" and "hard"."""
+SIDES_LEGEND = (
+    "- **Ahead, behind**: the 95 % interval of the paired difference leaves out zero. **Not"
+    " separated**: it does not. The best of both kinds are chosen by the same episodes."
+)
+TOLD_LEGEND = (
+    "- **Told**: the controller's model has the effects of the setting, in the middle of their"
+    " ranges."
+)
 
 
 class BenchmarkPolicy(Configuration):
@@ -94,6 +107,9 @@ class Benchmark(Workers):
             the number cannot be divided.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
+        rate_limit: rate [N/s] at which the actuators let commands change at most, the same for all
+            entrants; None: no limit, so that agents are held by their increments alone and
+            controllers by nothing.
     """
 
     task: TaskName = "TipPose"
@@ -104,6 +120,14 @@ class Benchmark(Workers):
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
+    rate_limit: Positive | None = None
+
+    @property
+    def actuators(self) -> str:
+        """Sentence on the rate limit that all entrants have."""
+        if self.rate_limit is None:
+            return "Commands have no rate limit: agents are held by their own increments alone."
+        return f"Commands of all entrants change by at most {self.rate_limit:g} N/s."
 
     @model_validator(mode="after")
     def _fits(self) -> "Benchmark":
@@ -165,6 +189,7 @@ class Benchmark(Workers):
                     **TARGET,
                     "scene": self.scene,
                     "fidelity": PLANT,
+                    "rate_limit": self.rate_limit,
                     "randomize": {"noise": dict(REGIMES[regime].noise)},
                 }
                 for setting in self.settings:
@@ -251,39 +276,68 @@ def standings_by_regime(
 
 
 def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -> str:
-    """Tables per regime: errors by policy and setting, gaps, and who is ahead.
+    """Definitions, and tables per regime: errors, return, bad episodes, gaps and who is ahead.
 
     A gap is that of the best learned policy to the best controller.
     """
     played = {name for standings in by_regime.values() for name, _ in standings}
-    models = dict[str, str]()
-    learned = set[str]()
+    others = set[str]()
+    kind = "learned policy"
+    is_told = False
     for entrant in benchmark.entrants:
-        if entrant.name in played:
-            policy = next(iter(entrant.members(benchmark.task).values()))
-            models[entrant.name] = model_in_the_loop(policy, entrant.told)
-            if not isinstance(policy, Controller):
-                learned.add(entrant.name)
-    texts = list[str]()
-    # by how much the best learned policy differs, in every error and in the return
+        if entrant.name not in played:
+            continue
+        policy = next(iter(entrant.members(benchmark.task).values()))
+        is_told = is_told or entrant.told
+        if not isinstance(policy, Controller):
+            others.add(entrant.name)
+            if not isinstance(policy, Agent):
+                kind = "other policy"  # nobody knows whether a policy of a user's has learned
+    definitions = [NUMBERS_LEGEND, SIDES_LEGEND]
+    if is_told:
+        definitions.append(TOLD_LEGEND)
+    texts = ["\n".join(definitions)]
     for regime, standings in by_regime.items():
-        first = next(iter(standings.values()))
-        apart = dict[str, dict[str, Mean]]()
-        for name in first.episodes[0].errors:
-            label = error_unit(name).label.removesuffix(" error")
-            apart[label] = gaps(standings, learned, f"{name}_rms")
-        apart["return"] = gaps(standings, learned, "return")
-        factor = error_unit(first.error).factor
-        # the table has the task's first error alone
-        row = {"": "best learned minus best controller"}
-        for setting, mean in next(iter(apart.values())).items():
-            value, low, high = (number(factor * value) for value in mean)
-            row[setting] = f"{value} ({low} to {high})"
-        below = [row] if len(row) > 1 else []
-        description = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
-        table = error_table(standings, models, below)
-        texts.append(f"### {regime}\n\n{description}\n\n{table}")
-    return "\n\n".join([*texts, ERRORS_LEGEND])
+        texts.append(_regime_text(regime, standings, others, kind))
+    return "\n\n".join(texts)
+
+
+def _regime_text(regime: str, standings: Standings, others: set[str], kind: str) -> str:
+    """Heading, verdict and tables of a regime.
+
+    others: names of the policies that are no controllers; kind: what these are.
+    """
+    first = next(iter(standings.values()))
+    by_label = dict[str, Mapping[str, Mean]]()
+    columns = dict[str, dict[str, str]]()
+    for name in first.episodes[0].errors:
+        unit = error_unit(name)
+        of_error = gaps(standings, others, f"{name}_rms")
+        by_label[unit.label.removesuffix(" error")] = of_error
+        columns[unit.heading] = _gap_cells(of_error, unit.factor)
+    by_label["return"] = gaps(standings, others, "return")
+    columns["loss of return"] = _gap_cells(by_label["return"], 1.0)
+
+    description = REGIMES[regime].description.capitalize()
+    parts = [f"### {REGIMES[regime].title}"]
+    parts.append(f"`{regime}`: {description}.{verdict(by_label, kind)}")
+    parts += number_tables(standings)
+    rows = []
+    for setting in by_label["return"]:
+        row = {f"best {kind} minus best controller": setting}
+        rows.append(row | {heading: cells[setting] for heading, cells in columns.items()})
+    if rows:
+        parts.append(record_table(rows))
+    return "\n\n".join(parts)
+
+
+def _gap_cells(by_setting: Mapping[str, Mean], factor: float) -> dict[str, str]:
+    """Gaps times a factor, with their intervals, by setting."""
+    cells = dict[str, str]()
+    for setting, mean in by_setting.items():
+        value, low, high = (number(factor * end) for end in mean)
+        cells[setting] = f"{value} ({low} to {high})"
+    return cells
 
 
 def gaps(
@@ -322,10 +376,11 @@ def _least(
     return standings[int(np.argsort(means, kind="stable")[0])]
 
 
-def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
+def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy") -> str:
     """Sentences that say, by every label, on which side of zero its gap lies.
 
-    They stand where the interval leaves out zero; there are none without gaps.
+    They stand where the interval leaves out zero; there are none without gaps. kind: of policies
+    that are compared with controllers.
     """
     texts = list[str]()
     for label, gap in apart.items():
@@ -340,7 +395,7 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
             texts.append(f" By {label}: {'; '.join(parts)}.")
     if not texts:
         return ""
-    return "".join([" The best learned policy against the best controller.", *texts])
+    return "".join([f" The best {kind} against the best controller.", *texts])
 
 
 def _side(gap: Mean) -> str:

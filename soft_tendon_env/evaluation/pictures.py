@@ -1,5 +1,6 @@
 """Pictures of evaluations: errors of policies by condition."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -18,25 +20,45 @@ from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.summaries import Standings
 
 DOTS = 130  # pixels of an inch
-SPREAD = 0.7  # part of a condition's width over which its policies are spread
+WIDTH = 5.5  # [in], of a telephone's screen at twice its letters
+ROW = 0.62  # [in], height of a condition
+AROUND = 0.9  # [in], height of a panel's title and axis
+LEGEND_COLUMNS = 2
+LEGEND_LINE = 0.3  # [in]
+SPREAD = 0.7  # part of a condition's height over which its policies are spread
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
     """Draws interquartile means of the first error with their intervals.
 
-    They are by title of a panel, policy and condition. Raises OSError.
+    They are by title of a panel, policy and condition. The picture is narrow, so that a telephone
+    shows it in letters that one reads. Raises OSError.
     """
+    looks = styles(dict.fromkeys(policy for panel in panels.values() for policy, _ in panel))
+    heights = [ROW * len({condition for _, condition in panel}) for panel in panels.values()]
+    legend = LEGEND_LINE * math.ceil(len(looks) / LEGEND_COLUMNS)
     figure, columns = plt.subplots(
         len(panels),
         1,
-        figsize=(12, 1.0 + 3.6 * len(panels)),
+        figsize=(WIDTH, sum(heights) + AROUND * len(panels) + legend),
+        height_ratios=heights,
         constrained_layout=True,
         squeeze=False,
     )
-    looks = styles(dict.fromkeys(policy for panel in panels.values() for policy, _ in panel))
     for axes, (title, panel) in zip(columns[:, 0], panels.items(), strict=True):
         _draw_panel(axes, panel, looks)
         axes.set_title(title)
+    handles = dict[str, Artist]()
+    for axes in columns[:, 0]:
+        lines, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, lines, strict=True))
+    figure.legend(
+        handles.values(),
+        handles.keys(),
+        loc="outside upper center",
+        ncols=LEGEND_COLUMNS,
+        frameon=False,
+    )
     save_figure(figure, path)
 
 
@@ -45,7 +67,7 @@ def _draw_panel(
     panel: Standings,
     looks: Mapping[str, Style],
 ) -> None:
-    """Draw means and intervals by policy, side by side for each condition."""
+    """Draw means and intervals by policy, one below the other for each condition."""
     policies = list(dict.fromkeys(policy for policy, _ in panel))
     conditions = list(dict.fromkeys(condition for _, condition in panel))
     unit = error_unit(next(iter(panel.values())).error)
@@ -61,27 +83,26 @@ def _draw_panel(
                 means.append(standing.mean(f"{standing.error}_rms"))
         value, low, high = unit.factor * np.array(means).T
         aside = (index + 0.5) / len(policies) - 0.5
-        x = np.array(places) + SPREAD * aside
+        y = np.array(places) + SPREAD * aside
         axes.plot(
-            x,
             value,
+            y,
             look.marker,
             color=look.rgb,
             markersize=5,
             label="/".join(Path(policy).parts[-2:]),
         )
-        axes.vlines(x, low, high, color=look.rgb, linewidth=1.5)
+        axes.hlines(y, low, high, color=look.rgb, linewidth=1.5)
     # lines between the conditions
     for border in range(len(conditions) - 1):
-        axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
-    set_log_scale(axes, axes.yaxis)
-    axes.set_xticks(range(len(conditions)), conditions, rotation=20)
+        axes.axhline(border + 0.5, color="0.85", linewidth=0.8)
+    set_log_scale(axes, axes.xaxis)
+    axes.set_yticks(range(len(conditions)), conditions)
     axes.set(
-        ylabel=f"{unit.heading} RMS,\ninterquartile mean of episodes",
-        xlim=(-0.5, len(conditions) - 0.5),
+        xlabel=f"{unit.heading} RMS, interquartile mean",
+        ylim=(len(conditions) - 0.5, -0.5),
     )
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    axes.grid(axis="x", alpha=0.3)
 
 
 def save_figure(figure: Figure, path: Path) -> None:

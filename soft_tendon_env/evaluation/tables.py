@@ -5,7 +5,7 @@ Millimetres, degrees and milliseconds where people read them, SI in CSV.
 
 import csv
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,13 @@ ERRORS_LEGEND = (
     "Root mean squares of episodes: interquartile mean / mean, and the share of bad episodes where"
     f" there are any. A bad episode diverged, or has more than {100 * BAD:g} % of the rod's length."
 )
+NUMBERS_LEGEND = (
+    "- **A (B)**: interquartile mean and mean over episodes; errors are root mean squares.\n"
+    f"- **Bad**: the episode diverged, or is off by more than {100 * BAD:g} % of the rod's"
+    " length."
+)
+NARROW_DIGITS = 2
+"""Digits in tables that fit the text's width with seven policies; the CSV file has more."""
 STATISTICS = ("", "_low", "_high", "_mean", f"_percentile_{HIGH}")
 """Endings of columns: interquartile mean, its interval, mean and percentile."""
 
@@ -33,6 +40,11 @@ def number(value: float | None, digits: int = 3) -> str:
     if abs(value) >= 10.0**digits - 0.5:  # all digits are before the point
         return f"{value:.0f}"
     return f"{value:#.{digits}g}".removesuffix(".")
+
+
+def measured_number(value: float) -> str:
+    """A measured error to some digits; "-" where there was no motion to measure it on."""
+    return number(value if math.isfinite(value) else None)
 
 
 def with_seeds(name: str, count: int | None) -> str:
@@ -89,37 +101,73 @@ def error_text(standing: Standing) -> str:
     return f"{text}, {100 * bad:.0f} % bad" if bad else text
 
 
-def error_table(
-    standings: Standings,
-    models: Mapping[str, str] | None = None,
-    more: Sequence[Mapping[str, str]] = (),
-) -> str:
+def error_table(standings: Standings) -> str:
     """Table of the task's first error by policy (rows) and condition (columns).
 
-    It has "-" where a policy did not play.
-
-    models: a column, see `summary_table`. more: rows below by condition, whose first cells are
-    those of "".
+    Cells are those of ERRORS_LEGEND, "-" where a policy did not play.
     """
     conditions = list(dict.fromkeys(condition for _, condition in standings))
     first = next(iter(standings.values()))
     heading = f"{error_unit(first.error).heading} RMS"
     rows = dict[str, dict[str, str]]()
     for (policy, condition), standing in standings.items():
-        if policy not in rows:
-            members = len(standing.scores)
-            row = {heading: with_seeds(policy, members if members > 1 else None)}
-            if models:
-                row[MODEL] = models[policy]
-            rows[policy] = row | dict.fromkeys(conditions, "-")
-        rows[policy][condition] = error_text(standing)
-    below = []
-    for cells in more:
-        row = {heading: cells[""]}
-        for condition in conditions:
-            row[condition] = cells.get(condition, "-")
-        below.append(row)
-    return record_table([*rows.values(), *below])
+        row = {heading: _name_with_seeds(policy, standing)} | dict.fromkeys(conditions, "-")
+        rows.setdefault(policy, row)[condition] = error_text(standing)
+    return record_table([*rows.values()])
+
+
+def number_tables(standings: Standings) -> list[str]:
+    """Narrow tables by condition (rows) and policy (columns), see NUMBERS_LEGEND.
+
+    There is one for each of the task's errors, one for the return, one for the bad episodes.
+    """
+    first = next(iter(standings.values()))
+    tables = []
+    for name in first.episodes[0].errors:
+        unit = error_unit(name)
+        text = _mean_text(f"{name}_rms", unit.factor)
+        tables.append(_narrow_table(f"{unit.heading} RMS", standings, text))
+    tables.append(_narrow_table("return", standings, _mean_text("return", 1.0)))
+    tables.append(_narrow_table("bad episodes [%]", standings, _bad_text))
+    return tables
+
+
+def _narrow_table(
+    heading: str,
+    standings: Standings,
+    text: Callable[[Standing], str],
+) -> str:
+    """Table by condition (rows) and policy (columns), "-" where a policy did not play.
+
+    heading: of the first column; text: of a cell.
+    """
+    rows = dict[str, dict[str, str]]()
+    for (policy, condition), standing in standings.items():
+        row = rows.setdefault(condition, {heading: condition})
+        row[_name_with_seeds(policy, standing)] = text(standing)
+    return record_table([*rows.values()])
+
+
+def _name_with_seeds(policy: str, standing: Standing) -> str:
+    """A policy's name, with the number of its seeds where there are several."""
+    members = len(standing.scores)
+    return with_seeds(policy, members if members > 1 else None)
+
+
+def _mean_text(key: str, factor: float) -> Callable[[Standing], str]:
+    """Text of a cell: the interquartile mean of a number of episodes times a factor, (the mean)."""
+
+    def text(standing: Standing) -> str:
+        mean, _ = tails(standing.values(key))
+        interquartile = number(factor * standing.mean(key).value, NARROW_DIGITS)
+        return f"{interquartile} ({number(factor * mean, NARROW_DIGITS)})"
+
+    return text
+
+
+def _bad_text(standing: Standing) -> str:
+    """Share of bad episodes in percent."""
+    return f"{100 * np.mean([score.bad for score in standing.episodes]):.0f}"
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:

@@ -102,37 +102,55 @@ def pose_logarithm(pose: Tensor, target: Tensor) -> Tensor:
     rotation = pose[:3, :3]
     target_rotation = target[:, :3, :3]
     # R^T R_bar as a sum: not all runtimes have products of transposed doubles
-    products = rotation[None, :, :, None] * target_rotation[:, :, None]
-    turn = products.sum(1)
-    away = target[:, :3, 3] - pose[:3, 3]
-    translation = away @ rotation
+    rows = rotation[None, :, :, None]
+    columns = target_rotation[:, :, None]
+    turn = (rows * columns).sum(1)
+    position = pose[:3, 3]
+    target_position = target[:, :3, 3]
+    translation = (target_position - position) @ rotation
     # cosine of half the angle, and its sine times the axis
-    cosine, axis = _quaternion(turn).split([1, 3], dim=1)
-    squares = axis * axis
-    sine = squares.sum(1, keepdim=True).sqrt()
+    quaternion = _quaternion(turn)
+    cosine = quaternion[:, :1]
+    axis = quaternion[:, 1:]
+    sine = _length(axis)
     half = _half_angle(sine, cosine)
-    # the rotation vector, by its limit at zero
+    # rotation vector: the axis times angle / sine, by its limit 2 at zero
     is_small = sine < SMALL
     safe_sine = sine.clamp(min=SMALL)
-    stretch = torch.where(is_small, 2.0, 2.0 * half / safe_sine)
+    quotient = 2.0 * half / safe_sine
+    stretch = torch.where(is_small, 2.0, quotient)
     vector = axis * stretch
-    # factor of the square in the inverse of the Jacobian: (1 - x cot x) / (4 x^2), x half the angle
-    numerator = 1.0 - half * cosine / safe_sine
+    # factor of the square in the inverse of the Jacobian: (1 - x cot x) / (4 x^2), x half the
+    # angle, by its limit 1 / 12 at zero
+    cotangent = cosine / safe_sine
+    numerator = 1.0 - half * cotangent
     square = 4.0 * half * half
     denominator = square.clamp(min=SMALL**2)
-    factor = torch.where(is_small, 1.0 / 12.0, numerator / denominator)
+    quotient = numerator / denominator
+    factor = torch.where(is_small, 1.0 / 12.0, quotient)
+    # inverse of the Jacobian times the translation
     once = torch.linalg.cross(vector, translation)
     twice = torch.linalg.cross(vector, once)
     linear = translation - 0.5 * once + factor * twice
     return torch.cat([vector, linear], dim=1)
 
 
+def _length(vectors: Tensor) -> Tensor:
+    """Lengths (m, 1) of vectors (m, n)."""
+    squares = vectors * vectors
+    return squares.sum(1, keepdim=True).sqrt()
+
+
 def _half_angle(sine: Tensor, cosine: Tensor) -> Tensor:
     """Angles (m, 1) in [0, pi/2] by their sines and cosines, in double precision."""
-    tangent = sine / cosine.clamp(min=TINY)
+    safe_cosine = cosine.clamp(min=TINY)
+    tangent = sine / safe_cosine
     # runtimes have no atan of doubles: a step of Newton's adds the digits
-    half = torch.atan(tangent.float()).double()
-    return half + sine * torch.sin(half + 0.5 * math.pi) - cosine * torch.sin(half)
+    rough = torch.atan(tangent.float()).double()
+    # a sine for the cosine, which some do not have for doubles either
+    rough_cosine = torch.sin(rough + 0.5 * math.pi)
+    rough_sine = torch.sin(rough)
+    return rough + sine * rough_cosine - cosine * rough_sine
 
 
 def _quaternion(rotation: Tensor) -> Tensor:
@@ -140,34 +158,39 @@ def _quaternion(rotation: Tensor) -> Tensor:
 
     They are the longest column of 4 q q^T, which is linear in the matrix.
     """
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation.flatten(1).unbind(1)
+    entries = rotation.flatten(1)
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = entries.unbind(1)
     trace = xx + yy + zz
     rest = 1.0 - trace
+    # 4 times the squares
+    w_w = 1.0 + trace
+    x_x = xx + xx + rest
+    y_y = yy + yy + rest
+    z_z = zz + zz + rest
     # 4 w times the vector part
-    wx = zy - yz
-    wy = xz - zx
-    wz = yx - xy
+    w_x = zy - yz
+    w_y = xz - zx
+    w_z = yx - xy
     # 4 times the products of the vector part
     x_y = xy + yx
     x_z = xz + zx
     y_z = yz + zy
     columns = [
-        torch.stack([1.0 + trace, wx, wy, wz], dim=1),
-        torch.stack([wx, xx + xx + rest, x_y, x_z], dim=1),
-        torch.stack([wy, x_y, yy + yy + rest, y_z], dim=1),
-        torch.stack([wz, x_z, y_z, zz + zz + rest], dim=1),
+        torch.stack([w_w, w_x, w_y, w_z], dim=1),
+        torch.stack([w_x, x_x, x_y, x_z], dim=1),
+        torch.stack([w_y, x_y, y_y, y_z], dim=1),
+        torch.stack([w_z, x_z, y_z, z_z], dim=1),
     ]
     products = torch.stack(columns, dim=2)
-    diagonal = products.flatten(1)[:, ::5]
+    diagonal = torch.stack([w_w, x_x, y_y, z_z], dim=1)
     # a product with a unit vector takes a column in all runtimes
     units = torch.eye(4, dtype=rotation.dtype)
-    longest = units[diagonal.argmax(1)]
+    largest = diagonal.argmax(1)
+    longest = units[largest]
     column = (products * longest[:, None]).sum(2)
-    first = column[:, :1]
-    sign = torch.where(first < 0.0, -1.0, 1.0)
-    squares = column * column
-    length = squares.sum(1, keepdim=True).sqrt()
-    return sign * column / length
+    w = column[:, :1]
+    sign = torch.where(w < 0.0, -1.0, 1.0)
+    return sign * column / _length(column)
 
 
 class _ArmTensors(NamedTuple):
@@ -202,8 +225,10 @@ class _TensorNormalisation:
     def __call__(self, parts: Parts) -> Parts:
         seen = dict(parts)
         for key, (mean, deviation) in self._moments.items():
-            scaled = (parts[key] - mean) / deviation
-            seen[key] = scaled.clamp(-self._clip, self._clip).float()
+            away = parts[key] - mean
+            scaled = away / deviation
+            clipped = scaled.clamp(-self._clip, self._clip)
+            seen[key] = clipped.float()
         return seen
 
 
@@ -213,14 +238,16 @@ class _TensorIntegral:
     def __init__(self, integral: IntegralPolicy, episodes: Episodes) -> None:
         self._share = integral.share
         if episodes.task.goal:
-            way = np.eye(3) / integral.goal_unit
-            shift = integral.goal_unit * np.eye(3)
+            unit = integral.goal_unit
+            way = np.eye(3) / unit
+            shift = unit * np.eye(3)
         else:
             # the maps are linear, so that rows of the identity give their matrices
             entries = episodes.layout.space.shape[0]
             way = integral.way_to_target(np.eye(entries))
             ways = way.shape[1]
-            shift = integral.move_target(np.zeros((ways, entries)), np.eye(ways))
+            nothing = np.zeros((ways, entries))
+            shift = integral.move_target(nothing, np.eye(ways))
         # (entries, ways) and (ways, entries): from an observation to the way that is integrated,
         # and from the integral to what moves
         self._way, self._shift = as_tensors(way, shift)
@@ -229,15 +256,18 @@ class _TensorIntegral:
     def __call__(self, parts: Parts, integral: Tensor) -> tuple[Parts, Tensor]:
         """Parts of an observation with their target moved, and the next integral (1, ways)."""
         key = BOX if BOX in parts else "desired_goal"
+        target = parts[key]
         start = parts.get("achieved_goal", 0.0)
-        observed_way = parts[key] - start
-        way = observed_way.double() @ self._way
+        observed_way = (target - start).double()
+        way = observed_way @ self._way
         largest = way.abs().amax(1, keepdim=True)
+        # far from the target the integral rests, so that it does not wind up
         is_near = largest <= NEAR
-        grown = self._share * torch.where(is_near, way, 0.0)
-        total = (integral + grown).clamp(-MOST, MOST)
+        near_way = torch.where(is_near, way, 0.0)
+        grown = integral + self._share * near_way
+        total = grown.clamp(-MOST, MOST)
         shift = total @ self._shift
-        moved = parts[key].double() + shift
+        moved = target.double() + shift
         return {**parts, key: moved.float()}, total
 
 
@@ -261,12 +291,13 @@ class _ControlPeriod(torch.nn.Module):
         self.integral: _TensorIntegral | None = None
         if integral is not None:
             self.integral = _TensorIntegral(integral, episodes)
-        starts = (episodes.start_command, episodes.actuation.start_action)
-        self._start_command, self._start_action = as_tensors(*starts)
+        self._start_command, self._start_action = as_tensors(
+            episodes.start_command, episodes.actuation.start_action
+        )
         measured = measurements(episodes)
         tensors = as_tensors(*measured.values())
-        states = self._first_states()
         self.inputs = dict(zip(measured, tensors, strict=True))
+        states = self._first_states()
         for name, value in states.items():
             self.inputs[name] = value.double()
         # inputs that the agent reads, of which measurements are looked at for a lost sensor; none
@@ -285,7 +316,8 @@ class _ControlPeriod(torch.nn.Module):
         }
         if self.episodes.history is not None:
             periods = self.episodes.options.history
-            states["history"] = torch.zeros(periods, self.episodes.layout.kept.size)
+            entries = self.episodes.layout.kept.size
+            states["history"] = torch.zeros(periods, entries)
         if self.integral is not None:
             states["integral"] = self.integral.start
         if self.network.memory:
@@ -307,9 +339,11 @@ class _ControlPeriod(torch.nn.Module):
             parts = self.normalise(parts)
         mean, memory = self._network(parts, rows)
         action = mean.clamp(-1.0, 1.0).double()
-        unlimited = self.scale.wanted(action, command)
-        above = torch.maximum(unlimited, self.scale.least)
-        sent = torch.minimum(above, self.scale.greatest)
+        sent = self.scale.wanted(action, command)
+        most = self.scale.greatest_change
+        if most is not None:
+            sent = torch.minimum(torch.maximum(sent, command - most), command + most)
+        sent = torch.minimum(torch.maximum(sent, self.scale.least), self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
         states = {
             "started": started,
@@ -323,7 +357,12 @@ class _ControlPeriod(torch.nn.Module):
         results: dict[str, Tensor | None] = {"action": 1.0 * action, **states}
         if self.read:
             held_action = self._held_action(command, last_action)
-            before = {**rows, "command": command, "last_action": held_action, "action": held_action}
+            before = {
+                **rows,
+                "command": command,
+                "last_action": held_action,
+                "action": held_action,
+            }
             is_lost = self._is_lost(rows)
             for name, value in results.items():
                 if value is not None:
@@ -336,7 +375,10 @@ class _ControlPeriod(torch.nn.Module):
             return last_action
         if self.episodes.options.action == "increment":
             return torch.zeros_like(last_action)
-        share = (command - self.scale.least) / (self.scale.greatest - self.scale.least)
+        above = command - self.scale.least
+        width = self.scale.greatest - self.scale.least
+        # shares in [0, 1] are actions in [-1, 1]
+        share = above / width
         return 2.0 * share - 1.0
 
     def _is_lost(self, rows: Parts) -> Tensor:
@@ -345,10 +387,12 @@ class _ControlPeriod(torch.nn.Module):
         Then the command and all that is remembered stay: no NaN reaches motors or memory.
         """
         # x - x is NaN for what is not finite, which is not equal to 0
-        differences = torch.zeros((), dtype=torch.float64)
-        for name in [name for name in MEASUREMENTS if name in self.read]:
-            differences = differences + (rows[name] - rows[name]).abs().sum()
-        return torch.logical_not(differences == 0.0)
+        total = torch.zeros((), dtype=torch.float64)
+        for name in MEASUREMENTS:
+            if name in self.read:
+                difference = rows[name] - rows[name]
+                total = total + difference.abs().sum()
+        return torch.logical_not(total == 0.0)
 
     def _rows(self, values: tuple[Tensor, ...]) -> Parts:
         """Inputs by name, as rows."""
@@ -378,6 +422,7 @@ class _ControlPeriod(torch.nn.Module):
         }
         # measurements are less those at rest already
         zeros = [0.0 * value for value in self.episodes.observed.rest]
+        rest = RestValues(*as_tensors(*zeros))
         error = pose_logarithm(arm.tip_pose[0], rows["target_pose"][0])
         tensors: dict[str, Any] = {
             "arms": _Arms(arm, arm),
@@ -386,7 +431,7 @@ class _ControlPeriod(torch.nn.Module):
             "target": TargetSamples(**target),
             "action": last_action,
             "command": command,
-            "rest": RestValues(*as_tensors(*zeros)),
+            "rest": rest,
         }
         return replace(self.episodes.observed, **tensors)
 
@@ -398,8 +443,10 @@ class _ControlPeriod(torch.nn.Module):
         history = rows.get("history")
         if history is not None:
             # an episode begins as if it had always been so
-            now = flat[:, None, self.episodes.layout.kept]
-            history = torch.where(is_running[..., None], history, now)
+            kept = self.episodes.layout.kept
+            now = flat[:, None, kept]
+            goes_on = is_running[..., None]
+            history = torch.where(goes_on, history, now)
         seen, history = self.observation.complete(observed, flat, history)
         parts = seen if isinstance(seen, dict) else {BOX: seen}
         return parts, history
@@ -407,11 +454,13 @@ class _ControlPeriod(torch.nn.Module):
     def _network(self, parts: Parts, rows: Parts) -> tuple[Tensor, Tensor | None]:
         """Mean action (1, n_a) and the next memory, None without one."""
         seen = parts.get(BOX, parts)
-        if not self.network.memory:
-            mean, _ = self.network(seen, None)
-            return mean, None
-        mean, memory = self.network(seen, rows["memory"].float())
-        return mean, memory.double()
+        memory: Tensor | None = None
+        if self.network.memory:
+            memory = rows["memory"].float()
+        mean, memory = self.network(seen, memory)
+        if memory is not None:
+            memory = memory.double()
+        return mean, memory
 
 
 def export_agent(
@@ -438,12 +487,16 @@ def export_agent(
     agent, integral = _parts_of(policy)
     module = _ControlPeriod(episodes, agent, integral).eval()
     # first to see what the agent reads, with nothing looked at for a lost sensor
-    module.read = _drop_unused_inputs(_trace(module))
+    first = _trace(module)
+    module.read = _drop_unused_inputs(first)
     model = _trace(module)
     used = _drop_unused_inputs(model)
     model.ir_version = IR_VERSION
-    about = {**_metadata(episodes, used), **(origin or {})}
-    onnx.helper.set_model_props(model, {"soft_tendon_env": json.dumps(about)})
+    about = _metadata(episodes, used)
+    if origin is not None:
+        about.update(origin)
+    properties = {"soft_tendon_env": json.dumps(about)}
+    onnx.helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -453,17 +506,19 @@ def _parts_of(policy: Policy) -> tuple[NetworkPolicy, IntegralPolicy | None]:
 
     Raises ValueError.
     """
-    integral = policy if isinstance(policy, IntegralPolicy) else None
-    agent = policy if integral is None else integral.policy
+    agent = policy
+    integral = None
+    if isinstance(policy, IntegralPolicy):
+        agent = policy.policy
+        integral = policy
     if (
         isinstance(agent, NetworkPolicy)
         and isinstance(agent.network, PolicyNetwork)
         and isinstance(agent.normalise, Normalization | None)
     ):
         return agent, integral
-    raise ValueError(
-        f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}"
-    )
+    kind = type(agent).__name__
+    raise ValueError(f"policy should be a trained agent, as load_agent gives it, not {kind}")
 
 
 def _trace(module: _ControlPeriod) -> onnx.ModelProto:
@@ -483,7 +538,8 @@ def _trace(module: _ControlPeriod) -> onnx.ModelProto:
         # it takes files too
         torch.onnx.export(module, inputs, file, **options)  # type: ignore[arg-type]
     # the tracer's other warnings are of sizes, which are constants
-    if any("to a NumPy array" in str(warning.message) for warning in caught):
+    messages = [str(warning.message) for warning in caught]
+    if any("to a NumPy array" in message for message in messages):
         raise ValueError(
             "an observation group uses NumPy, whose values the file would have as constants: use"
             " what tensors have too"
@@ -493,7 +549,9 @@ def _trace(module: _ControlPeriod) -> onnx.ModelProto:
 
 def _drop_unused_inputs(model: onnx.ModelProto) -> set[str]:
     """Removes the inputs of a model that it does not read; names of what it reads."""
-    used = {name for node in model.graph.node for name in node.input}
+    used: set[str] = set()
+    for node in model.graph.node:
+        used.update(node.input)
     unused = [entry for entry in model.graph.input if entry.name not in used]
     for entry in unused:
         model.graph.input.remove(entry)
@@ -508,7 +566,8 @@ def _metadata(episodes: Episodes, used: set[str]) -> dict[str, Any]:
     inputs = {}
     for name, measurement in MEASUREMENTS.items():
         if name in used:
-            inputs[name] = {"shape": values[name].shape, "unit": measurement.unit}
+            shape = values[name].shape
+            inputs[name] = {"shape": shape, "unit": measurement.unit}
     unit = episodes.model.scene.effects.command_unit
     return {
         "task": episodes.task.name,
@@ -525,9 +584,10 @@ class _ExportedAgent:
     """An exported agent that acts in the ONNX runtime."""
 
     def __init__(self, path: Path) -> None:
-        self._session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-        self._inputs = {entry.name: entry.shape for entry in self._session.get_inputs()}
-        self._outputs = [entry.name for entry in self._session.get_outputs()]
+        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        self._session = session
+        self._inputs = {entry.name: entry.shape for entry in session.get_inputs()}
+        self._outputs = [entry.name for entry in session.get_outputs()]
 
     def start(self) -> dict[str, Any]:
         """Outputs before the first control period: what is remembered is zero."""
@@ -535,8 +595,12 @@ class _ExportedAgent:
 
     def act(self, before: Mapping[str, Any], measured: Mapping[str, Array]) -> dict[str, Any]:
         """Outputs by name, of those before and of measurements."""
-        states = {name.removeprefix("next_"): value for name, value in before.items()}
-        known = {**states, **measured}
+        known = dict[str, Any]()
+        for output, value in before.items():
+            name = output.removeprefix("next_")
+            known[name] = value
+        # what is measured goes over the zeros that it starts with
+        known.update(measured)
         inputs = {name: known[name] for name in self._inputs}
         values = self._session.run(self._outputs, inputs)
         return dict(zip(self._outputs, values, strict=True))
@@ -569,16 +633,18 @@ def compare(
     exported = _ExportedAgent(path)
     differences: list[Array] = []
     for seed in seeds:
-        after = exported.start()
+        outputs = exported.start()
         for k, step in enumerate(play_steps(policy, env, [seed])):
             if k > 0:
                 command = episodes.actuation.command[0].copy()
-                differences.append(np.abs(after["next_command"] - command))
-                after["next_command"] = command
+                difference = outputs["next_command"] - command
+                differences.append(np.abs(difference))
+                outputs["next_command"] = command
             if k == steps or step.ended[0]:
                 break
-            after = exported.act(after, measurements(episodes))
+            outputs = exported.act(outputs, measurements(episodes))
     actions = episodes.actuation.actions
+    width = actions.greatest - actions.least
     largest = np.max(differences, axis=0)
-    shares = largest / (actions.greatest - actions.least)
+    shares = largest / width
     return len(differences), float(largest.max()), float(shares.max())

@@ -102,9 +102,11 @@ def rest_poses(scene: Scene, arc_length: Array) -> Array:
     lengths = np.diff(places)
     strains = stress_free_strain(scene, _middles(places))
     twists = lengths[:, None] * strains
+    # from place to place by the exponential of the twist between them
     poses = itertools.accumulate(twists, moved_pose, initial=scene.base.pose)
+    every_pose = np.array([*poses])
     indices = np.searchsorted(places, arc_length)
-    return np.array([*poses])[indices]
+    return every_pose[indices]
 
 
 def _middles(borders: Array) -> Array:
@@ -114,7 +116,8 @@ def _middles(borders: Array) -> Array:
 
 def _membership(borders: Array, places: Array) -> NDArray[np.bool_]:
     """Whether places (p,) are between borders (m + 1,), (m, p); those beyond are of the last."""
-    indices = np.searchsorted(borders[1:-1], places)
+    inner_borders = borders[1:-1]
+    indices = np.searchsorted(inner_borders, places)
     parts = np.arange(len(borders) - 1)
     return indices == parts[:, None]
 
@@ -124,27 +127,32 @@ def make_chain(scene: Scene, links: int) -> Chain:
 
     The compliances of an element are in series, by midpoints of at least sixteen parts of each.
     """
-    borders = rod_length(scene) * np.linspace(0.0, 1.0, links + 1)
+    tip = rod_length(scene)
+    borders = tip * np.linspace(0.0, 1.0, links + 1)
     joints = _middles(borders)
-    tip = borders[-1]
     stations = np.array([0.0, *joints, tip])
     pose = rest_poses(scene, stations)
+    # parts of the elements, cut at the borders of segments too
     part_borders = np.linspace(0.0, tip, PARTS * links + 1)
     cuts = np.unique([*part_borders, *segment_borders(scene)])
     arc = _middles(cuts)
     length = np.diff(cuts)[:, None]
     elasticity, viscosity, density = screw_matrices(scene, arc)
     is_of_element = _membership(borders, arc)
-    compliance = is_of_element @ (length / elasticity)
+    part_compliance = length / elasticity
+    compliance = is_of_element @ part_compliance
     stiffness = 1.0 / compliance
+    # under the same load the parts lose power in proportion to viscosity / elasticity^2
     part_loss = length * viscosity / elasticity**2
     loss = is_of_element @ part_loss
     damping = stiffness**2 * loss
     # masses of the parts, of discs and of the payload
     discs = disc_rows(scene)
-    places = np.array([*arc, *discs[:, 0], tip])
+    disc_places = discs[:, 0]
+    places = np.array([*arc, *disc_places, tip])
+    rod_inertia = length * density
     payload = scene.effects.payload
-    lumps = np.vstack([length * density, disc_inertia(discs), payload])
+    lumps = np.vstack([rod_inertia, disc_inertia(discs), payload])
     inertia = _link_inertia(scene, stations, pose, places, lumps)
     return Chain(stations, pose, stiffness, damping, inertia)
 
@@ -160,7 +168,8 @@ def _link_inertia(scene: Scene, stations: Array, pose: Array, places: Array, lum
         lumps: (p, 6) diagonals of their inertia.
     """
     is_of_link = _membership(stations, places).astype(float)
-    to_lump = _adjoints(inverse_pose(place) for place in rest_poses(scene, places))
+    lump_poses = rest_poses(scene, places)
+    to_lump = _adjoints(inverse_pose(lump_pose) for lump_pose in lump_poses)
     # in the world frame, where those of a link add up
     about_world = np.einsum(
         "lp,pki,pk,pkj->lij", is_of_link, to_lump, lumps, to_lump, optimize=True
@@ -186,9 +195,10 @@ def time_step(scene: Scene, chain: Chain) -> float:
     period = np.sqrt(link_inertia / chain.stiffness)
     limit = ratio + np.hypot(ratio, period)
     is_free = [strain in scene.strain.free for strain in STRAINS]
-    stable = limit[:, is_free].min()
+    free_limits = limit[:, is_free]
+    half = 0.5 * free_limits.min()
     tenth = scene.integrator.step / 10.0
-    longest = min(LONGEST_STEP, tenth, 0.5 * stable)
+    longest = min(LONGEST_STEP, tenth, half)
     steps = math.ceil(HOLD / longest)
     return HOLD / steps
 
@@ -211,8 +221,9 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     chain = make_chain(scene, links)
     root = Element("mujoco", model=scene.name)
     root.append(Comment(_comment(left)))
-    gravity = scene.effects.gravity
-    acceleration = np.zeros(3) if gravity is None else gravity.acceleration
+    acceleration = np.zeros(3)
+    if scene.effects.gravity is not None:
+        acceleration = scene.effects.gravity.acceleration
     SubElement(
         root,
         "option",
@@ -223,12 +234,16 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     world = SubElement(root, "worldbody")
     tendons = SubElement(root, "tendon")
     motors = SubElement(root, "actuator")
-    bodies = [add_body(world, scene, chain, 0)]
+    base = add_body(world, scene, chain, 0)
+    bodies = [base]
     for i in range(1, links + 1):
-        bodies.append(add_body(bodies[-1], scene, chain, i))
+        body = add_body(bodies[-1], scene, chain, i)
+        bodies.append(body)
+    # in the frame of the last link
     tip = inverse_pose(chain.pose[-2]) @ chain.pose[-1]
     SubElement(bodies[-1], "site", {"name": "tip", **placed(tip)})
-    width = text(rod_radius(scene, 0.0)[0] / 20.0)
+    base_radius = rod_radius(scene, 0.0)[0]
+    width = text(base_radius / 20.0)
     for k, tendon in enumerate(scene.tendons):
         path = SubElement(tendons, "spatial", name=f"tendon_{k}", width=width)
         add_branches(bodies, path, scene, chain, k)
@@ -314,7 +329,8 @@ def _add_inertia(body: Element, inertia: Array) -> None:
 def _add_joints(body: Element, scene: Scene, chain: Chain, i: int) -> None:
     """Joints of link i - 1, a spring and a damper for every strain that is free."""
     order = list(JOINT_ORDER)
-    if i % 2 == 1:
+    is_odd = i % 2 == 1
+    if is_odd:
         order.reverse()  # the axes are reversed from link to link
     for j in order:
         strain = STRAINS[j]
@@ -360,44 +376,51 @@ def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chai
                 branches.append((site, site + ahead))
             if i > 0:
                 branches.append((site - ahead, site))
+            # a pulley divides the tension among the branches
+            count = len(branches)
             for start, end in branches:
-                if len(path) or len(branches) != passage.share:
-                    divisor = len(branches) / passage.share
-                    SubElement(path, "pulley", divisor=text(divisor))
-                _add_site(bodies[i], path, rotation @ start + position)
+                if len(path) or count != passage.share:
+                    divisor = text(count / passage.share)
+                    SubElement(path, "pulley", divisor=divisor)
+                in_body_before = rotation @ start + position
+                _add_site(bodies[i], path, in_body_before)
                 _add_site(bodies[i + 1], path, end)
 
 
 def _branch(scene: Scene, tendon: Tendon, passage: _Passage) -> tuple[Array, Array]:
     """Position (3,) [m] of a tendon in the frame of the rod, and the way [m] along its tangent."""
     place = np.array([passage.place])
-    (offset,), (slope,) = tendon_offset(scene, tendon, place)
-    (strain,) = stress_free_strain(scene, place)
+    offsets, slopes = tendon_offset(scene, tendon, place)
+    strain = stress_free_strain(scene, place)[0]
     curvature = strain[:3]
     stretch = strain[3:]
-    site = np.array([0.0, *offset])
+    site = np.array([0.0, *offsets[0]])
+    slope = np.array([0.0, *slopes[0]])
+    # derivative of the tendon's position by arc length, in the frame of the rod
     rotation = np.cross(curvature, site)
-    tangent = rotation + stretch + [0.0, *slope]
-    ahead = passage.length / passage.share * tangent
-    return site, ahead
+    tangent = rotation + stretch + slope
+    length = passage.length / passage.share
+    return site, length * tangent
 
 
 def _passages(scene: Scene, tendon: Tendon, element: int, elements: int) -> list[_Passage]:
     """Parts of an element that a tendon passes, cut at the borders of segments."""
     start, end = tendon_ends(scene, tendon)
     length = rod_length(scene) / elements
-    borders = [start, end, *segment_borders(scene)]
     first = element * length
     last = (element + 1) * length
+    borders = [start, end, *segment_borders(scene)]
     cuts = np.unique(np.clip(borders, first, last))
     parts = np.diff(cuts)
     places = _middles(cuts)
     elasticity, _, _ = screw_matrices(scene, places)
+    # angles under the same moment
     bending = parts / elasticity[:, 1]
     shares = bending / bending.sum()
     passages = []
     for place, part, share in zip(places, parts, shares, strict=True):
-        if start < place < end and share >= LEAST_SHARE:
+        is_passed = start < place < end
+        if is_passed and share >= LEAST_SHARE:
             passages.append(_Passage(place, part, share))
     return passages
 
@@ -425,27 +448,31 @@ class _MujocoArm:
 
         self._engine = mujoco
         self._length = length
-        self._model = mujoco.MjModel.from_xml_path(str(path))
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        model = mujoco.MjModel.from_xml_path(str(path))
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # the step begins without tension, also where limits do not allow it
-        self._model.actuator_ctrllimited[:] = 0
+        model.actuator_ctrllimited[:] = 0
+        self._model = model
         # the same arm with so much damping that it comes to rest
-        self._calm = copy.copy(self._model)
-        self._calm.dof_damping[:] = SLOW * self._calm.jnt_stiffness
-        self._calm.opt.timestep = SETTLING_STEP
-        self._data = mujoco.MjData(self._model)
+        calm = copy.copy(model)
+        calm.dof_damping[:] = SLOW * calm.jnt_stiffness
+        calm.opt.timestep = SETTLING_STEP
+        self._calm = calm
+        self._data = mujoco.MjData(model)
         self.tip = self._data.site("tip").xpos
-        self.time_step: float = self._model.opt.timestep
+        self.time_step: float = model.opt.timestep
 
     def settle(self, tension: ArrayLike) -> Array:
         """Tip (3,) [m] at rest under tensions (n_a,) [N], NaN where it does not come to rest."""
         self._engine.mj_resetData(self._model, self._data)
         self._data.ctrl[:] = tension
+        settled = SETTLED * self._length
         for _ in range(MOST_TURNS):
             before = self.tip.copy()
             self._engine.mj_step(self._calm, self._data, nstep=STEPS_OF_TURN)
-            if math.dist(self.tip, before) < SETTLED * self._length:
+            movement = math.dist(self.tip, before)
+            if movement < settled:
                 return before
         return np.full(3, np.nan)
 
@@ -472,28 +499,35 @@ def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
     rod = build_model(scene, "fine")
     arm = _MujocoArm(path, rod.length)
     rest = _distances_at_rest(arm, scene, rod)
+    # a whole number of periods of HOLD, at least one
     longest = min(LONGEST_MOTION, MOST_STEPS * arm.time_step)
-    duration = HOLD * max(1, int(longest / HOLD))
+    periods = max(1, int(longest / HOLD))
+    duration = HOLD * periods
     tensions = motion_tensions(scene, "step", 0, duration)
-    poses = simulate(rod, tensions, duration, HOLD).tip_pose[1:]
+    motion = simulate(rod, tensions, duration, HOLD)
+    poses = motion.tip_pose[1:]
     arm.settle(0.0)
     distances = []
     for tension, pose in zip(tensions, poses, strict=True):
         arm.hold(tension)
-        distances.append(math.dist(arm.tip, pose[:3, 3]))
+        distance = math.dist(arm.tip, pose[:3, 3])
+        distances.append(distance)
     return rest, float(np.max(distances)), duration
 
 
 def _distances_at_rest(arm: _MujocoArm, scene: Scene, rod: Model) -> Array:
     """Distances (SETS,) [m] of two tips at rest, NaN where either has no rest."""
-    limits = [tendon.tension_limits for tendon in scene.tendons]
-    least, greatest = np.array(limits).T
-    sets = np.random.default_rng(0).uniform(least, greatest, (SETS, len(least)))
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    least = limits[:, 0]
+    greatest = limits[:, 1]
+    random = np.random.default_rng(0)
+    sets = random.uniform(least, greatest, (SETS, len(limits)))
     distances = []
     for tension in sets:
-        equilibrium = static_equilibrium(rod, tension)
         distance = math.nan
+        equilibrium = static_equilibrium(rod, tension)
         if equilibrium.converged:
-            distance = math.dist(arm.settle(tension), equilibrium.tip_pose[:3, 3])
+            tip = arm.settle(tension)
+            distance = math.dist(tip, equilibrium.tip_pose[:3, 3])
         distances.append(distance)
     return np.array(distances)

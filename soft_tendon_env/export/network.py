@@ -7,6 +7,7 @@ import gymnasium as gym
 import torch
 from torch import Tensor
 
+from soft_tendon_env.differentiable.gated_unit import next_memory, with_fine_entries
 from soft_tendon_env.policies.layers import (
     Activation,
     Clip,
@@ -59,16 +60,18 @@ class TensorNetwork(torch.nn.Module):
             memory: (rows, size), None where there is none.
         """
         plain = self._flatten(observation)
-        seen = self._finer(plain)
+        seen = with_fine_entries(plain, self._fine)
         if memory is not None:
             # the action follows what is remembered now, this period's observation included
-            memory = self._remember(seen, memory)
+            memory = next_memory(self.gate, self.candidate, seen, memory)
             seen = torch.cat([seen, memory], dim=1)
         latent = self.body(seen)
         mean = self.head(latent)
         if self._posture is not None:
-            away = self._finer(plain[:, self._posture :])
-            mean = mean + self.gain(latent * self.way(away))
+            posture = plain[:, self._posture :]
+            away = with_fine_entries(posture, self._fine)
+            gains = self.gain(latent * self.way(away))
+            mean = mean + gains
         if self._squashes:
             mean = torch.tanh(mean)
         return mean, memory
@@ -79,20 +82,6 @@ class TensorNetwork(torch.nn.Module):
             return observation
         parts = [observation[key] for key in self._keys]
         return torch.cat(parts, dim=1)
-
-    def _remember(self, seen: Tensor, memory: Tensor) -> Tensor:
-        """Next memory (rows, size)."""
-        before = torch.cat([seen, memory], dim=1)
-        share = torch.sigmoid(self.gate(before))
-        recalled = torch.cat([seen, share * memory], dim=1)
-        candidate = torch.tanh(self.candidate(recalled))
-        return memory + share * (candidate - memory)
-
-    def _finer(self, values: Tensor) -> Tensor:
-        if not self._fine:
-            return values
-        fine = torch.tanh(self._fine * values)
-        return torch.cat([values, fine], dim=1)
 
 
 class TensorRenormalisation(torch.nn.Module):
@@ -128,10 +117,13 @@ def tensor_layer(layer: Layer) -> torch.nn.Module:
 
 
 def _tensor_linear(layer: Linear) -> torch.nn.Linear:
+    has_bias = layer.bias is not None
     outputs, inputs = layer.weight.shape
-    made = torch.nn.Linear(inputs, outputs, bias=layer.bias is not None)
+    made = torch.nn.Linear(inputs, outputs, bias=has_bias)
     with torch.no_grad():
-        made.weight.copy_(torch.as_tensor(layer.weight))
+        weight = torch.as_tensor(layer.weight)
+        made.weight.copy_(weight)
         if layer.bias is not None:
-            made.bias.copy_(torch.as_tensor(layer.bias))
+            bias = torch.as_tensor(layer.bias)
+            made.bias.copy_(bias)
     return made

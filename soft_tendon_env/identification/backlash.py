@@ -24,6 +24,7 @@ def after_play(command: Array, half_width: Array) -> Array:
     greatest = command + half_width
     for row in range(1, len(command)):
         before = arriving[row - 1]
-        pushed = np.maximum(before, least[row])
-        arriving[row] = np.minimum(pushed, greatest[row])
+        # an end of the play pushes it along
+        pushed_up = np.maximum(before, least[row])
+        arriving[row] = np.minimum(pushed_up, greatest[row])
     return arriving

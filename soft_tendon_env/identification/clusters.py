@@ -82,7 +82,8 @@ def _held_out_by_share(recordings: Sequence[Recording], share: float) -> Array:
     count = cluster.max(initial=-1) + 1
     out_count = round(share * count)
     # the middle cluster of each of as many equal stretches of the data as are held out
-    middles = (np.arange(out_count) + 0.5) * count / max(out_count, 1)
+    middle_of_stretch = np.arange(out_count) + 0.5
+    middles = middle_of_stretch * count / max(out_count, 1)
     chosen = middles.astype(int)
     return np.asarray(np.isin(cluster, chosen))
 
@@ -98,10 +99,12 @@ def clusters(recordings: Sequence[Recording]) -> Array:
     Returns:
         Index (recordings,) that those of a cluster share, from 0 in the order of the data.
     """
-    groups = [*dict.fromkeys(recording.group for recording in recordings)]
-    if not any(groups):
+    names = [recording.group for recording in recordings]
+    if not any(names):
         return same_commands(recordings)
-    return np.array([groups.index(recording.group) for recording in recordings])
+    in_order = [*dict.fromkeys(names)]
+    indices = [in_order.index(name) for name in names]
+    return np.array(indices)
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:
@@ -118,7 +121,8 @@ def same_commands(recordings: Sequence[Recording]) -> Array:
     """
     if not recordings:
         return np.zeros(0, dtype=int)
-    samples = np.arange(max(len(recording.command) for recording in recordings))
+    longest = max(len(recording.command) for recording in recordings)
+    samples = np.arange(longest)
     rows = list[Array]()
     for recording in recordings:
         last = len(recording.command) - 1

@@ -52,19 +52,22 @@ def read_columns(
         FileNotFoundError: for a file that is missing.
     """
     expected = _expected_columns(markers, units)
-    table = read_table(path, [column.name for column in expected.values()])
+    names = [column.name for column in expected.values()]
+    table = read_table(path, names)
     sources = dict[str, Source]()
     for quantity, column in expected.items():
         header_name = _header_name(table, column.name)
         if header_name is not None:
-            sources[quantity] = Source(header_name, _factor(column, header_name, table))
-    _check_complete(table, expected, sources, OPTIONAL_COLUMNS - markers.columns.keys())
+            factor = _factor(column, header_name, table)
+            sources[quantity] = Source(header_name, factor)
+    # what a file names must be there
+    optional = OPTIONAL_COLUMNS - markers.columns.keys()
+    _check_complete(table, expected, sources, optional)
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
-    _check_decimal_marks(
-        table,
-        [source.column for name, source in sources.items() if name not in ("hold", "group")],
-    )
+    of_numbers = sources.keys() - {"hold", "group"}
+    columns = [source.column for name, source in sources.items() if name in of_numbers]
+    _check_decimal_marks(table, columns)
     return table, sources
 
 
@@ -79,9 +82,9 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
 
     Raises ValueError for keys that are no quantities, and for units.
     """
-    expected = {
-        quantity: Expected(quantity, quantity, Column(), unit) for quantity, unit in units.items()
-    }
+    expected = dict[str, Expected]()
+    for quantity, unit in units.items():
+        expected[quantity] = Expected(quantity, quantity, Column(), unit)
     # whole names come last: they beat patterns
     by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
@@ -92,12 +95,13 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
             )
         for match in matches:
             quantity = match[0]
-            _check_unit(key, column, units[quantity])
+            unit = units[quantity]
+            _check_unit(key, column, unit)
             # a * in the column's name is what * stands for in the key, if there is one
             name = column.name or quantity
             if "*" in key:
                 name = name.replace("*", match[1])
-            expected[quantity] = Expected(name, key, column, units[quantity])
+            expected[quantity] = Expected(name, key, column, unit)
     return expected
 
 
@@ -109,11 +113,11 @@ def _check_unit(key: str, column: Column, si_unit: str) -> None:
     has_scale = "scale" in column.model_fields_set
     if not si_unit and (column.unit or has_scale):
         raise ValueError(f"columns.{key} is text: it has neither a unit nor a scale")
-    allowed = [*UNITS.get(si_unit, {si_unit: 1.0}), COUNTS]
+    known = UNITS.get(si_unit, {si_unit: 1.0})
+    allowed = [*known, COUNTS]
     if column.unit is not None and column.unit not in allowed:
-        raise ValueError(
-            f"columns.{key}.unit is {column.unit!r}: it should be one of {', '.join(allowed)}"
-        )
+        names = ", ".join(allowed)
+        raise ValueError(f"columns.{key}.unit is {column.unit!r}: it should be one of {names}")
     if column.unit == COUNTS and not has_scale:
         raise ValueError(
             f"columns.{key}.unit is {COUNTS!r}: scale should say how many {si_unit} a count is"
@@ -148,13 +152,16 @@ def _header_name(table: Table, column: str) -> str | None:
         return column
     numbered = [name for name in table.header if name.rpartition(".")[0] == column]
     if f"{column}.0" in numbered:
+        names = ", ".join(numbered)
         raise ValueError(
             f"{table.where}: column {column} is there {len(numbered)} times: [columns] names one of"
-            f" them by {', '.join(numbered)}"
+            f" them by {names}"
         )
-    matches = [name for name in table.header if name.casefold() == column.casefold()]
+    folded = column.casefold()
+    matches = [name for name in table.header if name.casefold() == folded]
     if len(matches) > 1:
-        raise ValueError(f"{table.where}: column {column} is there as {' and as '.join(matches)}")
+        names = " and as ".join(matches)
+        raise ValueError(f"{table.where}: column {column} is there as {names}")
     return matches[0] if matches else None
 
 
@@ -167,12 +174,13 @@ def _check_complete(
     """Raises ValueError where a table lacks columns, of `time` and `hold` both."""
     absent = expected.keys() - sources.keys() - optional
     missing = sorted(expected[quantity].name for quantity in absent)
-    if not missing and not sources.keys() & OPTIONAL_COLUMNS:
+    has_optional = bool(sources.keys() & OPTIONAL_COLUMNS)
+    if not missing and not has_optional:
         missing = sorted(OPTIONAL_COLUMNS)
     if missing:
+        names = ", ".join(missing)
         text = (
-            f"there is no column {', '.join(missing)}: [columns] of the markers' file gives columns"
-            " other names"
+            f"there is no column {names}: [columns] of the markers' file gives columns other names"
         )
         raise ValueError(f"{table.where}: {text}; {_columns_there(missing[0], table)}")
 
@@ -180,14 +188,18 @@ def _check_complete(
 def _columns_there(missing: str, table: Table) -> str:
     """End of an error about a missing column: those of the table, or that there is none."""
     # what is no table is not shown
+    cells = len(table.header)
     longest = max(map(len, table.header), default=0)
-    is_long = len(table.header) > MOST_SHOWN or longest > LONGEST_NAME
-    first_row = [cell for _, cells in table.rows[:1] for cell in cells]
-    has_numbers = any(character.isdigit() for cell in first_row for character in cell)
+    is_long = cells > MOST_SHOWN or longest > LONGEST_NAME
+    first_row = ""
+    if table.rows:
+        _, row = table.rows[0]
+        first_row = "".join(row)
+    has_numbers = any(character.isdigit() for character in first_row)
     if is_long or not has_numbers:
         return (
-            f"the line that seems to be the header has {len(table.header)} cells, the longest of"
-            f" {longest} letters, and {len(table.rows)} rows beneath it: is the file a table?"
+            f"the line that seems to be the header has {cells} cells, the longest of {longest}"
+            f" letters, and {len(table.rows)} rows beneath it: is the file a table?"
         )
     return not_among(missing, table.header)
 

@@ -128,7 +128,10 @@ def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     """Finding that the data do not contain a direction (k,) of the parameters."""
     size = np.abs(direction)
     largest_first = np.argsort(-size)
-    names = [parameters[i].name for i in largest_first if size[i] >= UNSEEN]
+    names = list[str]()
+    for i in largest_first:
+        if size[i] >= UNSEEN:
+            names.append(parameters[i].name)
     experiment = _experiment(" ".join(names))
     what = ", ".join(names)
     if len(names) > 1:
@@ -140,17 +143,21 @@ def _parameter_texts(parameter: Parameter, x: float) -> list[str]:
     """Findings about one parameter at its coordinate: at a bound, or far from what is likely."""
     texts = list[str]()
     low, high = parameter.bounds
+    near = AT_BOUND * (high - low)
     for bound in (low, high):
-        if abs(x - bound) <= AT_BOUND * (high - low):
+        if abs(x - bound) <= near:
+            experiment = _experiment(parameter.name)
             texts.append(
-                f"{parameter.name} is at its bound, {parameter.at(bound):.4g}:"
-                f" {_experiment(parameter.name)}, or the bound is wrong."
+                f"{parameter.name} is at its bound, {parameter.at(bound):.4g}: {experiment}, or the"
+                " bound is wrong."
             )
-    if parameter.name.endswith("young_modulus") and abs(x) > np.log(UNLIKELY):
+    # the coordinate of a factor is its logarithm
+    times = np.exp(abs(x))
+    if parameter.name.endswith("young_modulus") and times > UNLIKELY:
         direction = "greater" if x > 0 else "less"
         texts.append(
-            f"{parameter.name} is {np.exp(abs(x)):.2g} times {direction} than in the scene: is a"
-            " unit wrong? Tensions in kg that are read as N make it 9.8 times less."
+            f"{parameter.name} is {times:.2g} times {direction} than in the scene: is a unit wrong?"
+            " Tensions in kg that are read as N make it 9.8 times less."
         )
     return texts
 

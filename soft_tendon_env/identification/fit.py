@@ -119,7 +119,8 @@ def _prior_information(parameters: Sequence[Parameter]) -> Array:
     information = np.zeros(len(parameters))
     for i, parameter in enumerate(parameters):
         if parameter.prior is not None:
-            information[i] = (parameter.scale / parameter.prior) ** 2
+            precision = parameter.scale / parameter.prior
+            information[i] = precision**2
     return information
 
 
@@ -135,8 +136,8 @@ def _root_mean_square(estimate: Fit) -> float:
     decided = float(np.trace(share_of_data))  # parameters: the priors decide the others
     residual = estimate.residual
     freedom = max(residual.size - decided, 1.0)
-    squares = residual @ residual
-    return float(np.sqrt(squares / freedom))
+    variance = residual @ residual / freedom
+    return float(np.sqrt(variance))
 
 
 def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
@@ -198,24 +199,27 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     parameters = readings.plants.parameters
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
+    # Student's t of an error that is estimated from the same readings
     reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
     deviation = np.sqrt(variances(estimate))
     linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
     cluster_freedom = max(int(readings.cluster.max()), 1)
     draws = _bootstrap(estimate, readings.cluster)
-    bootstrap = stdtrit(cluster_freedom, tail) * draws.std(axis=0)
+    drawn_deviation = draws.std(axis=0)
+    bootstrap = stdtrit(cluster_freedom, tail) * drawn_deviation
     wider = np.maximum(linear, bootstrap)
     between_bounds = np.ptp(bounds, axis=1)  # where the data say nothing
-    reach = np.where(np.isfinite(linear), wider, between_bounds)
+    is_known = np.isfinite(linear)
+    reach = np.where(is_known, wider, between_bounds)
     least, greatest = bounds.T
     lower = np.maximum(estimate.x - reach, least)
     upper = np.minimum(estimate.x + reach, greatest)
-    # the value of a factor of a negative number falls with its coordinate
-    values = [
-        sorted((parameter.at(x_low), parameter.at(x_high)))
-        for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True)
-    ]
+    values = []
+    for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True):
+        # the value of a factor of a negative number falls with its coordinate
+        ends = sorted((parameter.at(x_low), parameter.at(x_high)))
+        values.append(ends)
     low, high = np.array(values).T
     identified, unseen = _identified(estimate)
     return Intervals(
@@ -256,10 +260,13 @@ def _identified(estimate: Fit) -> tuple[Array, list[Array]]:
     The least known direction comes first.
     """
     information, directions = np.linalg.eigh(estimate.information)
-    least = max(SEEN, SINGULAR * information[-1])
+    largest = information[-1]
+    least = max(SEEN, SINGULAR * largest)
     is_seen = information > least
     unseen = directions[:, ~is_seen]
-    identified = (np.abs(unseen) < UNSEEN).all(axis=1)
+    # a parameter is identified that no such direction has a part of
+    is_without = np.abs(unseen) < UNSEEN
+    identified = is_without.all(axis=1)
     return identified, [*unseen.T]
 
 
@@ -290,7 +297,7 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     normal = random.normal(size=(RESAMPLES, k))
     prior_root = np.sqrt(estimate.prior)
     prior_draw = normal * prior_root
-    # (J^T J + P) step = J^T r + P x - b
+    # one Newton step of each draw: (J^T J + P) step = J^T r + P x - b
     P = estimate.prior
     data_part = np.einsum("dr,rij->dij", times, np.array(curvature))
     A = data_part + np.diag(P)

@@ -110,10 +110,10 @@ def identify(
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise is {noise}: it should be a positive number of metres")
     files = [data] if isinstance(data, str | os.PathLike) else [*data]
+    paths = [Path(file) for file in files]
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
-    paths = [Path(file) for file in files]
     fit_part, judge_part = _read_parts(paths, str(held_out), fit_to, scene, placed)
     accurate = _fitted_scene(scene, fidelity, fit_part + judge_part)
     plants = Plants(accurate, build_model(accurate), placed, chosen)
@@ -131,17 +131,21 @@ def identify(
     except NoHoldError as error:
         # of the arm as it is given, or of one at the edge of those that hold the data
         advice = misread_text(fitted, None, noise) or LOOK
-        raise NoHoldError(f"{str(error).rstrip('.')}. {advice}") from error
+        reason = str(error).rstrip(".")
+        raise NoHoldError(f"{reason}. {advice}") from error
     values = [parameter.at(x) for parameter, x in zip(chosen, estimate.x, strict=True)]
+    measurement = plants.measurement(estimate.x)
+    before_mean = mean_of_finite(before_fit.values())
+    before_held_out_mean = mean_of_finite(before_held_out.values())
     return Estimate(
         parameters=chosen,
         value=np.array(values),
         intervals=spread,
         scene=plants.scene_at(estimate.x, scene),
-        markers=placed.with_offsets(plants.measurement(estimate.x).offsets),
+        markers=placed.with_offsets(measurement.offsets),
         error_fit=error_fit,
         error_held_out=error_held_out,
-        before=(mean_of_finite(before_fit.values()), mean_of_finite(before_held_out.values())),
+        before=(before_mean, before_held_out_mean),
         noise=estimate.sigma,
         findings=tuple(texts),
         data=tuple(os.fspath(file) for file in files),
@@ -158,11 +162,14 @@ def _read_parts(
         judge_part = read_recordings([Path(held_out)], scene, markers)
     else:
         fit_part, judge_part = split(recordings, held_out)
+    if fit_to is None:
+        return fit_part, judge_part
+    checked_count("fit_to", fit_to, 1)
     count = len(fit_part)
-    if fit_to is not None and checked_count("fit_to", fit_to, 1) < count:
+    if fit_to < count:
         # the middle one of each of as many equal stretches of the data
-        places = (np.arange(fit_to) + 0.5) * count / fit_to
-        fit_part = [fit_part[int(place)] for place in places]
+        middles = (np.arange(fit_to) + 0.5) * count / fit_to
+        fit_part = [fit_part[int(middle)] for middle in middles]
     return fit_part, judge_part
 
 
@@ -173,7 +180,8 @@ def _fitted_scene(scene: Scene, fidelity: str, recordings: Sequence[Recording]) 
     """
     accurate = at_fidelity(scene, fidelity)
     periods = [recording.period for recording in recordings if recording.period]
-    step = min([*periods, accurate.integrator.step])
+    own_step = accurate.integrator.step
+    step = min([*periods, own_step])
     return accurate.replace({"integrator.step": step})
 
 
@@ -191,14 +199,20 @@ def save_estimate(estimate: Estimate, folder: Path) -> list[Path]:
         OSError: where they cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
-    scene_toml = tomli_w.dumps(scene_to_dict(estimate.scene))
-    lines = ["# Identified by soft-tendon identify:", *comments, "", scene_toml]
     scene_file = folder / "scene.toml"
     markers_file = folder / "markers.toml"
     estimate_file = folder / "estimate.json"
+    comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
+    table = scene_to_dict(estimate.scene)
+    lines = [
+        "# Identified by soft-tendon identify:",
+        *comments,
+        "",
+        tomli_w.dumps(table),
+    ]
     scene_file.write_text("\n".join(lines), encoding="utf-8")
-    markers_file.write_text(tomli_w.dumps(plain(estimate.markers)), encoding="utf-8")
+    markers_toml = tomli_w.dumps(plain(estimate.markers))
+    markers_file.write_text(markers_toml, encoding="utf-8")
     write_json(estimate_file, _as_json(estimate), say=False)
     return [scene_file, markers_file, estimate_file]
 
@@ -303,7 +317,8 @@ def randomize(estimate: Estimate) -> dict[str, Any]:
     """
     tension_limits = [tendon.tension_limits for tendon in estimate.scene.tendons]
     tension_span = np.ptp(tension_limits, axis=1)
-    tension_of_command = tension_span / np.ptp(command_limits(estimate.scene), axis=1)
+    command_span = np.ptp(command_limits(estimate.scene), axis=1)
+    tension_of_command = tension_span / command_span
     table = dict[str, Any]()
     gains = list[float]()
     offsets = list[float]()

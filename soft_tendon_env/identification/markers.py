@@ -95,7 +95,8 @@ class MarkerSet(Configuration):
             The new markers, with the same frame and columns.
         """
         moved = dict[str, Marker]()
-        for (name, marker), offset in zip(self.markers.items(), offsets.tolist(), strict=True):
+        for name, offset in zip(self.markers, offsets.tolist(), strict=True):
+            marker = self.markers[name]
             moved[name] = marker.model_copy(update={"offset": tuple(offset)})
         return MarkerSet(markers=moved, frame=self.frame, columns=self.columns)
 
@@ -133,6 +134,7 @@ def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
             the rod.
     """
     length = rod_length(scene)
+    longest = length * (1 + TOLERANCE)
     problems = list[Problem]()
     for name, marker in markers.markers.items():
         sizes = {
@@ -140,7 +142,7 @@ def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
             "offset": float(np.linalg.norm(marker.offset)),
         }
         for key, size in sizes.items():
-            if size > length * (1 + TOLERANCE):
+            if size > longest:
                 hint = "; is it in mm?" if size > MILLIMETRES * length else ""
                 text = f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"
                 problems.append(Problem(("markers", name, key), text))

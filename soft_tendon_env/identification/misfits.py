@@ -93,11 +93,11 @@ def misfit_texts(misfits: Sequence[Misfit], arm: Arm, noise: float | None) -> li
     # positions that stand out are what held-out data are far off by, where they are among these
     outlying = _outlying(misfits, arm.length)
     texts += _outlier_texts(misfits, outlying, arm)
-    is_held_out_ruined = False
-    for misfit, is_outlying in zip(misfits, outlying, strict=True):
-        if misfit.held_out and is_outlying.any():
-            is_held_out_ruined = True
-    if not is_held_out_ruined:
+    are_ruined = [
+        misfit.held_out and bool(is_outlying.any())
+        for misfit, is_outlying in zip(misfits, outlying, strict=True)
+    ]
+    if not any(are_ruined):
         texts += far_texts
     for misfit in of_fit:
         texts += _start_texts(misfit.recording, arm.length)
@@ -127,12 +127,14 @@ def drift_text(misfits: Sequence[Misfit]) -> str | None:
     polynomials, _ = np.linalg.qr(powers)
     basis = polynomials[:, 1:]  # the first is constant, which the shift is free of
     squares = float((shift**2).sum())
-    is_most = _squares_within(basis, shift) >= DRIFT_SHARE * squares
+    within = _squares_within(basis, shift)
+    is_most = within >= DRIFT_SHARE * squares
     if squares == 0.0 or not is_most or not _is_beyond_chance(basis, shift):
         return None
     coefficients = basis.T @ shift
     drift = basis @ coefficients
-    way = float(np.linalg.norm(drift[-1] - drift[0]))
+    over_session = drift[-1] - drift[0]
+    way = float(np.linalg.norm(over_session))
     first = holds[0].recording.name
     last = holds[-1].recording.name
     return (
@@ -184,17 +186,20 @@ def _outlier_texts(misfits: Sequence[Misfit], outlying: Sequence[Mask], arm: Arm
     count = sum(int(is_outlying.sum()) for is_outlying in outlying)
     if not count:
         return []
-    farthest = [
-        float(np.max(misfit.distance, where=is_outlying, initial=0.0))
-        for misfit, is_outlying in zip(misfits, outlying, strict=True)
-    ]
+    farthest = list[float]()
+    for misfit, is_outlying in zip(misfits, outlying, strict=True):
+        distance = np.max(misfit.distance, where=is_outlying, initial=0.0)
+        farthest.append(float(distance))
     worst = int(np.argmax(farthest))
     misfit = misfits[worst]
-    distance = np.where(outlying[worst], misfit.distance, 0.0)
-    by_marker = distance.max(axis=0)
+    outlying_distance = np.where(outlying[worst], misfit.distance, 0.0)
+    by_marker = outlying_distance.max(axis=0)
     marker = arm.markers[int(by_marker.argmax())]
-    effect = "the held-out error means nothing" if misfit.held_out else "outliers bias the estimate"
-    kind = ", which is held out" if misfit.held_out else ""
+    effect = "outliers bias the estimate"
+    kind = ""
+    if misfit.held_out:
+        effect = "the held-out error means nothing"
+        kind = ", which is held out"
     return [
         f"{count} of the markers' positions stand out, above all {marker} in"
         f" {misfit.recording.name!r}{kind}, {1e3 * farthest[worst]:.3g} mm off: {effect}, leave"
@@ -206,8 +211,9 @@ def _held_out_texts(misfits: Sequence[Misfit], arm: Arm) -> list[str]:
     """Finding that held-out recordings are met far worse than those of the fit, with the worst."""
     of_fit = [misfit.error for misfit in misfits if not misfit.held_out]
     held_out = [misfit for misfit in misfits if misfit.held_out and np.isfinite(misfit.error)]
+    held_out_errors = [misfit.error for misfit in held_out]
     fit_error = mean_of_finite(of_fit)
-    held_out_error = mean_of_finite(misfit.error for misfit in held_out)
+    held_out_error = mean_of_finite(held_out_errors)
     least = max(FAR_HELD_OUT * fit_error, EXACT * arm.length)
     if not held_out_error > least:
         return []
@@ -220,10 +226,11 @@ def _held_out_texts(misfits: Sequence[Misfit], arm: Arm) -> list[str]:
         marker_name = arm.markers[marker]
         farthest = 1e3 * by_marker[marker]
         names.append(f"{misfit.recording.name!r} ({marker_name} by {farthest:.3g} mm)")
+    worst = ", ".join(names)
     return [
         f"Held-out recordings are off by {1e3 * held_out_error:.2g} mm, those of the fit by"
-        f" {1e3 * fit_error:.2g} mm: the worst are {', '.join(names)}. They are ruined, or the"
-        " model does not hold beyond the recordings of the fit."
+        f" {1e3 * fit_error:.2g} mm: the worst are {worst}. They are ruined, or the model does not"
+        " hold beyond the recordings of the fit."
     ]
 
 
@@ -269,7 +276,9 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
     residual_rows = [misfit.residual[0].ravel() for misfit in holds]
     commands = np.array(command_rows)
     every_column = np.array(residual_rows)
-    is_whole = np.isfinite(every_column).all(axis=0)  # coordinates that all holds have
+    # coordinates that all holds have
+    is_seen = np.isfinite(every_column)
+    is_whole = is_seen.all(axis=0)
     columns = every_column[:, is_whole]
     # an orthonormal basis of what a quadratic law of the commands could make
     constant = np.ones((len(holds), 1))
@@ -280,7 +289,8 @@ def _following_commands(misfits: Sequence[Misfit], tendons: int) -> float:
     basis = U[:, is_independent]
     if not _is_beyond_chance(basis, columns):
         return 0.0
-    mean_square = _squares_within(basis, columns) / columns.size
+    within = _squares_within(basis, columns)
+    mean_square = within / columns.size
     return float(np.sqrt(mean_square))
 
 

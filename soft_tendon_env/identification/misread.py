@@ -92,7 +92,8 @@ def _best_reading(plants: Plants, recordings: Sequence[Recording]) -> tuple[str,
         read = list[Recording]()
         for recording in recordings:
             inside = recording.positions - frame.translation
-            positions = inside @ R.T + frame.translation
+            exchanged = inside @ R.T
+            positions = exchanged + frame.translation
             read.append(replace(recording, positions=positions))
         distance = _distance(simulated, read)
         candidates.append((distance, text, read))
@@ -131,7 +132,8 @@ def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Arra
 def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
     """Mean distance [m] of simulated markers from those of recordings."""
     positions = [recording.positions for recording in recordings]
-    error = simulated - np.concatenate(positions)
+    measured = np.concatenate(positions)
+    error = simulated - measured
     distance = np.linalg.norm(error, axis=-1)
     return float(np.nanmean(distance))
 
@@ -141,15 +143,17 @@ def _axes() -> dict[str, Array]:
     matrices = dict[str, Array]()
     orders = itertools.permutations(range(3))
     all_signs = itertools.product((1, -1), repeat=3)
+    unit = np.eye(3)
     for order, signs in itertools.product(orders, all_signs):
-        exchange = np.eye(3)[list(order)]
+        exchange = unit[list(order)]
         column = np.array(signs)[:, None]
         S = column * exchange
         axes = list[str]()
         for axis, sign in zip(order, signs, strict=True):
             name = "xyz"[axis]
             axes.append(name if sign > 0 else f"-{name}")
-        text = f"x, y, z of the data read as {', '.join(axes)}"
+        names = ", ".join(axes)
+        text = f"x, y, z of the data read as {names}"
         if np.linalg.det(S) < 0.0:
             text += " (a mirror image: the frame of the data is left-handed)"
         matrices[text] = S
@@ -188,18 +192,20 @@ def command_factors(plants: Plants) -> dict[str, float]:
     Returns:
         By words the factor that makes commands as they are read commands in another reading.
     """
-    unit = plants.scene.effects.command_unit
+    effects = plants.scene.effects
+    unit = effects.command_unit
+    factor_of_unit = UNITS[unit]
     commands = [f"{COMMANDS[unit]}_{i}" for i in range(len(plants.scene.tendons))]
     # the unit that [columns] says, of which the first stands for all
     current = 1.0
     for key, column in plants.markers.columns.items():
         if matches_of(key, commands) and column.unit:
             # counts are in the SI unit once their scale has been taken
-            current = UNITS[unit].get(column.unit, 1.0)
+            current = factor_of_unit.get(column.unit, 1.0)
             break
-    factors = {
-        f"commands in {name}": factor / current
-        for name, factor in UNITS[unit].items()
-        if factor != current
-    }
-    return factors | {"commands of the other sign": -1.0}
+    factors = dict[str, float]()
+    for name, factor in factor_of_unit.items():
+        if factor != current:
+            factors[f"commands in {name}"] = factor / current
+    factors["commands of the other sign"] = -1.0
+    return factors

@@ -154,7 +154,10 @@ def _check_once(parameters: Sequence[Parameter]) -> None:
     """Raises ValueError where two parameters stand for the same number."""
     keys = list[str]()
     for parameter in parameters:
-        keys += parameter.of_scene.keys if parameter.of_scene else (parameter.name,)
+        if parameter.of_scene is not None:
+            keys += parameter.of_scene.keys
+        else:
+            keys.append(parameter.name)
     for key in keys:
         if keys.count(key) > 1:
             raise ValueError(f"parameters name {key} twice")
@@ -166,12 +169,13 @@ def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
     Raises ValueError.
     """
     key, _, ends = text.partition("=")
+    name = key.strip()
     if not ends:
-        return key.strip(), None
+        return name, None
     with contextlib.suppress(ValueError):  # of text that is no number: it is told below
         low, high = map(float, ends.split(".."))
         if low < high:
-            return key.strip(), (low, high)
+            return name, (low, high)
     raise ValueError(f"parameter {text!r} should be KEY or KEY=LOW..HIGH with LOW < HIGH")
 
 
@@ -188,15 +192,16 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
 def _of_base(scene: Scene) -> list[Parameter]:
     """Rotation and position of the base about and along the world's axes."""
     parameters = list[Parameter]()
+    farthest = SHIFT * rod_length(scene)
     for name, quantity, prior in (
         ("rotation", Quantity.SCENE, ROTATION),
-        ("position", Quantity.BASE_POSITION, SHIFT * rod_length(scene)),
+        ("position", Quantity.BASE_POSITION, farthest),
     ):
         keys = [f"base.{name}.{axis}" for axis in range(3)]
         for axis, numbers in enumerate(scene_parameters(scene, keys)):
-            parameters.append(
-                _difference(keys[axis], numbers.value, prior, quantity, (axis,), numbers)
-            )
+            value = numbers.value
+            parameter = _difference(keys[axis], value, prior, quantity, (axis,), numbers)
+            parameters.append(parameter)
     return parameters
 
 
@@ -325,9 +330,10 @@ def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Sc
     Raises ValueError where they leave out the scene's number.
     """
     low, high = bounds or (usual.low, usual.high)
+    is_inside = low <= usual.value <= high
     # a factor does not reach a number of the other sign
     is_unreachable = usual.is_factor and low * high <= 0.0
-    if not low <= usual.value <= high or is_unreachable:
+    if not is_inside or is_unreachable:
         what = "of one sign around" if usual.is_factor else "around"
         raise ValueError(
             f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its"

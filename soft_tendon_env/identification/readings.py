@@ -50,7 +50,8 @@ class Measurement(NamedTuple):
         """
         rotation = poses[..., :3, :3]
         centre = poses[..., :3, 3]
-        from_base = centre + np.einsum("...ij,...j->...i", rotation, self.offsets)
+        turned = np.einsum("...ij,...j->...i", rotation, self.offsets)
+        from_base = centre + turned
         return np.asarray(from_base + self.position)
 
 
@@ -81,7 +82,8 @@ class Plants:
         # quantities that leave the poses of sections as they are, seen from the base's place; that
         # place matters to an arm where an effect changes from place to place, as contact does
         still = {Quantity.MARKER_OFFSET}
-        if all(effect.is_uniform for effect in scene.effects.on_arm().chosen().values()):
+        effects = scene.effects.on_arm().chosen().values()
+        if all(effect.is_uniform for effect in effects):
             still.add(Quantity.BASE_POSITION)
         self.moves_arm = [parameter.quantity not in still for parameter in self.parameters]
 
@@ -145,12 +147,15 @@ class Readings:
         self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]
         self.ends = np.cumsum(samples)
-        nothing = np.empty((0, len(plants.markers.markers), 3))  # its shape, without recordings
+        marker_count = len(plants.markers.markers)
+        nothing = np.empty((0, marker_count, 3))  # its shape, without recordings
         positions = [recording.positions for recording in self.recordings]
         self.measured = np.concatenate([nothing, *positions])
         self.seen = np.isfinite(self.measured)
+        # the cluster of every coordinate that was seen
         sample_cluster = np.repeat(clusters(self.recordings), samples)
-        reading_cluster = np.broadcast_to(sample_cluster[:, None, None], self.seen.shape)
+        by_sample = sample_cluster[:, None, None]
+        reading_cluster = np.broadcast_to(by_sample, self.seen.shape)
         self.cluster = reading_cluster[self.seen]
 
     def positions(self, x: Array) -> Array:
@@ -168,7 +173,8 @@ class Readings:
         if poses is None:
             poses = self._poses(x)
         measurement = self.plants.measurement(x)
-        error = measurement.positions(poses) - self.measured
+        simulated = measurement.positions(poses)
+        error = simulated - self.measured
         return np.asarray(error[self.seen])
 
     def by_recording(self, readings: Array) -> list[Array]:
@@ -178,7 +184,8 @@ class Readings:
         """
         whole = np.full(self.measured.shape, np.nan)
         whole[self.seen] = readings
-        return np.split(whole, self.ends[:-1])
+        borders = self.ends[:-1]
+        return np.split(whole, borders)
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates.
@@ -193,12 +200,12 @@ class Readings:
             least, greatest = parameter.bounds
             low = max(x[i] - h, least)
             high = min(x[i] + h, greatest)
+            moves = self.plants.moves_arm[i]
             residuals = list[Array]()
             for value in (low, high):
                 coordinates = x.copy()
                 coordinates[i] = value
                 # an arm that stays keeps its poses, which take nearly all of the time
-                moves = self.plants.moves_arm[i]
                 moved_poses = self._poses(coordinates, near) if moves else poses
                 residuals.append(self.residual(coordinates, moved_poses))
             low_residual, high_residual = residuals
@@ -228,10 +235,12 @@ class Readings:
         error = self.positions(x) - self.measured
         distance = np.linalg.norm(error, axis=-1)
         # without recordings there is one empty part
-        parts = np.split(distance, self.ends[:-1])
+        borders = self.ends[:-1]
+        parts = np.split(distance, borders)
         errors = dict[str, float]()
         for recording, part in zip(self.recordings, parts, strict=False):
-            errors[recording.name] = mean_of_finite(part.ravel())
+            every_distance = part.ravel()
+            errors[recording.name] = mean_of_finite(every_distance)
         return errors
 
     def _arms(self, x: Array) -> list[tuple[Model, Array]]:
@@ -261,8 +270,9 @@ class Readings:
         if key not in self._arriving:
             self._arriving[key] = after_play(session, backlash)
         arriving = self._arriving[key]
-        last = recording.row + len(recording.command)
-        return arriving[recording.row : last]
+        first = recording.row
+        last = first + len(recording.command)
+        return arriving[first:last]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
         """Poses (samples, m, 4, 4) of markers' sections from the base's place.
@@ -281,7 +291,9 @@ class Readings:
                     simulated += self._simulate(model, command, i)
                 else:
                     simulated.append(moved)
-        model = arms[0][0] if arms else self.plants.model
+        model = self.plants.model
+        if arms:
+            model, _ = arms[0]
         places = self.plants.markers.arc_lengths
         samples = [model.backbone_at(q, places) for q in simulated]
         # its shape, also without recordings
@@ -330,7 +342,8 @@ class Readings:
             return [rest.q]
         start = Simulation(model).reset(rest.q, tension=tension)
         duration = period * (len(command) - 1)
-        return list(simulate(model, command[:-1], duration, period, start).q)
+        motion = simulate(model, command[:-1], duration, period, start)
+        return list(motion.q)
 
 
 def _near(model: Model, command: Array, q: Array) -> Near | None:
@@ -345,7 +358,8 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
         return None
     compliance = linearised.compliance
     if pulls.any():
-        # springs of tendons that follow the arm stand in parallel with it (Woodbury's identity)
+        # springs of tendons that follow the arm stand in parallel with it; Woodbury's identity:
+        # (K + B k B^T)^-1 = C - C B (k^-1 + B^T C B)^-1 B^T C with C = K^-1
         terms = model.terms(q, np.zeros_like(q), u)
         columns = terms.actuation[:, pulls]
         stiffness = model.arm.effects.transmission.stiffness[pulls]
@@ -354,7 +368,8 @@ def _near(model: Model, command: Array, q: Array) -> Near | None:
         stretch = columns.T @ compliance
         in_parallel = spring_compliance + columns.T @ response
         forces = np.linalg.solve(in_parallel, stretch)
-        compliance = compliance - response @ forces
+        relief = response @ forces
+        compliance = compliance - relief
     return Near(q, compliance, pulls)
 
 
@@ -372,7 +387,8 @@ def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
         balance = Balance(model, u, work).at(near.q, 1.0)
     if balance is None:
         return None
-    return np.asarray(near.q + near.compliance @ balance.force)
+    step = near.compliance @ balance.force
+    return np.asarray(near.q + step)
 
 
 def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
@@ -382,8 +398,10 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
     """
     path = model.arm.effects.transmission
     if not path.elastic:
-        return command, np.zeros(command.size, dtype=bool)
-    stretch = command - path.length + model.tendon_lengths(q)
+        none_follows = np.zeros(command.size, dtype=bool)
+        return command, none_follows
+    way = command - path.length
+    stretch = way + model.tendon_lengths(q)
     unbounded = path.stiffness * stretch
     u = np.clip(unbounded, 0.0, path.strength)
     # a slack tendon, and one at its drive's strength, keep their tension as the arm moves

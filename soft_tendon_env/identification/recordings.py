@@ -92,9 +92,12 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     rows = [where for where, _ in table.rows]
     command = _commands(table, sources, scene)
     positions = _positions(table, sources, markers)
-    times = _times(table, sources["time"]) if "time" in sources else None
+    times = None
+    if "time" in sources:
+        times = _times(table, sources["time"])
     from_base = positions - scene.base.position
-    _check_reach(from_base, rod_length(scene), path, next(iter(markers.markers)))
+    first_marker = next(iter(markers.markers))
+    _check_reach(from_base, rod_length(scene), path, first_marker)
     if "hold" in sources:
         place = table.header.index(sources["hold"].column)
         names = [cells[place] for _, cells in table.rows]
@@ -104,11 +107,17 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     # rows of one hold that follow each other are samples of a motion
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
         samples = [*group]
-        where, cells = table.rows[samples[0]]
+        first = samples[0]
+        where, cells = table.rows[first]
         wheres = [rows[i] for i in samples]
-        own_times = np.empty(0) if times is None else times[samples]
+        own_times = np.empty(0)
+        if times is not None:
+            own_times = times[samples]
         period = _period(name, own_times, wheres)
         columns = dict(zip(table.header, cells, strict=True))
+        group_name = ""
+        if "group" in sources:
+            group_name = columns[sources["group"].column]
         recording = Recording(
             name=name,
             where=where,
@@ -116,8 +125,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
             positions=positions[samples],
             period=period,
             columns=columns,
-            group=columns[sources["group"].column] if "group" in sources else "",
-            row=samples[0],
+            group=group_name,
+            row=first,
             session=command,
         )
         check_commands(recording, scene)
@@ -127,8 +136,10 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 def _read_columns(path: Path, scene: Scene, markers: MarkerSet) -> tuple[Table, dict[str, Source]]:
     """Table of a file, and the columns that hold its quantities."""
-    units = dict.fromkeys(_command_names(scene), scene.effects.command_unit)
-    units |= dict.fromkeys(_position_names(markers), "m")
+    commands = _command_names(scene)
+    positions = _position_names(markers)
+    units = dict.fromkeys(commands, scene.effects.command_unit)
+    units |= dict.fromkeys(positions, "m")
     units["time"] = "s"
     # of text
     units["hold"] = ""
@@ -159,7 +170,8 @@ def _commands(table: Table, sources: Mapping[str, Source], scene: Scene) -> Arra
     if len(empty):
         row, tendon = empty[0]
         where, _ = table.rows[row]
-        raise ValueError(f"{where}: {columns[tendon].column} is empty: it should be a number")
+        name = columns[tendon].column
+        raise ValueError(f"{where}: {name} is empty: it should be a number")
     return command
 
 
@@ -173,9 +185,10 @@ def _positions(table: Table, sources: Mapping[str, Source], markers: MarkerSet) 
     is_lost = largest > LOST
     inside[is_lost] = np.nan
     # three zeros are what some trackers write for what was not seen; a marker may be at the base
-    is_zero = (inside == 0.0).all(axis=2)
+    is_at_origin = (inside == 0.0).all(axis=2)
     is_beyond_base = markers.arc_lengths > 0.0
-    inside[is_zero & is_beyond_base] = np.nan
+    is_unseen = is_at_origin & is_beyond_base
+    inside[is_unseen] = np.nan
     frame = markers.frame
     turned = inside @ frame.rotation.T
     return np.asarray(turned + frame.translation)
@@ -249,9 +262,11 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
     steps = np.arange(len(times))
     elapsed = times - times[0]
     period, first = map(float, np.polyfit(steps, elapsed, 1))
-    deviation = np.abs(elapsed - first - period * steps)
+    on_line = first + period * steps
+    deviation = np.abs(elapsed - on_line)
     if deviation.max() > UNEVEN * period:
-        row = int(np.argmax(np.abs(change - middle)))
+        from_middle = np.abs(change - middle)
+        row = int(np.argmax(from_middle))
         text = (
             f"time goes on by {change[row]:.6g} s: it should in equal steps, which are"
             f" {middle:.6g} s in the middle"
@@ -290,15 +305,16 @@ def check_commands(recording: Recording, scene: Scene) -> None:
         ValueError: with the command's row, value and limits, and a unit that it may be in.
     """
     unit = scene.effects.command_unit
+    kind = COMMANDS[unit]
     for i, (least, greatest) in enumerate(command_limits(scene)):
         values = recording.command[:, i]
         is_outside = (values < least) | (values > greatest)
         outside = values[is_outside]
         if outside.size:
-            name = f"{COMMANDS[unit]}_{i}"
+            name = f"{kind}_{i}"
             text = (
-                f"{name} is {outside[0]:g} {unit}: the scene's {COMMANDS[unit]}_limits are"
-                f" {least:g} to {greatest:g} {unit}"
+                f"{name} is {outside[0]:g} {unit}: the scene's {kind}_limits are {least:g} to"
+                f" {greatest:g} {unit}"
             )
             largest = float(np.abs(values).max())
             most = max(-least, greatest)
@@ -319,9 +335,9 @@ def _check_reach(positions: Array, length: float, path: Path, marker: str) -> No
     text = f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m"
     if distance > reach:
         guess = _unit_guess(f'"{marker}_*"', distance, reach, "m")
-        raise ValueError(
-            text + (guess or "; are the [frame] of --markers and the scene's [base] right?")
-        )
+        if not guess:
+            guess = "; are the [frame] of --markers and the scene's [base] right?"
+        raise ValueError(f"{text}{guess}")
     if distance < NEAR * length:
         raise ValueError(f"{text}: is the arm's length or the unit wrong? Positions are in m")
 

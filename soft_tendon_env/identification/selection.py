@@ -40,15 +40,18 @@ def fewer_parameters_text(estimate: Fit, fit_error: float, judge: Readings) -> s
         deviation = np.sqrt(variances(estimate))
         significance = np.abs(estimate.x) / deviation
     least_first = np.argsort(significance)
-    for kept in sorted({int(share * count) for share in KEPT}):
+    kept_counts = sorted({int(share * count) for share in KEPT})
+    as_good = (1.0 + SAME) * held_out_error
+    for kept in kept_counts:
         left_out = least_first[: count - kept]
         error = _error_without(estimate, left_out, judge)
-        if error <= (1.0 + SAME) * held_out_error:
-            names = [judge.plants.parameters[i].name for i in sorted(left_out)]
+        if error <= as_good:
+            parameters = judge.plants.parameters
+            names = ", ".join(parameters[i].name for i in sorted(left_out))
             return (
                 f"{count} parameters judge no better than {kept}: held-out recordings are off by"
                 f" {1e3 * held_out_error:.3g} mm, and by {1e3 * error:.3g} mm without"
-                f" {', '.join(names)}; those of the fit by {1e3 * fit_error:.3g} mm. Leave them"
+                f" {names}; those of the fit by {1e3 * fit_error:.3g} mm. Leave them"
                 " out, or record more."
             )
     return None
@@ -62,8 +65,9 @@ def _error_without(estimate: Fit, left_out: Places, judge: Readings) -> float:
     x = _estimate_without(estimate, left_out)
     bounds = np.array([parameter.bounds for parameter in judge.plants.parameters])
     low, high = bounds.T
+    x_within = np.clip(x, low, high)
     try:
-        errors = judge.errors(np.clip(x, low, high))
+        errors = judge.errors(x_within)
     except (NoHoldError, ConfigurationError):
         return np.inf
     return mean_of_finite(errors.values())
@@ -81,6 +85,7 @@ def _estimate_without(estimate: Fit, left_out: Places) -> Array:
     force = normal @ step
     kept = np.flatnonzero(is_kept)
     kept_normal = normal[np.ix_(kept, kept)]
-    answer, *_ = np.linalg.lstsq(kept_normal, -force[kept], rcond=None)
+    kept_force = force[kept]
+    answer, *_ = np.linalg.lstsq(kept_normal, -kept_force, rcond=None)
     step[kept] = answer
     return np.asarray(estimate.x + step)

@@ -16,6 +16,7 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import hyperparameter_problems
+from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
     Configuration,
@@ -75,6 +76,11 @@ class Training(Configuration):
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see
             policies/integral.py; None: none.
+        added_effects: numbers of effects by name, for an arm that has none such. What `randomize`
+            draws of them is added to those of an arm that has them.
+
+    Numbers can be shares of the arm, such as "0.5 length": see learning/shares.py. A training has
+    them, effects included, in its options, in SI units.
     """
 
     task: TaskName
@@ -89,6 +95,12 @@ class Training(Configuration):
     normalise: Normalisation = Normalisation()
     integral_time: Positive | None = None
     evaluation: Evaluation = Evaluation()
+    added_effects: dict[str, dict[str, Any]] = Field(default={})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _for_its_arm(cls, values: dict[str, Any]) -> dict[str, Any]:
+        return resolved(values)
 
     def arm_seed(self, done: int = 0) -> int:
         """Returns the first arm's seed for `reset`.

@@ -30,6 +30,7 @@ from soft_tendon_env.learning.checkpoints import (
     write_model,
 )
 from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.purpose import PURPOSE, purpose
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import CONFIG, NetworkPolicy, acting_policy
 from soft_tendon_env.tools.files import read_json, replacing
@@ -122,6 +123,7 @@ class TrainingMonitor(ABC):
         self._started = time.perf_counter()
         self._config = config
         write_json(self.folder / CONFIG, config, say=False)
+        (self.folder / PURPOSE).write_text(purpose(self.training), encoding="utf-8")
         self._evaluated = self._evaluations_due()
         if not self.curve:
             self.evaluate()  # compiles, if need be

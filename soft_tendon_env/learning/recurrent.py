@@ -13,6 +13,7 @@ from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor, MlpExtractor
 from torch import Tensor
 
+from soft_tendon_env.differentiable.gated_unit import next_memory, with_fine_entries
 from soft_tendon_env.policies.architecture import check_sizes
 from soft_tendon_env.policies.protocol import LostState
 
@@ -22,8 +23,7 @@ SLOW = -1.0  # bias of the gates at first: about a quarter of the memory is new 
 class RecurrentPolicy(ActorCriticPolicy):
     """Policy of PPO whose layers see what it observes and what it remembers of the episode.
 
-    The memory is that of a minimal gated unit (G.-B. Zhou et al., Int. J. Automation and Computing
-    13, 2016), zero where an episode begins.
+    The memory is that of a minimal gated unit, see `next_memory`, zero where an episode begins.
 
     Args:
         memory: its size; 0: there is none.
@@ -87,29 +87,17 @@ class RecurrentPolicy(ActorCriticPolicy):
             memory: (rows, size).
         """
         plain: Any = self.extract_features(observation, self.pi_features_extractor)
-        seen = self._finer(plain)
+        seen = with_fine_entries(plain, self.fine)
         if self.memory:
-            memory = self._remember(seen, memory)
+            memory = next_memory(self.gate, self.candidate, seen, memory)
         latent = self.mlp_extractor.forward_actor(torch.cat([seen, memory], dim=1))
         mean = self.action_net(latent)
         if self.posture:
-            away = self._finer(plain[:, self.posture :])
-            mean = mean + self.gain(latent * self.way(away))
+            posture = plain[:, self.posture :]
+            away = with_fine_entries(posture, self.fine)
+            gains = self.gain(latent * self.way(away))
+            mean = mean + gains
         return mean, memory
-
-    def _remember(self, seen: Tensor, memory: Tensor) -> Tensor:
-        """Next memory (rows, size)."""
-        before = torch.cat([seen, memory], dim=1)
-        share = torch.sigmoid(self.gate(before))
-        recalled = torch.cat([seen, share * memory], dim=1)
-        candidate = torch.tanh(self.candidate(recalled))
-        return memory + share * (candidate - memory)
-
-    def _finer(self, values: Tensor) -> Tensor:
-        if not self.fine:
-            return values
-        fine = torch.tanh(self.fine * values)
-        return torch.cat([values, fine], dim=1)
 
     def _predict(self, observation: Any, deterministic: bool = False) -> Tensor:
         nothing = torch.zeros(_rows(observation), self.memory)

@@ -96,8 +96,12 @@ class Implicit(Strain):
 
         The loads inside are in balance with them.
         """
-        law, q = self.law, np.zeros(self.size)
-        np.add.at(q, law.column, law.weight * np.repeat(tension, np.diff(law.row_start)))
+        law = self.law
+        q = np.zeros(self.size)
+        # of each tendon its tension, once for every combination that it is in
+        combinations = np.diff(law.row_start)
+        tensions = np.repeat(tension, combinations)
+        np.add.at(q, law.column, law.weight * tensions)
         return q
 
 
@@ -180,8 +184,10 @@ class Arm(Struct):
 def point_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout."""
     *lead, intervals, two, components = values.shape
-    packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
-    return aligned_copy(np.moveaxis(packed, -3, -1)).ravel()
+    packs = intervals // LANES
+    by_lane = values.reshape(*lead, packs, LANES, two, components)
+    packed = np.moveaxis(by_lane, -3, -1)
+    return aligned_copy(packed).ravel()
 
 
 def node_field(values: np.ndarray) -> np.ndarray:

@@ -67,8 +67,8 @@ def _check_turns(scene: Scene) -> None:
     pieces = breakpoints(scene).size - 1
     most = MOST_INTERVALS * pieces
     for i, segment in enumerate(scene.segments):
-        angle = math.hypot(*segment.curvature) * segment.length
-        turns = angle / (2.0 * math.pi)
+        rate = math.hypot(*segment.curvature)
+        turns = rate * segment.length / (2.0 * math.pi)
         if turns > most:
             text = (
                 f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the"

@@ -44,22 +44,30 @@ def contact_forces(model: Model, state: State) -> ContactForces:
     Raises:
         ValueError: for a model without contact.
     """
-    work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
+    contact = model.scene.effects.contact
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")
     parameters = contact.parameters(model.discretisation)
+    work = make_workspace(model.arm)
     work.strain.xi[:] = model.grid.packed(state.strain)
     work.inputs.clock[0] = state.time
-    evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, TOLERANCE, work)
-    gap, position = (
-        np.empty((len(parameters.obstacles), len(parameters.samples))),
-        np.empty((len(parameters.samples), 3)),
-    )
-    force, places = np.empty((*gap.shape, 3)), contact.sample_places(model.discretisation)
+    no_tension = np.zeros(model.tendon_count)
+    evaluate_forces(model.arm, no_tension, state.q, state.q_dot, TOLERANCE, work)
     kinematics = work.kinematics
     nodes = nodes_with(kinematics.pose, kinematics.eta, kinematics.base, state.time)
+    obstacle_count = len(parameters.obstacles)
+    sample_count = len(parameters.samples)
+    gap = np.empty((obstacle_count, sample_count))
+    position = np.empty((sample_count, 3))
+    force = np.empty((obstacle_count, sample_count, 3))
     read_contacts(parameters, nodes, gap, position, force)
-    least = gap.min(axis=1)
+    clearance = gap.min(axis=1)
     return ContactForces(
-        force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap
+        force=force.sum(axis=1),
+        clearance=clearance,
+        penetration=np.maximum(-clearance, 0.0),
+        arc_length=contact.sample_places(model.discretisation),
+        position=position,
+        sample_force=force,
+        gap=gap,
     )

@@ -1,4 +1,4 @@
-"""Strain coordinates of a scene, what moves, and all arrays of an arm.
+"""Strain coordinates of a scene: what of the rod moves.
 
 They are actuation and passive fields, independent tensions and explicit bases.
 """
@@ -8,17 +8,13 @@ import math
 import numpy as np
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
-from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.types import (
-    Arm,
     Explicit,
-    Implicit,
     Loaded,
     StaticsBased,
     point_field,
 )
-from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid, make_rod
+from soft_tendon_env.model.grid import Grid, StressFreeArm, at_points, make_grid
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.scene.strain import STRAINS, ExplicitBasis, Snapshots, mode_fields
@@ -36,33 +32,6 @@ PER_FUNCTION = 3
 SPANNED = 1e-6
 # share of a tension in an independent combination, up to which it is round-off
 NO_SHARE = 1e-12
-
-
-def make_arm(
-    scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None
-) -> Arm:
-    """All that the kernels read of a scene, on this grid.
-
-    Args:
-        scene: of the arm.
-        grid: of the scene's rod.
-        strain: with the combinations of tensions and the passive fields that stay; None: they are
-            made anew.
-
-    Raises:
-        ConfigurationError: for loads inside of the strain of an arm whose base moves.
-    """
-    stress_free = at_points(scene, grid)
-    effects = _effect_table(scene, stress_free)
-    law = strain.law if isinstance(strain, Implicit) else None
-    pose = scene.base.pose
-    return Arm(
-        base=aligned_copy(np.append(pose[:3, :3], pose[:3, 3])),
-        rod=make_rod(scene, grid, stress_free),
-        tendons=stress_free.tendons,
-        strain=make_strain(scene, grid, stress_free, law),
-        effects=effects,
-    )
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -178,37 +147,6 @@ def tension_law(
     )
 
 
-def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension, those of redundant tendons too.
-
-    It can be placed, and not moved.
-    """
-    strain = arm.strain
-    assert not isinstance(strain, Explicit)
-    count = arm.tendons.size
-    passive_count = strain.law.size - strain.law.active
-    size = count + passive_count
-    packs = np.full(size, arm.rod.packs)
-    everywhere = {
-        "size": size,
-        "pack_begin": np.zeros(size, dtype=np.int64),
-        "pack_end": packs,
-        "jacobian_end": packs,
-    }
-    law = strain.law.replaced(
-        **everywhere,
-        row_start=np.arange(count + 1),
-        column=np.arange(count),
-        weight=np.ones(count),
-        mixed=0,
-        active=count,
-    )
-    if isinstance(strain, Loaded):
-        loaded = strain.replaced(**everywhere, law=law)
-        return arm.replaced(strain=loaded)
-    return arm.replaced(strain=law)
-
-
 def independent_tensions(gram: Array, tolerance: float) -> Array:
     """Basis of the independent tensions (n_a, rank).
 
@@ -238,18 +176,6 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
     mixing = np.array(basis).reshape(-1, count).T
     is_share = np.abs(mixing) > NO_SHARE
     return np.where(is_share, mixing, 0.0)
-
-
-def _effect_table(scene: Scene, stress_free: StressFreeArm) -> EffectTable:
-    """The effects outside of the strain, as the kernels read them."""
-    effects = effects_outside(scene).table(stress_free.rod)
-    if effects.base.any() and effects_inside(scene):
-        text = (
-            "is given, but the loads inside of a strain have to stand still beside the arm's base,"
-            " which moves: leave it out"
-        )
-        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    return effects
 
 
 def _explicit_basis(strain: ExplicitBasis, grid: Grid, stress_free: StressFreeArm) -> Explicit:

@@ -32,7 +32,7 @@ buckled column rests to any side, and growth of a motion in a radian. Difference
 1e-6."""
 
 
-class At(NamedTuple):
+class Evaluation(NamedTuple):
     """Balance at coordinates q (n,) under a part of the load."""
 
     q: Array
@@ -47,7 +47,7 @@ class Linearised:
     """The balance to first order around coordinates."""
 
     balance: Balance
-    at: At
+    evaluation: Evaluation  # there
     stiffness: Array  # S = -df/dq (n, n)
     compliance: Array  # S^-1, 0 for neutral modes
     tangent: Array  # S^-1 df/dpart (n,): at an equilibrium, dq/dpart along its path
@@ -58,22 +58,22 @@ class Linearised:
 
         For loads without a potential, motions from it die out.
         """
-        balance, S = self.balance, self.balance._by_metric(self.stiffness)
+        balance = self.balance
+        S = balance._by_metric(self.stiffness)
         has_potential = balance._is_symmetric(S)
-        values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
-        order = np.argsort(values.real)
-        least, flutters = (
-            float(values[order[0]].real),
-            not has_potential and balance._flutters(self),
-        )
-        modes = balance.model.metric_unit @ vectors[:, order].real * math.sqrt(balance.energy)
-        return Stability(
-            least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters,
-            least,
-            modes,
-            has_potential,
-            flutters,
-        )
+        if has_potential:
+            values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+        else:
+            values, vectors = np.linalg.eig(S)
+        softest_first = np.argsort(values.real)
+        least = float(values[softest_first[0]].real)
+        flutters = not has_potential and balance._flutters(self)
+        # eigenvectors of unit energy, scaled to that of bending by 1 rad
+        ordered = vectors[:, softest_first].real
+        modes = balance.model.metric_unit @ ordered * math.sqrt(balance.energy)
+        neutral = NEUTRAL * float(np.linalg.norm(S))
+        is_stable = least > -neutral and not flutters
+        return Stability(is_stable, least, modes, has_potential, flutters)
 
 
 class Stability(NamedTuple):
@@ -83,9 +83,7 @@ class Stability(NamedTuple):
     # least (real part of an) eigenvalue of S in the metric of the unloaded arm: 1 there, 0 where
     # stability is lost
     least: float
-    modes: (
-        Array  # (n, n) the eigenvectors, softest first, each an angle of 1 rad, see Balance.angle
-    )
+    modes: Array  # (n, n) eigenvectors, softest first, each an angle of 1 rad, see Balance.angle
     has_potential: bool  # S is symmetric
     flutters: bool  # oscillations grow, as only loads without a potential can make them
 
@@ -98,33 +96,37 @@ class Balance:
 
     def __init__(self, model: Model, tension: Array, work: Workspace) -> None:
         """work: of the model, that nobody else uses meanwhile."""
-        self.model, self.tension, self.size, self.energy = (
-            model,
-            tension,
-            model.coordinate_count,
-            model.bending_energy,
-        )
-        self.work, self.linearisations, self.obstacle = work, 0, ""
+        self.model = model
+        self.tension = tension
+        self.size = model.coordinate_count
+        self.energy = model.bending_energy
+        self.work = work
+        self.linearisations = 0
+        self.obstacle = ""
 
-    def at(self, q: Array, part: float) -> At | None:
+    def at(self, q: Array, part: float) -> Evaluation | None:
         """The balance at q (n,)."""
-        computed = self._compute(q, part, False, np.empty((0, self.size)))
-        return None if computed is None else computed[0]
+        no_directions = np.empty((0, self.size))
+        computed = self._compute(q, part, False, no_directions)
+        if computed is None:
+            return None
+        evaluation, _ = computed
+        return evaluation
 
     def linearise(self, q: Array, part: float) -> Linearised | None:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
         unit = self.model.coordinate_scale()
-        if (computed := self._compute(q, part, True, np.diag(unit))) is None:
+        computed = self._compute(q, part, True, np.diag(unit))
+        if computed is None:
             return None
-        at, out = computed
+        evaluation, out = computed
         stiffness = out.slopes / unit
         compliance = self._inverse(stiffness)
-        return (
-            None
-            if compliance is None
-            else Linearised(self, at, stiffness, compliance, compliance @ out.rate)
-        )
+        if compliance is None:
+            return None
+        tangent = compliance @ out.rate
+        return Linearised(self, evaluation, stiffness, compliance, tangent)
 
     def _inverse(self, stiffness: Array) -> Array | None:
         """Inverse (n, n) of a tangent stiffness, 0 for neutral modes; None where it is singular."""
@@ -133,82 +135,103 @@ class Balance:
                 inverse = np.linalg.inv(stiffness)
         except np.linalg.LinAlgError:
             inverse = np.full_like(stiffness, np.nan)
-        if (
-            np.isfinite(inverse).all()
-            and np.abs(np.diag(self.model.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL
-        ):
+        # a compliance that is large beside the metric's is that of a neutral mode
+        compliances = np.diag(self.model.metric) * np.diag(inverse)
+        is_finite = np.isfinite(inverse).all()
+        if is_finite and np.abs(compliances).max() < 0.1 / NEUTRAL:
             return np.asarray(inverse)
         S = self._by_metric(stiffness)
         if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-            stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
-            modes = self.model.metric_unit @ vectors[:, stiff]
-            return np.asarray(modes / values[stiff] @ modes.T)
+            is_stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
+            modes = self.model.metric_unit @ vectors[:, is_stiff]
+            stiff_values = values[is_stiff]
+            return np.asarray(modes / stiff_values @ modes.T)
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
         return None
 
     def _by_metric(self, matrix: Array) -> Array:
-        return np.asarray(self.model.metric_unit.T @ matrix @ self.model.metric_unit)
+        """A matrix (n, n) in coordinates that are orthonormal in the unloaded arm's metric."""
+        unit = self.model.metric_unit
+        return np.asarray(unit.T @ matrix @ unit)
 
     def _is_symmetric(self, S: Array) -> bool:
+        """Whether S is that of a potential, by what the loads are, else by its numbers."""
         # G grows without bound where the arm buckles, and differences of forces lose their symmetry
-        strain = self.model.arm.strain
-        is_conservative = (
-            isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load
-        )
-        return is_conservative or bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
+        arm = self.model.arm
+        if isinstance(arm.strain, Loaded) and arm.strain.has_potential and not arm.effects.load:
+            return True
+        asymmetry = np.linalg.norm(S - S.T)
+        return bool(asymmetry <= ASYMMETRIC * np.linalg.norm(S))
 
     def unloaded(self) -> Linearised:
         """The unloaded arm, where S is G."""
-        computed = self._compute(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
+        no_directions = np.empty((0, self.size))
+        computed = self._compute(np.zeros(self.size), 0.0, True, no_directions)
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
-        at, out = computed
-        compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
-        return Linearised(self, at, at.G, compliance, compliance @ out.rate)
+        evaluation, out = computed
+        inverse = np.linalg.inv(evaluation.G)
+        compliance = np.asarray(inverse, dtype=np.float64)
+        tangent = compliance @ out.rate
+        return Linearised(self, evaluation, evaluation.G, compliance, tangent)
 
-    def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
+    def curvature(self, q: Array, part: float, modes: Array) -> tuple[Evaluation, Array] | None:
         """Balance at q (n,), and its curvature V^T S V (m, m) for modes V (n, m).
 
         The curvature is 1 for each of them on the unloaded arm.
         """
-        computed = self._compute(q, part, False, np.ascontiguousarray(modes.T))
-        return (
-            None if computed is None else (computed[0], modes.T @ computed[1].slopes / self.energy)
-        )
+        directions = np.ascontiguousarray(modes.T)
+        computed = self._compute(q, part, False, directions)
+        if computed is None:
+            return None
+        evaluation, out = computed
+        curvature = modes.T @ out.slopes / self.energy
+        return evaluation, curvature
 
     def _compute(
         self, q: Array, part: float, with_rate: bool, directions: Array
-    ) -> tuple[At, Linearisation] | None:
+    ) -> tuple[Evaluation, Linearisation] | None:
+        """Balance at q (n,), with its rate by the part of the load.
+
+        It has slopes in directions (k, n). None without a strain or a stiffness, as `obstacle`
+        says.
+        """
+        model = self.model
         n = self.size
         out = Linearisation(
             np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions)))
         )
         block, reached = linearise_balance(
-            self.model.arm, self.tension, q, part, with_rate, directions, self.work, out
+            model.arm, self.tension, q, part, with_rate, directions, self.work, out
         )
         if block >= 0:
-            limit = nearest_limit(
-                self.model.arm, self.model.grid, q, self.work.strain.xi, reached, block
-            )
+            xi = self.work.strain.xi
+            limit = nearest_limit(model.arm, model.grid, q, xi, reached, block)
             self.obstacle = f"no strain balances the coordinates: {limit}"
             return None
         try:
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # the energy of an absurd force is infinite or NaN: not balanced
-                unbalanced = float(out.force @ np.linalg.solve(out.G, out.force))
-                residual = (
-                    math.sqrt(unbalanced / (self.energy + q @ out.G @ q))
-                    if unbalanced >= 0.0
-                    else math.inf
-                )
+            # the energy of an absurd force is infinite or NaN: not balanced
+            with np.errstate(over="ignore", invalid="ignore"):
+                residual = self._residual(q, out)
         except np.linalg.LinAlgError:
             self.obstacle = (
                 "the stiffness is singular: nothing resists some coordinates, as where tendons push"
                 " past the stiffness"
             )
             return None
-        return At(q, part, out.force, out.G, residual), out
+        return Evaluation(q, part, out.force, out.G, residual), out
+
+    def _residual(self, q: Array, out: Linearisation) -> float:
+        """Angle [rad] sqrt(f^T G^-1 f / (E_1 + q^T G q)) of the unbalanced force f.
+
+        Raises LinAlgError where G is singular.
+        """
+        answer = np.linalg.solve(out.G, out.force)
+        unbalanced = float(out.force @ answer)
+        if not unbalanced >= 0.0:
+            return math.inf
+        stored = self.energy + q @ out.G @ q
+        return math.sqrt(unbalanced / stored)
 
     def product(self, a: Array, b: Array) -> float:
         """Inner product of `angle`, a^T G b of the unloaded arm [rad^2].
@@ -216,7 +239,8 @@ class Balance:
         It is infinite or NaN for absurd coordinates.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(a @ self.model.metric @ b) / self.energy
+            product = float(a @ self.model.metric @ b)
+            return product / self.energy
 
     def angle(self, change: Array) -> float:
         """Size of a change of coordinates (n,) as an angle of bending [rad].
@@ -224,33 +248,40 @@ class Balance:
         It is that of a bend of the whole unloaded arm that stores as much energy.
         """
         squared = self.product(change, change)
-        return math.sqrt(max(squared, 0.0)) if math.isfinite(squared) else math.inf
+        if not math.isfinite(squared):
+            return math.inf
+        return math.sqrt(max(squared, 0.0))
 
     def is_continuous(self, q_from: Array, q: Array) -> bool:
         """Whether the strain changes continuously from that at q_from (n,) to that at q (n,)."""
-        if not (
-            found := bool(
-                strain_is_continuous(
-                    self.model.arm, q_from, q, self.work.strain, self.work.kinematics
-                )
-            )
-        ):
+        strain = self.work.strain
+        kinematics = self.work.kinematics
+        is_continuous = strain_is_continuous(self.model.arm, q_from, q, strain, kinematics)
+        if not is_continuous:
             self.obstacle = (
                 "no strain balances the coordinates on the way: the tendons push past the section's"
                 " stiffness"
             )
-        return found
+        return bool(is_continuous)
 
-    def _flutters(self, here: Linearised) -> bool:
+    def _flutters(self, point: Linearised) -> bool:
         """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow."""
-        size = self.size
-        terms = self.model.terms(here.at.q, np.zeros(size), here.at.part * self.tension)
-        M, D, S = map(self._by_metric, (terms.mass, terms.damping, here.stiffness))
+        still = np.zeros(self.size)
+        q = point.evaluation.q
+        tension = point.evaluation.part * self.tension
+        terms = self.model.terms(q, still, tension)
+        M = self._by_metric(terms.mass)
+        D = self._by_metric(terms.damping)
+        S = self._by_metric(point.stiffness)
+        # of the state (q, q_dot): q_dot, and q_ddot = -M^-1 (S q + D q_dot)
         try:
             acceleration = np.linalg.solve(M, np.hstack([-S, -D]))
         except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns
             return False
-        rates = np.linalg.eigvals(
-            np.vstack([np.hstack([np.zeros((size, size)), np.eye(size)]), acceleration])
-        )
-        return bool((np.minimum(np.abs(rates.imag), rates.real) > NEUTRAL * np.abs(rates)).any())
+        unit = np.eye(self.size)
+        velocity = np.hstack([np.zeros_like(unit), unit])
+        rates = np.linalg.eigvals(np.vstack([velocity, acceleration]))
+        # an oscillation turns, and grows by more than round-off while it turns
+        turning = np.abs(rates.imag)
+        growing_oscillation = np.minimum(turning, rates.real)
+        return bool((growing_oscillation > NEUTRAL * np.abs(rates)).any())

@@ -80,7 +80,8 @@ class Grid:
         """The inverse of `unpacked`; empty intervals get the strain of the last point."""
         *lead, count, _ = strain.shape
         every_point = np.arange(2 * self.real.size)
-        source = np.minimum(every_point, count - 1)
+        last = count - 1
+        source = np.minimum(every_point, last)
         filled = strain[..., source, :]
         by_interval = filled.reshape(*lead, -1, 2, 6)
         field = point_field(by_interval)
@@ -102,8 +103,10 @@ class Grid:
         """The interval of each arc length (m,) [m] and the distance from its start [m]."""
         starts = self.start[self.real]
         starts_before = np.searchsorted(starts, arc_length, side="right")
+        # a place at the base, or before it by round-off, is in the first
         interval = np.maximum(starts_before - 1, 0)
-        distance = np.asarray(arc_length - starts[interval], dtype=np.float64)
+        own_start = starts[interval]
+        distance = np.asarray(arc_length - own_start, dtype=np.float64)
         return interval.astype(np.int64), distance
 
     def places(self, stations: Array, sensors: Array) -> Places:
@@ -260,8 +263,10 @@ def disc_inertia(discs: Array) -> Array:
         discs: rows as of `disc_rows`.
     """
     _, mass, radius, thickness = discs.T
-    about_axis = mass * radius**2 / 2
-    of_circle = radius**2 / 4
+    squared_radius = radius**2
+    # m r^2 / 2 about the axis, m (r^2 / 4 + t^2 / 12) across
+    about_axis = mass * squared_radius / 2
+    of_circle = squared_radius / 4
     of_thickness = thickness**2 / 12
     across = mass * (of_circle + of_thickness)
     diagonal = [about_axis, across, across, mass, mass, mass]
@@ -350,10 +355,11 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
         is_behind_start = places > start
         is_before_end = places < end
         presence = is_behind_start & is_before_end
-        columns = [offset, slope, presence[:, None]]
-        rows.append(np.concatenate(columns, axis=1))
+        row = np.concatenate([offset, slope, presence[:, None]], axis=1)
+        rows.append(row)
     geometry = np.array(rows)
-    return geometry.reshape(len(rows), *grid.points.shape, 5)
+    shape = (len(rows), *grid.points.shape, 5)
+    return geometry.reshape(shape)
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
@@ -365,10 +371,14 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
         p: linear strains (.., 3).
     """
     *lead, _ = geometry.shape
+    offset = geometry[..., 0:2]
+    slope = geometry[..., 2:4]
+    # both lie in the section: their x is 0
     d = np.zeros((*lead, 3))
     d_prime = np.zeros((*lead, 3))
-    d[..., 1:] = geometry[..., 0:2]
-    d_prime[..., 1:] = geometry[..., 2:4]
+    d[..., 1:] = offset
+    d_prime[..., 1:] = slope
+    # t_c = k~ d + p + d'
     t_c = np.cross(k, d) + p + d_prime
     return d, t_c
 
@@ -426,7 +436,10 @@ def _lengths_and_turns(geometry: Array, curvature: Array, grid: Grid) -> tuple[A
     with_section = 0.5 * distance * rate_sum
     in_section = np.diff(tangent, axis=1)
     angle = np.linalg.norm(in_section + with_section, axis=-1)
-    present_at_both = presence[:, 1:] * presence[:, :-1]
+    # where a tendon ends between two points it does not turn
+    present_after = presence[:, 1:]
+    present_before = presence[:, :-1]
+    present_at_both = present_after * present_before
     turn = np.sum(angle * present_at_both, axis=1)
     return np.asarray(length), np.asarray(turn)
 
@@ -518,8 +531,9 @@ def _panel_weights(size: int) -> Array:
     nodes = np.linspace(-1.0, 1.0, size + 1)
     powers = np.arange(size + 1)
     of_nodes = nodes ** powers[:, None]
-    # integral of each power
+    # integral of each power: (1 - (-1)^(p + 1)) / (p + 1)
     integral_powers = powers + 1
-    moments = (1.0 - (-1.0) ** integral_powers) / integral_powers
+    at_left_end = (-1.0) ** integral_powers
+    moments = (1.0 - at_left_end) / integral_powers
     weights = np.linalg.solve(of_nodes, moments)
     return np.asarray(weights, dtype=np.float64)

@@ -79,10 +79,11 @@ def tension_for_tip_pose(
     """
     checked_type("model", model, Model, "see build_model")
     pose = checked_array("pose", pose, (4, 4))
+    # a rotation has R^T R = 1, and no reflection
     R = pose[:3, :3]
-    stretch = R.T @ R - np.eye(3)
-    off_last_row = pose[3] - [0, 0, 0, 1]
-    deviation = max(np.abs(stretch).max(), np.abs(off_last_row).max())
+    stretch = np.abs(R.T @ R - np.eye(3))
+    off_last_row = np.abs(pose[3] - [0, 0, 0, 1])
+    deviation = max(stretch.max(), off_last_row.max())
     is_reflection = np.linalg.det(R) < 0
     if deviation > RIGID or is_reflection:
         raise ValueError(
@@ -200,7 +201,8 @@ class _TipSearch:
         """
         R = tip[:3, :3]
         R_desired = self.pose[:3, :3]
-        entries = np.ravel(R.T @ R_desired).tolist()
+        relative = R.T @ R_desired
+        entries = np.ravel(relative).tolist()
         turn = rotation_log(tuple(entries))
         position = tip[:3, 3]
         desired = self.pose[:3, 3]
@@ -231,9 +233,11 @@ class _TipSearch:
         motion = chord.terms.tip_jacobian @ chord.answer
         rotation = motion[:3]
         shift = motion[3:]
-        angular = self.angle_weight * _inverse_left_jacobian(turn) @ rotation
+        by_rotation = self.angle_weight * _inverse_left_jacobian(turn)
+        angular = by_rotation @ rotation
         R = tip[:3, :3]
-        return -np.concatenate([angular, R @ shift])
+        linear = R @ shift
+        return -np.concatenate([angular, linear])
 
     def solution(self, u: Array) -> InverseEquilibrium:
         """Solution that the tensions are, with the errors of its tip.
@@ -287,7 +291,8 @@ class _TipSearch:
             return np.concatenate([error, effort])
 
         def jacobian(x: Array) -> Array:
-            error_slopes = self.derivative(x * unit) * unit / length
+            slopes = self.derivative(x * unit)
+            error_slopes = slopes * unit / length
             effort_slopes = mu * np.eye(x.size)
             return np.concatenate([error_slopes, effort_slopes])
 

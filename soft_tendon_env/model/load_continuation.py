@@ -9,7 +9,13 @@ its middle too, to a small angle, and the arm is stable at all three.
 
 import numpy as np
 
-from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
+from soft_tendon_env.model.equilibrium_residual import (
+    NEUTRAL,
+    Balance,
+    Evaluation,
+    Linearised,
+    Stability,
+)
 from soft_tendon_env.tools.types import Array
 
 # residual below which forces count as balanced, at the full load
@@ -100,8 +106,8 @@ class LoadPath:
         step = 1.0
         if way > FIRST_REACH:
             step = max(FIRST_REACH / way, LEAST_LOAD)
-        while point.at.part < 1.0:
-            part = point.at.part
+        while point.evaluation.part < 1.0:
+            part = point.evaluation.part
             aim = min(part + step, 1.0)
             ahead = self.step(point, aim)
             if ahead is not None:
@@ -125,8 +131,8 @@ class LoadPath:
             aim: part of the load, 0 to 1.
         """
         balance = self.balance
-        q = point.at.q
-        h = aim - point.at.part
+        q = point.evaluation.q
+        h = aim - point.evaluation.part
         predicted = q + h * point.tangent
         ahead = self.equilibrium(predicted, aim)
         if ahead is None or not self._is_stable(ahead.stability):
@@ -134,7 +140,7 @@ class LoadPath:
         # branches lie close where the arm is soft
         least = min(point.stability.least, ahead.stability.least)
         soft = max(min(1.0, least / SOFT), SOFTEST)
-        q_ahead = ahead.at.q
+        q_ahead = ahead.evaluation.q
         correction = balance.angle(q_ahead - predicted)
         if correction <= soft * CORRECTION:
             # of the cubic through both ends
@@ -163,7 +169,7 @@ class LoadPath:
         tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
         slow = SLOW if balance.size > FEW else 0.0
         linearised = balance.linearise(q, part)
-        current = None if linearised is None else linearised.at
+        current = None if linearised is None else linearised.evaluation
         last_size = np.inf
         # what the last correction leads to is looked at too
         for _ in range(MOST_CORRECTIONS + 1):
@@ -173,7 +179,8 @@ class LoadPath:
                 return self._point_at(current, linearised)
             change = linearised.compliance @ current.force
             size = balance.angle(change)
-            is_own = current is linearised.at  # whether the stiffness is that of these coordinates
+            # whether the stiffness is that of these coordinates
+            is_own = current is linearised.evaluation
             if is_own and not size < last_size:
                 balance.obstacle = (
                     f"Newton's method stalled at a residual of {current.residual:.2g}"
@@ -181,7 +188,7 @@ class LoadPath:
                 return None
             if size > slow * last_size and not is_own:
                 linearised = balance.linearise(current.q, part)
-                current = None if linearised is None else linearised.at
+                current = None if linearised is None else linearised.evaluation
             else:
                 current = balance.at(current.q + change, part)
                 last_size = size
@@ -199,18 +206,18 @@ class LoadPath:
             end: of the path.
         """
         balance = self.balance
-        beyond = (1.0 + BEYOND) * end.at.part + LEAST_LOAD
+        beyond = (1.0 + BEYOND) * end.evaluation.part + LEAST_LOAD
         part = min(beyond, 1.0)
         mode = end.stability.modes[:, 0]
         largest_entry = mode[np.argmax(np.abs(mode))]
         side = balance.product(mode, end.tangent) or largest_entry
         push = PUSH * np.copysign(1.0, side) * mode
-        point = balance.linearise(end.at.q + push, part)
+        point = balance.linearise(end.evaluation.q + push, part)
         h = FIRST_FLOW
         while point is not None and balance.linearisations < self.most:
-            if point.at.residual <= RESIDUAL:
+            if point.evaluation.residual <= RESIDUAL:
                 return point if self._is_stable(point.stability) else None
-            q = point.at.q
+            q = point.evaluation.q
             change = _flow(point, h)
             size = balance.angle(change)
             ahead = None
@@ -226,18 +233,18 @@ class LoadPath:
                 return None
         return None
 
-    def _point_at(self, equilibrium: At, linearised: Linearised) -> Linearised | None:
+    def _point_at(self, equilibrium: Evaluation, linearised: Linearised) -> Linearised | None:
         """Balance around an equilibrium, linearised.
 
         The derivatives are those computed nearby where they will do.
         """
-        if equilibrium is linearised.at:
+        if equilibrium is linearised.evaluation:
             return linearised
-        way = self.balance.angle(equilibrium.q - linearised.at.q)
+        way = self.balance.angle(equilibrium.q - linearised.evaluation.q)
         stability = linearised.stability
         is_stiff = stability.has_potential and stability.least > SOFT
         if way <= NEAR and is_stiff:
-            linearised.at = equilibrium
+            linearised.evaluation = equilibrium
             return linearised
         return self.balance.linearise(equilibrium.q, equilibrium.part)
 
@@ -253,12 +260,12 @@ class LoadPath:
             The angle; None where the arm is not stable.
         """
         balance = self.balance
-        part = 0.5 * (point.at.part + ahead.at.part)
+        part = 0.5 * (point.evaluation.part + ahead.evaluation.part)
         if not ahead.stability.has_potential:
             linearised = balance.linearise(middle, part)
             if linearised is None or not self._is_stable(linearised.stability):
                 return None
-            force = linearised.at.force
+            force = linearised.evaluation.force
             return balance.angle(linearised.compliance @ force)
         watched = ahead.stability.modes[:, :WATCHED]
         balanced = balance.curvature(middle, part, watched)
@@ -297,7 +304,7 @@ class LoadPath:
             # at a limit point the path goes on along the softest mode, at a bifurcation it does not
             snaps = along_mode > 0.5 * tangent_size
             obstacle = SNAPS if snaps else BUCKLES
-        percent = 100 * point.at.part
+        percent = 100 * point.evaluation.part
         return f"beyond {percent:.4g} % of the load: {obstacle}"
 
 
@@ -313,10 +320,10 @@ def _flow(point: Linearised, h: float) -> Array:
     # here: it takes longer to import than all else that most scenes need
     from scipy.linalg import cho_factor, cho_solve
 
-    force = point.at.force
+    force = point.evaluation.force
     symmetric = point.stiffness + point.stiffness.T
     try:
-        root = cho_factor(point.at.G + 0.5 * h * symmetric)
+        root = cho_factor(point.evaluation.G + 0.5 * h * symmetric)
     except np.linalg.LinAlgError:
         return np.full_like(force, np.inf)
     rate = cho_solve(root, force)

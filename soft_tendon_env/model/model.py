@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.effects import Configured, Discretisation, Effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.terms.evaluate import (
     TOO_FAST,
     TOO_LARGE,
@@ -25,7 +26,8 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, stra
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
-from soft_tendon_env.model.coordinates import effects_outside, make_arm
+from soft_tendon_env.model.arm import make_arm
+from soft_tendon_env.model.coordinates import effects_outside
 from soft_tendon_env.model.grid import Grid, at_points, make_grid, screw_matrices
 from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
 from soft_tendon_env.model.terms import Energy, Terms
@@ -56,9 +58,8 @@ class Model:
     scene: Scene
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
-    _idle: list[Workspace] = field(
-        default_factory=list
-    )  # wait for the next evaluation: making one takes longer than to fill it
+    # wait for the next evaluation: making one takes longer than to fill it
+    _idle: list[Workspace] = field(default_factory=list)
 
     def __repr__(self) -> str:
         return (
@@ -81,10 +82,10 @@ class Model:
             ConfigurationError: for an arm that cannot be computed.
         """
         arm = make_arm(scene, self.grid, self.arm.strain)
-        sizes = [
-            (type(arm.strain), arm.effects.count, arm.effects.state.size) for arm in (self.arm, arm)
-        ]
-        return Model(scene, self.grid, arm, self._idle if sizes[0] == sizes[1] else [])
+        # workspaces serve every arm of the same sizes
+        own_kind = _workspace_kind(self.arm)
+        idle = self._idle if _workspace_kind(arm) == own_kind else []
+        return Model(scene, self.grid, arm, idle)
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
         """Returns the model with other numbers in its scene.
@@ -101,15 +102,12 @@ class Model:
                 need a model of their own.
         """
         scene_parameters(self.scene, changes)
-        made = self.with_scene(scene_with_numbers(self.scene, changes))
-        if misfit := self.misfit(made):
-            raise ConfigurationError(
-                [
-                    Problem((key,), f"changes {misfit}: build a model for each value")
-                    for key in changes
-                ]
-            )
-        return made
+        model = self.with_scene(scene_with_numbers(self.scene, changes))
+        misfit = self.misfit(model)
+        if misfit:
+            text = f"changes {misfit}: build a model for each value"
+            raise ConfigurationError([Problem((key,), text) for key in changes])
+        return model
 
     def misfit(self, other: Model) -> str:
         """Difference other than in numbers of a model `with_scene`, in words.
@@ -118,29 +116,22 @@ class Model:
         """
         if type(other.arm.strain) is not type(self.arm.strain):
             return "whether there are loads inside of the strain"
-        here, there, ours, theirs = (
-            [*self.acting],
-            [*other.acting],
-            self.arm.effects,
-            other.arm.effects,
-        )
-        if there[: len(here)] != here:
-            return (
-                f"which effects act, from {', '.join(here) or 'none'} to"
-                f" {', '.join(there) or 'none'}"
-            )
-        sizes = [
-            [np.shape(values) for struct in table.structs[: len(here)] for values in struct]
-            for table in (ours, theirs)
-        ]
-        is_alike = sizes[0] == sizes[1] and np.array_equal(
-            ours.first_state, theirs.first_state[: len(here) + 1]
-        )
-        return (
-            ""
-            if is_alike and theirs.state.size <= ours.state.size
-            else "the number of internal states, or of places, of an effect"
-        )
+        own_names = [*self.acting]
+        other_names = [*other.acting]
+        count = len(own_names)
+        if other_names[:count] != own_names:
+            own_list = ", ".join(own_names) or "none"
+            other_list = ", ".join(other_names) or "none"
+            return f"which effects act, from {own_list} to {other_list}"
+        own = self.arm.effects
+        others = other.arm.effects
+        has_same_shapes = _shapes(own, count) == _shapes(others, count)
+        first_states = others.first_state[: count + 1]
+        has_same_states = np.array_equal(own.first_state, first_states)
+        has_room = others.state.size <= own.state.size
+        if has_same_shapes and has_same_states and has_room:
+            return ""
+        return "the number of internal states, or of places, of an effect"
 
     @property
     def coordinate_count(self) -> int:
@@ -174,10 +165,9 @@ class Model:
             StrainLimitError: if no strain balances the coordinates.
             OverflowError: for absurd rates.
         """
+        time = checked_number("time", time, -np.inf, "a finite number")
         with self.workspace() as work:
-            return self._evaluate(
-                tension, q, q_dot, checked_number("time", time, -np.inf, "a finite number"), work
-            )
+            return self._evaluate(tension, q, q_dot, time, work)
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Computes the pose of the tip in the world frame: forward kinematics.
@@ -194,7 +184,10 @@ class Model:
             StrainLimitError: if no strain balances the coordinates.
         """
         with self.configuration(q) as work:
-            return _poses(work.kinematics.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
+            # the tip is the last lane of the last pack
+            by_pack = work.kinematics.pose.reshape(-1, 12, LANES)
+            tip = by_pack[-1:, :, -1]
+            return _poses(tip)[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Computes the backbone: poses of the sections at equal distances from base to tip.
@@ -211,9 +204,9 @@ class Model:
             ValueError: for a wrong shape, numbers that are not finite, or fewer than one point.
             StrainLimitError: if no strain balances the coordinates.
         """
-        return self.backbone_at(
-            q, np.linspace(0.0, self.length, checked_count("points", points, 1))
-        )
+        count = checked_count("points", points, 1)
+        places = np.linspace(0.0, self.length, count)
+        return self.backbone_at(q, places)
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
         """Computes the backbone at arc lengths: poses of the sections there.
@@ -255,21 +248,22 @@ class Model:
             ValueError: for wrong shapes, or arc lengths beyond the rod.
             StrainLimitError: if no strain balances the coordinates.
         """
-        places, q = (
-            self.arc_lengths("arc_length", arc_length),
-            checked_array("q", q, (self.coordinate_count,)),
-        )
-        found = np.empty((1 + q.size, places.size, 6))
+        places = self.arc_lengths("arc_length", arc_length)
+        q = checked_array("q", q, (self.coordinate_count,))
+        # the strain, then a column of Phi for each coordinate
+        rows = np.empty((1 + q.size, places.size, 6))
         with self.configuration(q) as work:
             strain = work.strain
             still = np.zeros_like(q)
             no_tension = np.zeros(self.tendon_count)
             strain_from_guess(self.arm, q, TOLERANCE, strain, work.kinematics)
             strain_columns(self.arm, no_tension, q, still, strain, work.kinematics)
-            fields = [strain.xi, *strain.Phi.reshape(q.size, -1)]
-            for values, out in zip(fields, found, strict=True):
-                strains_inside(self.grid.length, *self.grid.locate(places), values, out)
-        return found[0], np.moveaxis(found[1:], 0, 2)
+            columns = strain.Phi.reshape(q.size, -1)
+            fields = [strain.xi, *columns]
+            located = self.grid.locate(places)
+            for values, out in zip(fields, rows, strict=True):
+                strains_inside(self.grid.length, *located, values, out)
+        return rows[0], np.moveaxis(rows[1:], 0, 2)
 
     @cached_property
     def discretisation(self) -> Discretisation:
@@ -296,23 +290,16 @@ class Model:
         An effect with internal states or other commands than tensions has an entry, "actuators:20";
         so have relaxation times.
         """
-        effects = zip(
-            self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True
-        )
-        names = tuple(
-            f"{name}:{size}"
-            for (name, effect), size in effects
-            if size or effect.command_unit != "N"
-        )
+        sizes = np.diff(self.arm.effects.first_state).tolist()
+        names = []
+        for (name, effect), size in zip(self.acting.items(), sizes, strict=True):
+            if size or effect.command_unit != "N":
+                names.append(f"{name}:{size}")
         memory = self.scene.effects.viscoelastic_memory
-        return (
-            names
-            if memory is None
-            else (
-                *names,
-                f"relaxation times {[branch.relaxation_time for branch in memory.branches]} s",
-            )
-        )
+        if memory is not None:
+            times = [branch.relaxation_time for branch in memory.branches]
+            names.append(f"relaxation times {times} s")
+        return tuple(names)
 
     @cached_property
     def metric(self) -> Array:
@@ -320,13 +307,15 @@ class Model:
 
         It is the symmetric part of G of the unloaded arm.
         """
-        G = self.terms(rest := np.zeros(self.coordinate_count), rest).stiffness
+        rest = np.zeros(self.coordinate_count)
+        G = self.terms(rest, rest).stiffness
         return np.asarray(0.5 * (G + G.T))
 
     @cached_property
     def metric_unit(self) -> Array:
         """Coordinates (n, n) that are orthonormal in the metric, unit^T G unit = 1."""
-        return np.linalg.inv(np.linalg.cholesky(self.metric)).T
+        root = np.linalg.cholesky(self.metric)
+        return np.linalg.inv(root).T
 
     @cached_property
     def bending_energy(self) -> float:
@@ -334,8 +323,10 @@ class Model:
 
         It is that of the rod bent evenly by an angle of 1.
         """
-        bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]
-        return float(bending @ self.grid.weights.ravel()) / self.length**2
+        elasticity, _, _ = screw_matrices(self.scene, self.grid.points.ravel())
+        bending = elasticity[:, 1]
+        integral = float(bending @ self.grid.weights.ravel())
+        return integral / self.length**2
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
         """Computes the strain field at the quadrature points.
@@ -351,7 +342,9 @@ class Model:
             ValueError: for a wrong shape or numbers that are not finite.
             StrainLimitError: if no strain balances the coordinates.
         """
-        return self.grid.points[self.grid.real].ravel(), self.grid.unpacked(self.packed_strain(q))
+        places = self.grid.points[self.grid.real].ravel()
+        strains = self.grid.unpacked(self.packed_strain(q))
+        return places, strains
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """Strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
@@ -393,23 +386,21 @@ class Model:
             ValueError: for wrong shapes, or an effect without a potential.
             StrainLimitError: if no strain balances the coordinates.
         """
-        rod, grid, rate = (
-            self.arm.rod,
-            self.grid,
-            checked_array("q_dot", q_dot, (self.coordinate_count,)),
-        )
+        rod = self.arm.rod
+        grid = self.grid
+        rate = checked_array("q_dot", q_dot, (self.coordinate_count,))
         with self.workspace() as work:
             mass = self._evaluate(None, q, rate, 0.0, work).mass
-            strain, state = (
-                grid.at_points(work.strain.xi - rod.reference_strain, 6).reshape(-1, 6),
-                work.inputs.state.copy(),
-            )
-            by_node = work.kinematics.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
-        state = state if effects is None else checked_array("effects", effects, state.shape)
-        stiffness, weight = (
-            grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2,
-            grid.weights.ravel(),
-        )
+            change = work.strain.xi - rod.reference_strain
+            strain = grid.at_points(change, 6).reshape(-1, 6)
+            state = work.inputs.state.copy()
+            by_pack = work.kinematics.pose.reshape(-1, 12, LANES)
+            by_node = by_pack.swapaxes(1, 2).reshape(-1, 12)
+        if effects is not None:
+            state = checked_array("effects", effects, state.shape)
+        root = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6)
+        stiffness = root**2
+        weight = grid.weights.ravel()
         configured = Configured(
             rod.node_mass,
             _poses(by_node),
@@ -420,12 +411,12 @@ class Model:
             self.arm.base,
             state,
         )
-        elastic = 0.5 * float(weight @ (stiffness * strain**2).sum(axis=1))
-        return Energy(
-            0.5 * float(rate @ mass @ rate),
-            elastic,
-            self.scene.effects.potential_energy(configured),
-        )
+        # int xi^T Sigma xi dX
+        density = (stiffness * strain**2).sum(axis=1)
+        elastic = 0.5 * float(weight @ density)
+        kinetic = 0.5 * float(rate @ mass @ rate)
+        load = self.scene.effects.potential_energy(configured)
+        return Energy(kinetic, elastic, load)
 
     @property
     def command_unit(self) -> str:
@@ -447,15 +438,13 @@ class Model:
             ValueError: for wrong shapes or numbers that are not finite.
             StrainLimitError: if no strain balances the coordinates.
         """
-        u, path = (
-            checked_array("tension", tension, (self.tendon_count,)),
-            self.arm.effects.transmission,
-        )
-        return (
-            np.asarray(u / path.stiffness + path.length - self.tendon_lengths(q))
-            if path.elastic
-            else u
-        )
+        u = checked_array("tension", tension, (self.tendon_count,))
+        path = self.arm.effects.transmission
+        if not path.elastic:
+            return u
+        shortening = path.length - self.tendon_lengths(q)
+        stretch = u / path.stiffness
+        return np.asarray(stretch + shortening)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Returns the coordinates at rest under tensions alone, [u; 0] of (34).
@@ -485,18 +474,25 @@ class Model:
         Returns:
             Units (n,).
         """
-        return np.asarray(np.sqrt(self.bending_energy / np.diag(self.metric)))
+        stiffness = np.diag(self.metric)
+        return np.asarray(np.sqrt(self.bending_energy / stiffness))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
         """Arc lengths (m,) [m] along the rod, checked.
 
         Raises TypeError or ValueError naming `name`.
         """
-        places = checked_array(name, np.zeros(0) if np.size(value) == 0 else value, (None,))
-        if places.size and not (places.min() >= 0.0 and places.max() <= self.length * (1 + 1e-12)):
+        # an empty list has no type of its own
+        values = np.zeros(0) if np.size(value) == 0 else value
+        places = checked_array(name, values, (None,))
+        if not places.size:
+            return places
+        least = places.min()
+        greatest = places.max()
+        is_on_rod = least >= 0.0 and greatest <= self.length * (1 + 1e-12)
+        if not is_on_rod:
             raise ValueError(
-                f"{name} should lie between 0 and {self.length:g}, not {places.min():g} to"
-                f" {places.max():g}"
+                f"{name} should lie between 0 and {self.length:g}, not {least:g} to {greatest:g}"
             )
         return places
 
@@ -526,7 +522,8 @@ class Model:
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
-            self._check(q, work, block, reached, bool(np.isfinite(work.kinematics.pose).all()))
+            is_placed = bool(np.isfinite(work.kinematics.pose).all())
+            self._check(q, work, block, reached, is_placed)
             yield work
 
     def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:
@@ -548,34 +545,17 @@ class Model:
     def _evaluate(
         self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, time: float, work: Workspace
     ) -> Terms:
-        q, q_dot = (
-            checked_array("q", q, (self.coordinate_count,)),
-            checked_array("q_dot", q_dot, (self.coordinate_count,)),
-        )
-        tension = (
-            np.zeros(self.tendon_count)
-            if u is None
-            else checked_array("tension", u, (self.tendon_count,))
-        )
+        """Terms at coordinates and rates, under tensions u, none for None, in a workspace."""
+        q = checked_array("q", q, (self.coordinate_count,))
+        q_dot = checked_array("q_dot", q_dot, (self.coordinate_count,))
+        tension = np.zeros(self.tendon_count)
+        if u is not None:
+            tension = checked_array("tension", u, (self.tendon_count,))
         work.inputs.clock[0] = time
-        n, n_a = self.coordinate_count, self.tendon_count
-        shapes: list[tuple[int, ...]] = [
-            (n, n),
-            (n,),
-            (n, n),
-            (n, n),
-            (n, n_a),
-            (n,),
-            (n,),
-            (4, 4),
-            (6, n),
-            (6,),
-            (n, n),
-            (n, n),
-        ]
-        out = Terms(*(np.empty(shape) for shape in shapes))
+        out = _empty_terms(self.coordinate_count, self.tendon_count)
+        has_states = work.inputs.state.size > 0
         block, reached, placed = equation_of_motion(
-            self.arm, tension, q, q_dot, work.inputs.state.size > 0, TOLERANCE, work, out
+            self.arm, tension, q, q_dot, has_states, TOLERANCE, work, out
         )
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:
@@ -583,9 +563,8 @@ class Model:
                 f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}"
             )
         strain = self.arm.strain
-        out.elastic_force[:] = (
-            strain.stiffness if isinstance(strain, Explicit) else out.stiffness
-        ) @ q
+        stiffness = strain.stiffness if isinstance(strain, Explicit) else out.stiffness
+        out.elastic_force[:] = stiffness @ q
         return out
 
     def __reduce__(self) -> tuple[type[Model], tuple[Scene, Grid, Arm]]:
@@ -607,13 +586,50 @@ def model_on(scene: Scene, intervals: int) -> Model:
 def is_singular(matrix: Array) -> bool:
     """Whether the least eigenvalue of a matrix, scaled to a unit diagonal, is 0 to round-off."""
     scale = np.sqrt(np.diag(matrix))
-    return not (
-        scale.min() > 0.0 and np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > 1e-14
+    if not scale.min() > 0.0:
+        return True
+    scaled = matrix / np.outer(scale, scale)
+    least = np.linalg.eigvalsh(scaled)[0]
+    return not least > 1e-14
+
+
+def _empty_terms(n: int, n_a: int) -> Terms:
+    """Terms of n coordinates and n_a tendons, to be filled."""
+    return Terms(
+        mass=np.empty((n, n)),
+        bias=np.empty(n),
+        damping=np.empty((n, n)),
+        stiffness=np.empty((n, n)),
+        actuation=np.empty((n, n_a)),
+        elastic_force=np.empty(n),
+        external_force=np.empty(n),
+        tip_pose=np.empty((4, 4)),
+        tip_jacobian=np.empty((6, n)),
+        tip_bias=np.empty(6),
+        external_stiffness=np.empty((n, n)),
+        external_damping=np.empty((n, n)),
     )
+
+
+def _workspace_kind(arm: Arm) -> tuple[type, int, int]:
+    """Kind of strain, number of effects and size of their state, which a workspace is made for."""
+    effects = arm.effects
+    return type(arm.strain), effects.count, effects.state.size
+
+
+def _shapes(effects: EffectTable, count: int) -> list[tuple[int, ...]]:
+    """Shapes of all numbers of the first effects of a table."""
+    shapes = []
+    for struct in effects.structs[:count]:
+        for values in struct:
+            shapes.append(np.shape(values))
+    return shapes
 
 
 def _poses(rows: Array) -> Array:
     """Poses (m, 4, 4) of rotations, row by row, and positions (m, 12)."""
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
+    rotation = rows[:, :9]
+    poses[:, :3, :3] = rotation.reshape(-1, 3, 3)
+    poses[:, :3, 3] = rows[:, 9:]
     return poses

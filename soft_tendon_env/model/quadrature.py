@@ -186,11 +186,11 @@ class QuadratureTest:
             kept = inertia_kept(coarse, fine)
         error = share / SAFETY
         loads = " and loads" if coarse.arm.effects.load else ""
-        problem = (
-            f"the tip is off by about {100 * error:.2g} % of the length,"
-            f" {1e3 * error * coarse.length:.2g} mm, under tensions {shown_numbers(tension)}"
-            f" N{loads}"
-        )
+        size = "so far off that the arm has no rest"
+        if np.isfinite(error):
+            length = 1e3 * error * coarse.length
+            size = f"off by about {100 * error:.2g} % of the length, {length:.2g} mm,"
+        problem = f"the tip is {size} under tensions {shown_numbers(tension)} N{loads}"
         return error, kept, problem
 
 
@@ -205,12 +205,14 @@ def inertia_kept(coarse: Model, fine: Model) -> float:
     scale = 1.0 / np.sqrt(diagonal)
     scaled = M_fine * np.outer(scale, scale)
     sizes, directions = np.linalg.eigh(scaled)
-    no_inertia = NO_INERTIA * sizes[-1]
-    is_moving = sizes > no_inertia
-    moving = scale[:, None] * directions[:, is_moving]
+    is_moving = sizes > NO_INERTIA * sizes[-1]
+    moving_directions = directions[:, is_moving]
+    moving = scale[:, None] * moving_directions
     roots = np.sqrt(sizes[is_moving])
     unit = moving / roots
-    kept = np.linalg.eigvalsh(unit.T @ M @ unit)
+    # their inertia on the coarse one
+    coarse_inertia = unit.T @ M @ unit
+    kept = np.linalg.eigvalsh(coarse_inertia)
     least = float(kept[0])
     return max(least, 0.0)
 
@@ -306,8 +308,8 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
         path = LoadPath(balance, MOST_LINEARISATIONS)
         fine_path = LoadPath(fine_balance)
         end = _rest(path, guess)
-        has_fallen = end.at.part < 1.0
-        q = end.at.q
+        has_fallen = end.evaluation.part < 1.0
+        q = end.evaluation.q
         fine_q = q
         if has_fallen:
             softest_mode = end.stability.modes[:, 0]
@@ -316,7 +318,7 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
         else:
             near = fine_path.equilibrium(q, 1.0)
             if near is not None:
-                fine_q = near.at.q
+                fine_q = near.evaluation.q
     try:
         fine_tip = _tip(fine, fine_q)
         tip = _tip(coarse, q)

@@ -15,7 +15,7 @@ from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Scene, breakpoints
+from soft_tendon_env.scene.scene import MOST_COLUMNS, Scene, breakpoints
 from soft_tendon_env.tools.types import Array
 
 INTERVALS = 5
@@ -47,6 +47,10 @@ class Level(NamedTuple):
 LEVELS = (Level(6, 1), Level(8, 1), Level(10, 1), Level(12, 1), Level(12, 2), Level(13, 4))
 """Levels of refinement, the coarsest first."""
 
+MOST_HALVINGS = 20
+"""Halvings of the longest step. Ten, as a scene has them, end the motion of a lightly damped arm
+whose errors should be that small."""
+
 FIRST = 1
 """The first level that equilibria are judged by."""
 
@@ -69,14 +73,20 @@ def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
     for start, end in pairwise(breakpoints(scene)):
         length = end - start
         turns = length * fastest / (2.0 * math.pi)
-        count = cuts * max(1, math.ceil(turns - WHOLE_TURN))
+        whole_turns = max(1, math.ceil(turns - WHOLE_TURN))
+        count = cuts * whole_turns
         shares = np.arange(1, count) / count
-        cut_lengths += (start + length * shares).tolist()
+        places = start + length * shares
+        cut_lengths += places.tolist()
     return cut_lengths
 
 
 def reference_model(scene: Scene, level: Level, tolerance: float | None = None) -> Model:
     """Model of a scene with an explicit basis of every strain that the rod has.
+
+    With a tolerance its time steps have the most columns, damped or not. Undamped arms need a tenth
+    of the error that two columns leave them. The growth of more columns on undamped oscillations
+    is held by the tolerance.
 
     Args:
         scene: of the arm.
@@ -87,14 +97,26 @@ def reference_model(scene: Scene, level: Level, tolerance: float | None = None) 
     pieces = breakpoints(scene).size - 1
     parts = pieces + len(cuts)
     # short pieces need lower orders than parts that turn once
-    reduction = math.ceil(math.log2(parts) + 0.5 * math.log2(pieces))
+    by_parts = math.log2(parts)
+    by_pieces = 0.5 * math.log2(pieces)
+    reduction = math.ceil(by_parts + by_pieces)
+    reduced_order = min(level.order - reduction, HIGHEST_ORDER)
     least_order = LEVELS.index(level) + 1
-    order = max(least_order, min(level.order - reduction, HIGHEST_ORDER))
+    order = max(least_order, reduced_order)
     modes = [{"strains": list(scene.strain.free), "order": order, "span": "piece"}]
-    strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *cuts]}
-    changes = {"strain": strain, "integrator": {"tolerance": tolerance}}
+    borders = [*scene.strain.borders, *cuts]
+    strain = {"type": "explicit", "modes": modes, "borders": borders}
+    integrator: dict[str, float] = {}
+    if tolerance is not None:
+        integrator = {
+            "tolerance": tolerance,
+            "columns": MOST_COLUMNS,
+            "max_halvings": MOST_HALVINGS,
+        }
+    changes = {"strain": strain, "integrator": integrator}
     intervals = math.ceil(INTERVALS * level.order / parts)
-    return model_on(scene.replace(changes), max(order + SPARE_INTERVALS, intervals))
+    resolving = order + SPARE_INTERVALS
+    return model_on(scene.replace(changes), max(resolving, intervals))
 
 
 def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
@@ -111,11 +133,14 @@ def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
     Raises:
         StrainLimitError: the model has no strain at q.
     """
-    arc_lengths = fine.grid.points[fine.grid.real].ravel()
+    grid = fine.grid
+    arc_lengths = grid.points[grid.real].ravel()
     strain, *_ = model.strain_at(q, arc_lengths)
-    change = strain - fine.grid.unpacked(fine.arm.rod.reference_strain)
+    reference_strain = grid.unpacked(fine.arm.rod.reference_strain)
+    change = strain - reference_strain
+    # columns of an explicit basis are its fields, at all coordinates
     packed = make_workspace(fine.arm).strain.Phi
-    fields = fine.grid.unpacked(packed.reshape(fine.coordinate_count, -1))
+    fields = grid.unpacked(packed.reshape(fine.coordinate_count, -1))
     basis = fields.reshape(len(fields), -1).T
     coordinates, *_ = np.linalg.lstsq(basis, change.ravel())
     return np.asarray(coordinates)
@@ -140,7 +165,8 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
     """
     tip = model.tip_pose(q)[:3, 3]
     # the finest model so far, from whose equilibrium the next level starts
-    finest, coordinates = model, q
+    finest = model
+    coordinates = q
     bound = np.inf
     last_tip: Array | None = None
     for level in LEVELS[FIRST:]:
@@ -153,7 +179,8 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
         if equilibrium is None:
             last_tip = None
             continue
-        finest, coordinates = fine, equilibrium
+        finest = fine
+        coordinates = equilibrium
         reference_tip = fine.tip_pose(equilibrium)[:3, 3]
         error = float(np.linalg.norm(reference_tip - tip))
         change = np.inf
@@ -189,4 +216,4 @@ def rest_near(
             equilibrium, reason = path.rest()
             if reason:
                 return None
-    return None if equilibrium is None else equilibrium.at.q
+    return None if equilibrium is None else equilibrium.evaluation.q

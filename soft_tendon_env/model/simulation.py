@@ -82,7 +82,10 @@ class SimulationDiverged(RuntimeError):
 
     def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
         super().__init__(state, cause, command, unit)  # what it is pickled as
-        self.state, self.cause, self.command, self.unit = state, cause, command, unit
+        self.state = state
+        self.cause = cause
+        self.command = command
+        self.unit = unit
 
     def __str__(self) -> str:
         kind = "tensions" if self.unit == "N" else "commands"
@@ -174,10 +177,11 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method, self._unit = step_method(model), model.command_unit
-        self._limits = model.scene.effects.command_limits(
-            model.discretisation.tension_limits
-        ).tolist()
+        self._method = step_method(model)
+        self._unit = model.command_unit
+        tension_limits = model.discretisation.tension_limits
+        limits = model.scene.effects.command_limits(tension_limits)
+        self._limits = limits.tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
         if state is not None:
@@ -213,21 +217,20 @@ class Simulation:
             ValueError: for wrong shapes or numbers that are not finite.
             StrainLimitError: if no strain balances the coordinates.
         """
-        still, clock = (
-            np.zeros(self.model.coordinate_count),
-            np.array([checked_number("time", time, -np.inf, "a finite number")]),
-        )
+        model = self.model
+        clock = np.array([checked_number("time", time, -np.inf, "a finite number")])
+        still = np.zeros(model.coordinate_count)
+        no_tension = np.zeros(model.tendon_count)
         start = checked_array("q", still if q is None else q, still.shape)
         rate = checked_array("q_dot", still if q_dot is None else q_dot, still.shape)
-        command = self.model.command(
-            np.zeros(self.model.tendon_count) if tension is None else tension, start
-        )
-        strain = self.model.packed_strain(start)
+        command = model.command(no_tension if tension is None else tension, start)
+        strain = model.packed_strain(start)
         if effects is None:
             states = self._rest_states(strain, command)
         else:
-            states = checked_array("effects", effects, self.model.arm.effects.state.shape)
-        self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
+            states = checked_array("effects", effects, model.arm.effects.state.shape)
+        motion = Motion(start, rate, strain, states, clock)
+        self._take(motion, model.scene.integrator.step)
         return self.state
 
     def _rest_states(self, strain: Array, command: Array) -> Array:
@@ -258,23 +261,22 @@ class Simulation:
             ValueError: for wrong shapes or numbers that are not finite.
             NoEquilibriumError: if the arm has no stable equilibrium under them.
         """
-        u = (
-            np.zeros(self.model.tendon_count)
-            if tension is None
-            else checked_array("tension", tension, (self.model.tendon_count,))
-        )
-        if not u.any() and not self.model.arm.effects.load:
+        u = np.zeros(self.model.tendon_count)
+        if tension is not None:
+            u = checked_array("tension", tension, u.shape)
+        has_loads = bool(self.model.arm.effects.load)
+        if not u.any() and not has_loads:
             return self.reset(time=time)
-        found = static_equilibrium(self.model, u, settle=True)
-        if not found.converged:
+        equilibrium = static_equilibrium(self.model, u, settle=True)
+        if not equilibrium.converged:
             text = (
                 f"{self.model.scene.name!r} is at rest nowhere under its loads and tensions"
-                f" {shown_numbers(u)} N: {found.reason}"
+                f" {shown_numbers(u)} N: {equilibrium.reason}"
             )
             raise NoEquilibriumError(
                 f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape"
             )
-        return self.reset(found.q, time=time, tension=u)
+        return self.reset(equilibrium.q, time=time, tension=u)
 
     @property
     def state(self) -> State:
@@ -289,11 +291,14 @@ class Simulation:
         self._take(*checked_motion(self.model, state))
 
     def _take(self, motion: Motion, step: float) -> None:
-        self._motion, self._step = motion, step
-        self._sample = Record(
-            motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy()
-        )
-        advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
+        """Goes on from a motion, with integrator steps of a length [s] as the next guess."""
+        self._motion = motion
+        self._step = step
+        q = motion.q[None].copy()
+        q_dot = motion.q_dot[None].copy()
+        tip_pose = np.eye(4)[None].copy()
+        advance.tip_pose(self.model.arm, motion, self._scratch.work, tip_pose[0])
+        self._sample = Record(q, q_dot, tip_pose)
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
         """Integrates the equation of motion under a constant command.
@@ -319,9 +324,9 @@ class Simulation:
             return StepReport(0, 0, 0.0, 0)
         warn_beyond_limits(self._limits, u, self._unit)
         control = step_control(self.model, duration)
-        return self._run(
-            u[None].repeat(step_count(duration, control), axis=0), control, self._sample
-        )
+        steps = step_count(duration, control)
+        commands = u[None].repeat(steps, axis=0)
+        return self._run(commands, control, self._sample)
 
     def linearize(self, command: ArrayLike, duration: float) -> Linearization:
         """Linearises `step` under a constant command; the simulation stays where it is.
@@ -345,20 +350,21 @@ class Simulation:
             SimulationDiverged: if the step itself diverges.
             LinAlgError: if both sides of a difference fail.
         """
-        start, step = self._motion.copy(), self._step
+        start = self._motion.copy()
+        step = self._step
         try:
-            if (steps := self.step(command, duration).steps) > STEPS_LOGGED:
+            report = self.step(command, duration)
+            steps = report.steps
+            if steps > STEPS_LOGGED:
                 raise ValueError(
                     f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}"
                 )
-            inputs = np.concatenate(
-                [start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)]
-            )
-            taken = (
-                self._scratch.taken[:steps].copy()
-                if steps
-                else np.array([[0.0, self._method.columns]])
-            )
+            u = np.asarray(command, dtype=np.float64)
+            inputs = np.concatenate([start.q, start.q_dot, start.state, u])
+            # a period of no length has one step of none
+            taken = np.array([[0.0, self._method.columns]])
+            if steps:
+                taken = self._scratch.taken[:steps].copy()
             return period_derivatives(self.model, start, inputs, taken, self.state)
         finally:
             self._take(start.copy(), step)
@@ -391,35 +397,38 @@ class Simulation:
             SimulationDiverged: if no integrator step of the smallest size succeeds.
             LinAlgError: if the motion has no linearisation.
         """
-        n, n_a = self.model.coordinate_count, self.model.tendon_count
-        parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
-        played = checked_array(
-            "commands", commands, (None, n_a) if np.ndim(duration) == 0 else (None, parts.size, n_a)
-        )
-        others = np.empty((n, 0)) if forces is None else checked_array("forces", forces, (n, None))
-        checked_number(
-            "duration", float(parts.min(initial=0.0)), 0.0, "a number of seconds, at least 0"
-        )
-        checked_number("duration", float(parts.sum()), SHORTEST, "a positive number of seconds")
-        plan = make_plan(
-            self.model.arm, checked_count("commands", len(played), 1), parts.size, others
-        )
-        plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
+        model = self.model
+        n = model.coordinate_count
+        n_a = model.tendon_count
+        has_parts = np.ndim(duration) > 0
+        durations = checked_array("duration", duration, (None,) * np.ndim(duration))
+        parts = np.atleast_1d(durations)
+        shape = (None, parts.size, n_a) if has_parts else (None, n_a)
+        played = checked_array("commands", commands, shape)
+        no_forces = np.empty((n, 0))
+        others = no_forces if forces is None else checked_array("forces", forces, (n, None))
+        shortest = float(parts.min(initial=0.0))
+        checked_number("duration", shortest, 0.0, "a number of seconds, at least 0")
+        whole = float(parts.sum())
+        checked_number("duration", whole, SHORTEST, "a positive number of seconds")
+        periods = checked_count("commands", len(played), 1)
+        plan = make_plan(model.arm, periods, parts.size, others)
+        plan.command[:] = played.reshape(plan.command.shape)
+        plan.duration[:] = parts
         warn_beyond_limits(self._limits, plan.command, self._unit)
-        period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps = (
-            math.ceil(period * linear_rate(self.model))
-            if steps is None
-            else checked_count("steps", steps, 1)
-        )
-        control = step_control(self.model, period)
-        code, row = linearised_rollout(
-            self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan
-        )
+        period = float(plan.duration.sum())
+        if steps is None:
+            steps = math.ceil(period * linear_rate(model))
+        else:
+            steps = checked_count("steps", steps, 1)
+        control = step_control(model, period)
+        scheme = Scheme(self._method, control)
+        motion = self._motion.copy()
+        code, row = linearised_rollout(model.arm, scheme, motion, steps, self._scratch, plan)
         if code != status.OK:
-            raise self._divergence(
-                code, motion, plan.command[min(row, len(plan.command) - 1), 0], control
-            )
+            last = len(plan.command) - 1
+            failed_command = plan.command[min(row, last), 0]
+            raise self._divergence(code, motion, failed_command, control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError(
                 "there is no linearisation of this motion: the matrix of an implicit step is"
@@ -438,10 +447,12 @@ class Simulation:
 
         The record's samples are evenly among them.
         """
-        arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
-        done = advance.advance(
-            arm,
-            Scheme(self._method, control),
+        motion = self._motion
+        scheme = Scheme(self._method, control)
+        durations = np.full(len(commands), control.step)
+        outcome = advance.advance(
+            self.model.arm,
+            scheme,
             commands,
             durations,
             motion,
@@ -449,24 +460,23 @@ class Simulation:
             self._scratch,
             record,
         )
-        self._step = done.step
-        if done.status == status.OK:
-            return StepReport(done.steps, done.rejected, done.error, done.evaluations)
-        self._take(self._motion, done.step)
-        raise self._divergence(done.status, self._motion, commands[done.row], control)
+        self._step = outcome.step
+        if outcome.status == status.OK:
+            return StepReport(outcome.steps, outcome.rejected, outcome.error, outcome.evaluations)
+        self._take(motion, outcome.step)
+        raise self._divergence(outcome.status, motion, commands[outcome.row], control)
 
     def _divergence(
         self, code: int, motion: Motion, command: Array, control: Control
     ) -> SimulationDiverged:
-        cause = cause_of(code, self.model, control)
+        """Error of a status at a motion, under a command (n_a,)."""
+        model = self.model
+        cause = cause_of(code, model, control)
         if code == status.NO_STRAIN:
-            cause += (
-                "; in the last good state"
-                f" {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-            )
-        return SimulationDiverged(
-            state_of(self.model, motion, self._step), cause, command, self._unit
-        )
+            limit = nearest_limit(model.arm, model.grid, motion.q, motion.xi)
+            cause += f"; in the last good state {limit}"
+        state = state_of(model, motion, self._step)
+        return SimulationDiverged(state, cause, command, self._unit)
 
 
 def simulate(
@@ -509,32 +519,34 @@ def simulate(
     control = step_control(model, period)
     step_count(duration, control)
     samples = round(duration / period)
-    if abs(samples * period - duration) > 1e-9 * max(duration, period):
+    difference = abs(samples * period - duration)
+    if difference > 1e-9 * max(duration, period):
         raise ValueError(
             f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s"
         )
-    commands = command_table(
-        model, command, simulation.state.time, samples, round(period / control.step), control.step
-    )
+    per_sample = round(period / control.step)
+    begin = simulation.state.time
+    commands = command_table(model, command, begin, samples, per_sample, control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
-    record = Record(
-        *(
-            value[None].repeat(samples + 1, axis=0)
-            for value in (start.q, start.q_dot, simulation.tip_pose)
-        )
-    )
+    # the first sample is the start
+    values = [start.q, start.q_dot, simulation.tip_pose]
+    record = Record(*(value[None].repeat(samples + 1, axis=0) for value in values))
     report = StepReport(0, 0, 0.0, 0)
     if samples:
-        report = simulation._run(
-            commands.reshape(-1, model.tendon_count),
-            control,
-            Record(*(values[1:] for values in record)),
-        )
+        every_command = commands.reshape(-1, model.tendon_count)
+        later = Record(*(rows[1:] for rows in record))
+        report = simulation._run(every_command, control, later)
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    steps, rejected, error, evaluations = report
     return Trajectory(
-        times, *record, commands, simulation.state, steps, rejected, error, evaluations
+        times,
+        *record,
+        command=commands,
+        final=simulation.state,
+        steps=report.steps,
+        rejected=report.rejected,
+        error=report.error,
+        evaluations=report.evaluations,
     )
 
 
@@ -554,9 +566,12 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
     batch = make_batch(arm, no_places, start, 0.0, count)
     rows = batch.rows
     failed = np.zeros(count, dtype=bool)
-    borders = [n, 2 * n, 2 * n + start.state.size]
-    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, borders, axis=1)
-    if rows.state.size:  # a memory remembers the strain before a step
+    states = start.state.size
+    rows.q[:] = inputs[:, :n]
+    rows.q_dot[:] = inputs[:, n : 2 * n]
+    rows.state[:] = inputs[:, 2 * n : 2 * n + states]
+    commands = inputs[:, 2 * n + states :]
+    if states:  # a memory remembers the strain before a step
         for row, q in enumerate(rows.q):
             with contextlib.suppress(StrainLimitError):
                 rows.xi[row] = model.packed_strain(q)
@@ -568,18 +583,13 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
     control = control._replace(adaptive=False, tolerance=tolerance)
     scratch = make_scratch(arm, method.columns)
     tape = make_tape(arm, 0, 0)
+    held_commands = commands[:, None].copy()
     for number, (length, columns) in enumerate(taken):
         fixed = method._replace(columns=int(columns), least=int(columns))
         scheme = Scheme(fixed, control, begins=number == 0)
-        step_rows(
-            batch,
-            scheme,
-            np.flatnonzero(~failed),
-            commands[:, None].copy(),
-            np.full((count, 1), length),
-            scratch,
-            tape,
-        )
+        going_on = np.flatnonzero(~failed)
+        durations = np.full((count, 1), length)
+        step_rows(batch, scheme, going_on, held_commands, durations, scratch, tape)
         failed |= batch.outcome.status != status.OK
     if failed[0]:
         cause = status.MESSAGES[batch.outcome.status[0]]
@@ -602,10 +612,12 @@ def _slopes(values: Array, step: Array) -> Array:
     They are central; where a value jumps on one side, they are those of the other side.
     """
     count = step.size
-    right = values[1 : count + 1] - values[0]
-    left = values[0] - values[count + 1 :]
+    middle = values[0]
+    right = values[1 : count + 1] - middle
+    left = middle - values[count + 1 :]
+    central = 0.5 * (left + right)
     jumps = [_jumps(right, left), _jumps(left, right)]
-    difference = np.select(jumps, [left, right], 0.5 * (left + right))
+    difference = np.select(jumps, [left, right], central)
     return np.moveaxis(difference, 0, -1) / step
 
 
@@ -615,8 +627,9 @@ def _jumps(side: Array, other: Array) -> NDArray[np.bool_]:
     A difference beside none is no jump but a kink, as where friction holds something at rest.
     """
     is_far_larger = abs(side) > JUMP_RATIO * abs(other)
-    moves = (other != 0.0) | np.isinf(side)
-    return np.asarray(is_far_larger & moves)
+    moves = other != 0.0
+    fails = np.isinf(side)
+    return np.asarray(is_far_larger & (moves | fails))
 
 
 @np.errstate(invalid="ignore")
@@ -633,9 +646,11 @@ def period_derivatives(
     state_unit = np.maximum(np.abs(start.state), LEAST_STATE_UNIT)
     limits = effects.command_limits(model.discretisation.tension_limits)
     command_unit = np.abs(limits).max(axis=1)
-    unit = np.concatenate([scale, RATE_UNIT * scale, state_unit, command_unit])
+    rate_unit = RATE_UNIT * scale
+    unit = np.concatenate([scale, rate_unit, state_unit, command_unit])
     step = DIFFERENCE_SHARE * unit
-    if any(effect.is_contact for effect in effects.chosen().values()):
+    has_contact = any(effect.is_contact for effect in effects.chosen().values())
+    if has_contact:
         step *= CONTACT_FACTOR
 
     # row 0 has the inputs themselves, then one row for every step to the right, and to the left
@@ -649,7 +664,11 @@ def period_derivatives(
         raise np.linalg.LinAlgError(
             "the motion has no derivative: on either side of it a step fails"
         )
+    # in the tip frame: the vector of R^T dR, which is antisymmetric, and R^T dr
     rotation = tip_pose[0, :3, :3]
-    moved = np.einsum("ji,jkm->ikm", rotation, pose_slopes[:3])  # in the tip frame
-    tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
-    return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip, twists)
+    moved = np.einsum("ji,jkm->ikm", rotation, pose_slopes[:3])
+    angular = [moved[2, 1], moved[0, 2], moved[1, 0]]
+    linear = moved[:, 3]
+    tip = np.stack([*angular, *linear])
+    size = len(by)
+    return Linearization(following, by[:, :size], by[:, size:], tip, twists)

@@ -57,10 +57,11 @@ class State:
         Raises:
             OSError: if the file cannot be written.
         """
+        values = {}
+        for entry in reversed(fields(self)):
+            values[entry.name] = getattr(self, entry.name)
         with open(path, "wb") as file:
-            np.savez(
-                file, **{entry.name: getattr(self, entry.name) for entry in reversed(fields(self))}
-            )
+            np.savez(file, **values)
 
     @classmethod
     def load(cls, path: str | Path) -> State:
@@ -79,11 +80,9 @@ class State:
         """
         saved = read_arrays(path, STATE)
         try:
-            time, step, names = (
-                float(saved.pop("time")),
-                float(saved.pop("step")),
-                tuple(map(str, saved.pop("names"))),
-            )
+            time = float(saved.pop("time"))
+            step = float(saved.pop("step"))
+            names = tuple(map(str, saved.pop("names")))
             return cls(time=time, step=step, names=names, **saved)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
@@ -131,7 +130,8 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
 
 def state_of(model: Model, motion: Motion, step: float) -> State:
     """State of a motion, its arrays copied, with the step [s] to try next."""
-    strain, effects = model.grid.unpacked(motion.xi), motion.state.copy()
+    strain = model.grid.unpacked(motion.xi)
+    effects = motion.state.copy()
     return State(
         float(motion.clock[0]),
         motion.q.copy(),

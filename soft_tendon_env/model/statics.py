@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.algebra.linear import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
-from soft_tendon_env.model.coordinates import with_every_tension
-from soft_tendon_env.model.equilibrium_residual import At, Balance
+from soft_tendon_env.model.arm import with_every_tension
+from soft_tendon_env.model.equilibrium_residual import Balance, Evaluation
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.reference_model import equilibrium_error
@@ -107,23 +107,30 @@ def static_equilibrium(
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
-    warn_beyond_limits(model.discretisation.tension_limits.tolist(), u)
+    limits = model.discretisation.tension_limits
+    warn_beyond_limits(limits.tolist(), u)
     with model.workspace() as work:
         balance = Balance(model, u, work)
         path = LoadPath(balance)
         if guess is not None:
-            near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
+            q = checked_array("guess", guess, (model.coordinate_count,))
+            near = path.equilibrium(q, 1.0)
             if near is not None:
-                return _found(balance, near.at, near.stability.stable, "")
+                return _equilibrium(balance, near.evaluation, near.stability.stable, "")
         if rests_at_tensions(model):
             # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain
             # exists, unless it lacks a potential
-            at = balance.at(model.rest_coordinates(u), 1.0)
-            if at is not None and at.residual <= RESIDUAL:
-                here = None if model.arm.strain.has_potential else balance.linearise(at.q, 1.0)
-                return _found(balance, at, here is None or here.stability.stable, "")
-        end, reason = path.rest(MOST_SETTLINGS if settle else 0)
-        return _found(balance, end.at, end.stability.stable, reason)
+            q = model.rest_coordinates(u)
+            evaluation = balance.at(q, 1.0)
+            if evaluation is not None and evaluation.residual <= RESIDUAL:
+                is_stable = True
+                if not model.arm.strain.has_potential:
+                    linearised = balance.linearise(q, 1.0)
+                    is_stable = linearised is None or linearised.stability.stable
+                return _equilibrium(balance, evaluation, is_stable, "")
+        settlings = MOST_SETTLINGS if settle else 0
+        end, reason = path.rest(settlings)
+        return _equilibrium(balance, end.evaluation, end.stability.stable, reason)
 
 
 def rests_at_tensions(model: Model) -> bool:
@@ -131,47 +138,63 @@ def rests_at_tensions(model: Model) -> bool:
     return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
 
 
-def _found(balance: Balance, at: At, stable: bool, reason: str) -> Equilibrium:
-    tip, loaded = balance.model.tip_pose(at.q), balance.at(at.q, 1.0) if reason else at
+def _equilibrium(
+    balance: Balance, evaluation: Evaluation, stable: bool, reason: str
+) -> Equilibrium:
+    """Equilibrium at an evaluation of the balance; a reason says why the load goes no further."""
+    q = evaluation.q
+    tip = balance.model.tip_pose(q)
+    # that of the full load, also where the path ends before
+    loaded = balance.at(q, 1.0) if reason else evaluation
     residual = np.inf if loaded is None else loaded.residual
-    _warn_of_redundancy(balance, at, tip)
-    model, tension = balance.model, balance.tension
+    _warn_of_redundancy(balance, evaluation, tip)
     return Equilibrium(
-        at.q,
+        q,
         tip,
-        not reason,
-        residual,
-        reason,
-        balance.linearisations,
-        stable,
-        at.part,
-        model,
-        tension,
+        converged=not reason,
+        residual=residual,
+        reason=reason,
+        iterations=balance.linearisations,
+        stable=stable,
+        load=evaluation.part,
+        model=balance.model,
+        tension=balance.tension,
     )
 
 
-def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
+def _warn_of_redundancy(balance: Balance, evaluation: Evaluation, tip: Array) -> None:
     """Warns where tensions that have no coordinate would move the tip."""
-    model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
+    model = balance.model
+    strain = model.arm.strain
     if isinstance(strain, Explicit) or not strain.law.mixed:
         return
+    u = evaluation.part * balance.tension
     rest = model.rest_coordinates(u)
     left_out = u - strain.law.tensions(rest)
-    if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
+    round_off = 1e-12 * np.abs(u).max()
+    if np.abs(left_out).max() <= round_off:
         return
-    q = rest if rests_at_tensions(model) else at.q
+    q = rest if rests_at_tensions(model) else evaluation.q
     try:
-        every = np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]])
-        whole = Model(model.scene, model.grid, with_every_tension(model.arm)).tip_pose(every)
-        error = float(np.linalg.norm((whole - tip)[:3, 3]))
+        # the arm with a coordinate for each tension
+        arm = with_every_tension(model.arm)
+        whole_model = Model(model.scene, model.grid, arm)
+        every_tension = strain.law.tensions(q) + left_out
+        passive = q[strain.law.active :]
+        whole_tip = whole_model.tip_pose(np.concatenate([every_tension, passive]))
+        difference = (whole_tip - tip)[:3, 3]
+        error = float(np.linalg.norm(difference))
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
+        size = (
+            f"by {1e3 * error:.2g} mm" if np.isfinite(error) else "by more than its strain allows"
+        )
         text = (
             f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no"
-            " coordinate: at rest its tip is off"
+            f" coordinate: at rest its tip is off {size}"
         )
-        warnings.warn(f"{text} by {1e3 * error:.2g} mm", RedundancyWarning, stacklevel=4)
+        warnings.warn(text, RedundancyWarning, stacklevel=4)
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
@@ -191,43 +214,43 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         ValueError: for wrong shapes or numbers that are not finite.
     """
     checked_type("model", model, Model, "see build_model")
-    given, path, n_a = (
-        checked_array("command", command, (model.tendon_count,)),
-        model.arm.effects.transmission,
-        model.tendon_count,
-    )
+    n_a = model.tendon_count
+    command_values = checked_array("command", command, (n_a,))
+    path = model.arm.effects.transmission
     if not path.elastic:
-        return static_equilibrium(model, given), given
+        return static_equilibrium(model, command_values), command_values
     limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
-    warn_beyond_limits(limits.tolist(), given, model.command_unit)
-    u, guess, scratch = (
-        np.zeros(n_a),
-        None,
-        (np.zeros(n_a, dtype=np.int64), np.zeros((n_a, n_a + 1))),
-    )
+    warn_beyond_limits(limits.tolist(), command_values, model.command_unit)
+    none = np.zeros(n_a)
+    pivots = np.zeros(n_a, dtype=np.int64)
+    system = np.zeros((n_a, n_a + 1))
+    u = np.zeros(n_a)
+    guess = None
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
-            found = static_equilibrium(model, u, guess)
-        shortening = path.length - model.tendon_lengths(found.q)
-        wanted = np.clip(path.stiffness * (given - shortening), 0.0, path.strength)
-        same = SAME_TENSION * (
-            np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness
-        )
-        if not found.converged or (np.abs(wanted - u) <= same).all():
-            return dataclasses.replace(found, iterations=found.iterations + iteration), u
-        near, guess = ChordSolver(model, found.q, u), found.q
-        compliance = np.diag(1.0 / path.stiffness) + near.terms.actuation.T @ near.answer
-        missing = given - shortening - u / path.stiffness
+            equilibrium = static_equilibrium(model, u, guess)
+        # tensions of the springs: k (command - shortening), within what drives can hold
+        shortening = path.length - model.tendon_lengths(equilibrium.q)
+        stretch = command_values - shortening
+        spring_tension = np.clip(path.stiffness * stretch, 0.0, path.strength)
+        largest = np.abs(spring_tension).max() + np.abs(u).max()
+        same = SAME_TENSION * (largest + model.length * path.stiffness)
+        is_same = np.abs(spring_tension - u) <= same
+        if not equilibrium.converged or is_same.all():
+            iterations = equilibrium.iterations + iteration
+            return dataclasses.replace(equilibrium, iterations=iterations), u
+        # (1 / k + B^T dq/du) step = stretch - u / k
+        near = ChordSolver(model, equilibrium.q, u)
+        guess = equilibrium.q
+        spring_compliance = np.diag(1.0 / path.stiffness)
+        arm_compliance = near.terms.actuation.T @ near.answer
+        compliance = spring_compliance + arm_compliance
+        missing = stretch - u / path.stiffness
+        right = missing + compliance @ u
         u = u.copy()
-        solve_bounded(
-            compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch
-        )
-    return (
-        dataclasses.replace(
-            found, converged=False, reason="tensions and displacements do not come to agree"
-        ),
-        u,
-    )
+        solve_bounded(compliance, right, none, path.strength, u, pivots, system)
+    reason = "tensions and displacements do not come to agree"
+    return dataclasses.replace(equilibrium, converged=False, reason=reason), u
 
 
 class ChordSolver:
@@ -240,17 +263,21 @@ class ChordSolver:
     """
 
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
-        self.model, self.q, self.tension, self._known = model, q, tension, rests_at_tensions(model)
-        self.terms = model.terms(q, np.zeros_like(q), tension)
+        self.model = model
+        self.q = q
+        self.tension = tension
+        self._known = rests_at_tensions(model)
+        still = np.zeros_like(q)
+        self.terms = model.terms(q, still, tension)
         if self._known:
             self._compliance = np.linalg.pinv(self.terms.stiffness)
         else:
             with model.workspace() as work:
                 balance = Balance(model, tension, work)
-                here = balance.linearise(q, 1.0)
-            if here is None:
+                linearised = balance.linearise(q, 1.0)
+            if linearised is None:
                 raise StrainLimitError(balance.obstacle)
-            self._compliance = here.compliance
+            self._compliance = linearised.compliance
         self.answer: Array = self._compliance @ self.terms.actuation
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
@@ -258,20 +285,27 @@ class ChordSolver:
 
         None where there is none.
         """
-        q = (
-            self.model.rest_coordinates(tension)
-            if self._known
-            else self.q + self.answer @ (tension - self.tension)
-        )
-        with self.model.workspace() as work:
-            balance, size = Balance(self.model, tension, work), np.inf
-            while (at := balance.at(q, 1.0)) is not None:
-                if at.residual <= RESIDUAL:
-                    return q, self.model.tip_pose(q)
-                change = self._compliance @ at.force
-                last, size = size, balance.angle(change)
-                if not size < CONTRACTION * last:
+        model = self.model
+        if self._known:
+            q = model.rest_coordinates(tension)
+        else:
+            change = tension - self.tension
+            q = self.q + self.answer @ change
+        with model.workspace() as work:
+            balance = Balance(model, tension, work)
+            size = np.inf
+            evaluation = balance.at(q, 1.0)
+            while evaluation is not None:
+                if evaluation.residual <= RESIDUAL:
+                    return q, model.tip_pose(q)
+                step = self._compliance @ evaluation.force
+                last_size = size
+                size = balance.angle(step)
+                if not size < CONTRACTION * last_size:
                     break
-                q = q + change
-        found = static_equilibrium(self.model, tension, self.q)
-        return (found.q, found.tip_pose) if found.converged else None
+                q = q + step
+                evaluation = balance.at(q, 1.0)
+        equilibrium = static_equilibrium(model, tension, self.q)
+        if not equilibrium.converged:
+            return None
+        return equilibrium.q, equilibrium.tip_pose

@@ -125,6 +125,7 @@ def linear_rate(model: Model) -> float:
     """
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
+    # M q_ddot + G q = 0
     acceleration = np.linalg.solve(terms.mass, terms.stiffness)
     squared_rates = np.linalg.eigvals(acceleration).real
     slowest = np.sqrt(squared_rates.min())
@@ -174,11 +175,11 @@ def _warn_of_changes_within_steps(rows: Array, beside: Array, middles: Array, st
         middles: times (steps,) [s].
         step: [s].
     """
-    change = beside - rows
+    change = np.abs(beside - rows)
     from_step_to_step = BESIDE_MIDDLE * np.gradient(rows, axis=0)
     # neither constant over the step nor on the line through its neighbours
-    off_line = np.abs(change - from_step_to_step)
-    missed = np.minimum(np.abs(change), off_line).max(axis=1)
+    off_line = np.abs(beside - rows - from_step_to_step)
+    missed = np.minimum(change, off_line).max(axis=1)
     largest_range = np.ptp(rows, axis=0).max()
     if missed.max() > UNRESOLVED * largest_range:
         place = middles[np.argmax(missed)]

@@ -82,10 +82,13 @@ def _chords_and_give(arm: Arm, grid: Grid, xi: Array) -> tuple[Array, Array]:
     chord = np.stack([chord_x, chord_y, chord_z])
     chord_size = presence * np.linalg.norm(chord, axis=0)
     # tr C S S^T
-    compliance = np.moveaxis(root_compliance, -1, 0) ** 2
+    compliance = np.moveaxis(root_compliance**2, -1, 0)
     torsion, bend_y, bend_z, *linear = compliance
-    about_x = torsion * (y**2 + z**2)
-    about_y = bend_y * z**2
-    about_z = bend_z * y**2
-    give = about_x + about_y + about_z + np.sum(linear, axis=0)
+    y_squared = y**2
+    z_squared = z**2
+    about_x = torsion * (y_squared + z_squared)
+    about_y = bend_y * z_squared
+    about_z = bend_z * y_squared
+    along = np.sum(linear, axis=0)
+    give = about_x + about_y + about_z + along
     return chord_size, give

@@ -2,11 +2,12 @@
 
 Gains are kp = 10 000 and kd = 1000.
 
-The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. The
-underactuated arm depends on the left inverse of B and on the passive coordinates: "as printed" are
-the paper's, the pseudo-inverse and constant moments. This package's default is the pseudo-inverse
-in the elastic energy, with passive coordinates orthogonal to the tendons' fields. Each stable
-variant keeps a steady-state error, because (39) asks for forces that tensions cannot make.
+The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. On
+the underactuated arm two choices matter: which left inverse of B the law uses, and what the passive
+coordinates are. "As printed" has those of the paper, the pseudo-inverse and constant moments. This
+package's default is the pseudo-inverse in the elastic energy, with passive coordinates orthogonal
+to the tendons' fields. Each stable variant keeps a steady-state error, because (39) asks for forces
+that tensions cannot make.
 
 "Sampled" is the package's tip tracker in TendonRod-TipPose-v0, with a control period of 20 ms,
 tensions of at most 60 N, an integral, and feedforward. Its gains become the paper's as the period

@@ -5,8 +5,9 @@ by which it sees observations, absent where it sees them as they are; and `confi
 all else, see `AgentConfig`. It acts by NumPy alone.
 """
 
+import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -14,10 +15,9 @@ import gymnasium as gym
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
-from soft_tendon_env.accuracy.fidelity import AS_SCENE
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.options import given_scene, resolved_scene
+from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.policies.algorithms import ALGORITHMS, network_kind
 from soft_tendon_env.policies.architecture import read_architecture
 from soft_tendon_env.policies.integral import IntegralPolicy
@@ -29,10 +29,19 @@ from soft_tendon_env.policies.normalization import (
     save_normalization,
 )
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.trained_arm import (
+    Outside,
+    as_written,
+    is_of,
+    listed_numbers,
+    listed_tables,
+    numbers_outside,
+    undisturbed,
+)
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, build_network, read_weights
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_registered, read_toml
-from soft_tendon_env.tools.files import check_digests, digest, read_json, shipped_folder
+from soft_tendon_env.tools.files import CONFIGS, check_digests, digest, read_json, shipped_folder
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Positive
 
@@ -42,13 +51,14 @@ IN_REPOSITORY = "but in agents/trained of the repository: clone it and run the s
 """Place of the agents that a wheel lacks, and what to do."""
 AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
-ARM = ("scene", "fidelity", "control_period", "tension_limits")
+ARM = ("scene", "fidelity", "control_period", "tension_limits", "rate_limit")
 """Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 SAME = ("preview", "history", "sensors", "action", "tension_rate", "control_period")
 """Options that should be those of the training; observations are compared by their layout."""
 OF_TRAINING = (
+    "added_effects",
     "arms",
     "checkpoint_every",
     "checkpoint_seconds",
@@ -68,8 +78,6 @@ OF_TRAINING = (
 )
 """Keys of config.json that concern the training alone: an agent acts as it does whatever they
 say."""
-PHYSICS = ("segments", "tendons", "base", "effects")
-"""Tables of a scene that define the physical arm, as opposed to how it is computed."""
 OF_COORDINATES = {
     "coordinates",
     "rates",
@@ -261,16 +269,19 @@ class NetworkPolicy:
         return self.network.predict(seen, state, episode_start, deterministic)
 
 
-def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
+def load_agent(
+    name: str, env: Any, other_effects: bool = False, beyond_training: bool = False
+) -> Policy:
     """Loads a trained agent as a policy for an environment like its own, single or vector.
 
-    Nothing is unpickled. A TrainingWarning says where the task or preset is another than in its
-    training.
+    Nothing is unpickled. A TrainingWarning says where the task, the preset or loads are others than
+    in its training, and which number of the arm is outside of what was drawn there.
 
     Args:
         name: of an agent that ships for the environment's task, or an agent's folder.
         env: the environment.
         other_effects: whether the arm may have effects that it was not trained with.
+        beyond_training: whether numbers of the arm may be outside of those in its training.
 
     Returns:
         The policy, which acts by NumPy alone.
@@ -284,7 +295,7 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
     _check_files(folder, config)
-    _check_agent(name, config, episodes, other_effects)
+    _check_agent(name, config, episodes, other_effects, beyond_training)
     if isinstance(env, gym.vector.VectorEnv):
         observations: gym.Space[Any] = env.single_observation_space
         actions: gym.Space[Any] = env.single_action_space
@@ -387,78 +398,9 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
-def disturbances(options: Options) -> set[str]:
-    """Names of effects that a training draws from nothing on, or from the least that there is.
-
-    An arm has them or not.
-    """
-    scene = given_scene(options.scene)
-    is_disturbance: dict[str, bool] = {}
-    for drawn in options.randomize.ranges(scene):
-        for key, value in zip(drawn.keys, drawn.values, strict=True):
-            table, name, number, *_ = key.split(".")
-            if table == "effects":
-                begins = value in (0.0, drawn.least)
-                alone = not _has_other_strength(getattr(scene.effects, name), number)
-                # still water is there without a current
-                before = is_disturbance.get(name, True)
-                is_disturbance[name] = before and begins and alone
-    return {name for name, holds in is_disturbance.items() if holds}
-
-
-def _has_other_strength(effect: Any, number: str) -> bool:
-    """Whether an effect acts by another number than this one; None: it is not there."""
-    if effect is None:
-        return False  # it is there where its number is drawn alone
-    others = [strength for strength in effect.strengths if strength != number]
-    return any(np.any(getattr(effect, strength)) for strength in others)
-
-
-def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a training with the arm alone.
-
-    They are without what it draws, and changes of the scene by which there are disturbances.
-    """
-    scene = options.get("scene")
-    names = disturbances(Options.parse(options, "options"))
-    arm = {**options, "randomize": {}}
-    if not isinstance(scene, Mapping) or "segments" in scene:
-        return arm
-    left = {}
-    for key, value in scene.items():
-        is_disturbance = key.startswith("effects.") and key.split(".")[1] in names
-        if not is_disturbance:
-            left[key] = value
-    arm["scene"] = left["scene"] if left.keys() == {"scene"} else left
-    return arm
-
-
-def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
-    """Physical arm of a scene by the names of PHYSICS, without effects of these names."""
-    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in names}
-    tables = {key: getattr(scene, key) for key in PHYSICS}
-    return {**tables, "effects": effects}
-
-
-def _as_written(options: Options) -> Scene:
-    """The scene of options with the strain, quadrature and integrator that it has.
-
-    No trial of the arm is needed then.
-    """
-    return resolved_scene(options.model_copy(update={"fidelity": AS_SCENE}))
-
-
-def _is_of(options: Options, scene: Scene) -> bool:
-    """Whether a scene is that of options but for its name.
-
-    It is of the same physical arm, and then the same at their fidelity.
-    """
-    if _physics(_as_written(options), set()) != _physics(scene, set()):
-        return False
-    return resolved_scene(options).replace({"name": scene.name}) == scene
-
-
-def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
+def _check_agent(
+    name: str, config: AgentConfig, episodes: Episodes, other_effects: bool, beyond_training: bool
+) -> None:
     """Compares an environment with that of an agent's training.
 
     Args:
@@ -466,35 +408,54 @@ def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effec
         config: its configuration.
         episodes: of the environment.
         other_effects: whether those of the arm may be others.
+        beyond_training: whether all numbers of the arm may be others.
 
     Raises:
         ValueError: the agent was trained on another arm, with another control period, or with
             another meaning of observations or actions.
 
     Warns:
-        TrainingWarning: the task is another, or the arm as it is computed.
+        TrainingWarning: the task is another, or the arm or how it is computed.
     """
     trained = Options(**config.options)
-    _check_arm(name, trained, episodes.model.scene, other_effects)
+    outside = numbers_outside(trained, episodes.model.scene)
+    if other_effects:
+        outside = [number for number in outside if number.table != "effects"]
+    if not beyond_training:
+        _check_arm(name, config, episodes, outside)
     _check_interface(name, config, trained, episodes)
-    if not other_effects:
-        _warn_of_changes(name, config, trained, episodes)
+    if outside or not other_effects:
+        _warn_of_changes(name, config, episodes, outside)
 
 
-def _check_arm(name: str, trained: Options, scene: Scene, other_effects: bool) -> None:
-    """Raises ValueError where an agent was trained on another physical arm."""
-    before = _as_written(trained)
-    names = disturbances(trained)
-    arm = _physics(scene, names)
-    trained_arm = _physics(before, names)
-    for key in PHYSICS:
-        may_differ = other_effects and key == "effects"
-        if trained_arm[key] != arm[key] and not may_differ:
-            raise ValueError(
-                f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this"
-                f" environment's ({scene.name!r}): an arm that differs from it is what `randomize`"
-                " is for"
-            )
+def _check_arm(
+    name: str, config: AgentConfig, episodes: Episodes, outside: Sequence[Outside]
+) -> None:
+    """Raises ValueError where numbers outside of a training are those of the arm itself."""
+    own = [number for number in outside if not number.is_load]
+    if own:
+        before = as_written(Options(**config.options)).name
+        now = episodes.model.scene.name
+        raise ValueError(
+            f"{name} was trained on an arm with other {listed_tables(own)} (scene {before!r}) than"
+            f" this environment's ({now!r}): {listed_numbers(own)}."
+            f" {_advice(config.algorithm, episodes)}"
+        )
+
+
+def _advice(algorithm: str, episodes: Episodes) -> str:
+    """Command that trains an agent for the arm of an environment, in words."""
+    training = f"{algorithm}_{_words(episodes.task.name)}".lower()
+    if not (CONFIGS / f"{training}.toml").is_file():
+        return "Train an agent on this arm"
+    scene = episodes.options.scene
+    arm = scene if isinstance(scene, str) else "my_arm.toml"
+    return f"Train an agent for this arm: soft-tendon train {training} --set options.scene={arm}"
+
+
+def _words(name: str) -> str:
+    """A task's name in words, "Tip_Pose" for "TipPose"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
 
 
 def _check_interface(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
@@ -522,12 +483,18 @@ def _group_names(layout: Mapping[str, int]) -> str:
     return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
-def _warn_of_changes(name: str, config: AgentConfig, trained: Options, episodes: Episodes) -> None:
-    """Warns of another task, or another arm as it is computed, than in an agent's training."""
+def _warn_of_changes(
+    name: str, config: AgentConfig, episodes: Episodes, outside: Sequence[Outside]
+) -> None:
+    """Warns of another task or arm, also as it is computed, than in an agent's training.
+
+    outside: numbers of the arm for which it was not trained.
+    """
+    trained = Options(**config.options)
     task = episodes.task.name
     values: dict[str, tuple[Any, Any]] = {"task": (config.task or task, task)}
     arms = (trained, Options(**undisturbed(config.options)))
-    if not any(_is_of(options, episodes.model.scene) for options in arms):
+    if not any(is_of(options, episodes.model.scene) for options in arms):
         for key in ARM:
             if key != "control_period":
                 values[key] = (getattr(trained, key), getattr(episodes.options, key))
@@ -536,8 +503,9 @@ def _warn_of_changes(name: str, config: AgentConfig, trained: Options, episodes:
         if before != now:
             changes.append(f"{key} = {before!r}, judged with {now!r}")
     if changes:
+        beyond = f". {listed_numbers(outside)}" if outside else ""
         text = (
-            f"{name}: trained with {'; '.join(changes)}. policy_options() has the options of its"
-            " training"
+            f"{name}: trained with {'; '.join(changes)}{beyond}. policy_options() has the options"
+            " of its training"
         )
         warnings.warn(text, TrainingWarning, stacklevel=6)

@@ -6,7 +6,7 @@ What the controller knows comes out of the observation and of its own state; wha
 an action.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from soft_tendon_env.control.catalogue import LOOKS_AHEAD, Entry, controllers_of
 from soft_tendon_env.control.command_filter import SAME, Timing, whole_periods
 from soft_tendon_env.control.diagnosis import Diagnosis
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter
+from soft_tendon_env.control.own_cost import Given, own_cost
 from soft_tendon_env.control.uncertainty import USUAL, Setting, Uncertainty
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.tasks import TASKS, TIP
@@ -102,6 +103,7 @@ def make_policy(
     latency: float | None = None,
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
+    objectives: Sequence[Given] | None = None,
 ) -> "ControllerPolicy":
     """Makes a controller of `soft_tendon_env.control.CONTROLLERS` a policy.
 
@@ -115,13 +117,18 @@ def make_policy(
         estimator: of ESTIMATORS, finds the coordinates from the other observations and the known
             noise of the sensors; None: they are observed.
         uncertainty: process noise and first uncertainty of a Kalman filter.
+        objectives: a cost of your own for predictive control, see `own_cost`: TipPose, TipPosition,
+            TipDirection, Shape, Avoidance, Effort and Smoothness of `soft_tendon_env.control`,
+            others with linear_error(posture), or classes or functions of the model that make them;
+            None: the controller's own.
 
     Returns:
         The policy, for one row or many.
 
     Raises:
-        TypeError: the environment is of another package.
-        ValueError: a name is not known, or the model does not fit.
+        TypeError: the environment is of another package, or an objective is none.
+        ValueError: a name is not known, the model does not fit, or the controller or the task has
+            no use for an objective.
         ConfigurationError: the environment does not show what the controller needs.
     """
     estimator_entry: EstimatorEntry | None = _among("estimator", estimator, ESTIMATORS)
@@ -140,6 +147,8 @@ def make_policy(
         late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
         known = known._replace(latency=late)
     entry = _controller(controller, episodes.task.name)
+    if objectives is not None:
+        entry = _with_objectives(entry, objectives, believed, episodes)
     greatest = _greatest_timing(known, estimator_entry)
     ahead = _periods_ahead(entry, greatest.latency, episodes.period)
     _check_preview(entry, episodes, ahead)
@@ -152,6 +161,31 @@ def make_policy(
         made = estimator_entry.make(believed, setting)
     law = entry.make(believed, episodes.limits.copy(), episodes.period)
     return ControllerPolicy(law, env, model if differs else None, made, predictor)
+
+
+def _with_objectives(
+    entry: Entry, objectives: Sequence[Given], model: Model, episodes: Episodes
+) -> Entry:
+    """Entry with a cost of the user's own.
+
+    Raises TypeError, ValueError.
+    """
+    if not entry.takes_objectives:
+        others = controllers_of(episodes.task.name)
+        able = [name for name, other in others.items() if other.takes_objectives]
+        raise ValueError(
+            f"objectives are given to a controller without them ({entry.description}): of"
+            f" {episodes.task.name} {', '.join(able) or 'none'} may have some"
+        )
+    groups = episodes.layout.slices
+    told = list[str]()
+    if "target_error" in groups:
+        told.append("tip_pose")
+    if episodes.task.goal is not None:
+        told.append("tip_position")
+    if "wanted_coordinates" in groups or "target_coordinates" in groups:
+        told.append("q")
+    return entry.with_cost(own_cost(objectives, model, told))
 
 
 def _setting(episodes: Episodes, known: Timing, uncertainty: Uncertainty) -> Setting:
@@ -300,10 +334,13 @@ class ControllerPolicy:
                 self._waiting = max(self._waiting, part.history)
         self._lost = LostState(type(controller).__name__)
         self._simulation: Simulation | None = None  # of the arm under tensions
+        # (n_a,) [N] of tensions in a period; commands of other units limit them in other ways
+        self._greatest_change = self._actions.greatest_change
         effects = self._model.scene.effects
         if effects.command_unit != "N":
             pulled = build_model(self._model.scene.replace({"effects": effects.on_arm()}))
             self._simulation = Simulation(pulled)
+            self._greatest_change = None
         self._check(episodes)
 
     def _check(self, episodes: Episodes) -> None:
@@ -428,6 +465,7 @@ class ControllerPolicy:
             estimate.input_error,
             estimate.force_error,
             timing_spread=estimate.timing_spread,
+            greatest_change=self._greatest_change,
         )
         if self.predictor is not None:
             now = self.predictor.predict(now, memory.sent, estimate.timing)
@@ -505,7 +543,16 @@ class ControllerPolicy:
         action = self._actions.action(command, before).astype(np.float32)
         # as the action says it in single precision
         sent = self._actions.command(action.astype(np.float64), before)
-        asked = sent if self._simulation is None else tension
+        if self._simulation is None:
+            return action, sent, sent
+        cut = sent - command
+        asked = tension
+        round_off = SAME_COMMAND * np.abs(self._actions.greatest)
+        if (np.abs(cut) > round_off).any():
+            # what limits or rate cut off a displacement, its spring lacks
+            none = np.zeros_like(tension)
+            per_newton = self._model.command(none + 1.0, q) - self._model.command(none, q)
+            asked = np.maximum(tension + cut / per_newton, 0.0)
         return action, asked, sent
 
 

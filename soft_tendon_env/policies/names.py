@@ -9,7 +9,7 @@ policy = name.load(env)
 
 import importlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
@@ -18,6 +18,7 @@ import gymnasium as gym
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
+from soft_tendon_env.control.own_cost import Given
 from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -33,11 +34,11 @@ from soft_tendon_env.policies.agent import (
     load_agent,
     read_config,
     shipped,
-    undisturbed,
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.trained_arm import listed_numbers, numbers_outside, undisturbed
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import (
     Configuration,
@@ -149,6 +150,36 @@ class PolicyName:
             ModuleNotFoundError: where a module cannot be found.
         """
         raise NotImplementedError
+
+    def load_beyond_training(self, env: Any) -> Policy:
+        """Loads the policy for an environment whose arm may be none that it was trained for.
+
+        Args:
+            env: the environment.
+
+        Returns:
+            The policy, as by `load` where it was not trained.
+
+        Raises:
+            ValueError: for files or models that do not fit the environment.
+            OSError: where a file cannot be read.
+        """
+        return self.load(env)
+
+    def outside(self, env: Any) -> str:
+        """Returns the numbers of an arm for which the policy was not trained.
+
+        Args:
+            env: the environment of the arm.
+
+        Returns:
+            The numbers and what they were in its training, in words; "" without any.
+
+        Raises:
+            ValueError: for files that do not fit.
+            OSError: where a file cannot be read.
+        """
+        return ""
 
     def fingerprint(self) -> Any:
         """Returns plain values that tell the policy from others.
@@ -278,7 +309,14 @@ class Controller(PolicyName):
         )
         return {**own, **given}
 
-    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
+    def load(
+        self,
+        env: Any,
+        scene: Scene | None = None,
+        other_effects: bool = False,
+        objectives: Sequence[Given] | None = None,
+    ) -> Policy:
+        """objectives: a cost of the user's own, see `make_policy`."""
         changes = {}
         for name, value in self.parameters.items():
             if name.startswith(ESTIMATOR):
@@ -289,7 +327,12 @@ class Controller(PolicyName):
             model = build_model(believed, self.belief or AS_SCENE)
         uncertainty = USUAL._replace(**changes)
         return make_policy(
-            self.entry, env, model, estimator=self.estimator, uncertainty=uncertainty
+            self.entry,
+            env,
+            model,
+            estimator=self.estimator,
+            uncertainty=uncertainty,
+            objectives=objectives,
         )
 
     def fingerprint(self) -> Any:
@@ -337,6 +380,13 @@ class Agent(PolicyName):
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
+
+    def load_beyond_training(self, env: Any) -> Policy:
+        return load_agent(self.text, env, beyond_training=True)
+
+    def outside(self, env: Any) -> str:
+        trained = Options(**self.config.options)
+        return listed_numbers(numbers_outside(trained, episodes_of(env).model.scene))
 
     def fingerprint(self) -> Any:
         return digests(find_agent(self.text, self.task))
@@ -468,7 +518,7 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
     return PolicyName.parse(name, task).options(given)
 
 
-def load_policy(name: str, env: Any) -> Policy:
+def load_policy(name: str, env: Any, objectives: Sequence[Given] | None = None) -> Policy:
     """Loads the policy of a name for an environment with the options that it needs.
 
     See `policy_options` for these options.
@@ -478,14 +528,22 @@ def load_policy(name: str, env: Any) -> Policy:
             model has another fidelity; an agent's folder; "agent" or another of those that ship for
             the environment's task, see agents/trained; module:name of what makes one.
         env: single or vector environment of this package.
+        objectives: a cost of your own, for a predictive controller alone, see `make_policy`.
 
     Returns:
         The policy, to be used with `predict`.
 
     Raises:
-        TypeError: for environments of other packages.
-        ValueError: for a name that is not known, or files that do not fit.
+        TypeError: for environments of other packages, and objectives that are none.
+        ValueError: for a name that is not known, files that do not fit, or objectives that do not.
         OSError: where a file cannot be read.
         ModuleNotFoundError: where a module cannot be found.
     """
-    return PolicyName.parse(name, episodes_of(env).task.name).load(env)
+    policy = PolicyName.parse(name, episodes_of(env).task.name)
+    if objectives is None:
+        return policy.load(env)
+    if not isinstance(policy, Controller):
+        raise ValueError(
+            f"objectives are given to {name!r}: predictive controllers alone may have some"
+        )
+    return policy.load(env, objectives=objectives)

@@ -37,6 +37,7 @@ TARGET_GROUPS_BY_CHOICE = ("target_pose", "pose_preview")
 class Regime(NamedTuple):
     """Information regime: sensor set of policies and of a Kalman filter."""
 
+    title: str  # in headings
     description: str
     measured: tuple[str, ...]  # observation groups, none of which depends on a discretisation
     sensors: int  # number of strain sensors
@@ -55,19 +56,25 @@ class Regime(NamedTuple):
 
 REGIMES: Mapping[str, Regime] = {
     "state": Regime(
+        "Exact sensors",
         "tip pose and twist, tendon displacements, strains and their rates at up to eight sensors,"
         " all exact",
         (*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"),
         SENSORS,
     ),
     "sensors": Regime(
+        "Noisy sensors",
         "tip pose, tendon displacements and three strain sensors, all with noise",
         (*TIP, "tendon_lengths", "strain"),
         3,
         NOISE,
     ),
     "tip": Regime(
-        "tip pose and tendon displacements, with noise", (*TIP, "tendon_lengths"), 0, NOISE
+        "Noisy sensors without strains",
+        "tip pose and tendon displacements, with noise",
+        (*TIP, "tendon_lengths"),
+        0,
+        NOISE,
     ),
 }
 """Information regimes by name, each with less than the one before."""

@@ -3,7 +3,6 @@
 The arms are large, below them plots of what is compared.
 """
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +21,8 @@ RECENT = 10.0  # [s] before now that plots of a running simulation show
 AHEAD = 1.5  # [s] after now, room for legends
 ASPECT = 3.3  # width of the view of the arms over its height
 GRID = 0.25  # distance between lines on the floor, in lengths of the rod
+MOST_COLUMNS = 2
+"""Plots of tensions side by side: their titles, the names of the arms, fit above them."""
 SHOWN = {"mm": 20.0, "deg": 10.0}
 """Errors up to which plots open, of an arm of 1 m, by unit: an arm that is lost hides no other."""
 LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
@@ -176,7 +177,7 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
         "action": ("actions", (-1.0, 1.0)),
     }
     legend = LEGEND if len(arms) == 1 else NO_LEGEND
-    columns = math.ceil(math.sqrt(len(arms)))
+    columns = min(MOST_COLUMNS, len(arms))
     grids = Views()
     for kind, (title, span) in kinds.items():
         if _names(arms, kind):

@@ -52,10 +52,13 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
         path = SHIPPED / f"{name}.toml"
     values = read_toml(path)
     strain = values.get("strain")
+    # wrong types are for the check
     passive = strain.get("passive") if isinstance(strain, dict) else None
-    # a file of fields is written relative to the scene's own; wrong types are for the check
-    if isinstance(passive, dict) and isinstance(passive.get("file"), str):
-        passive["file"] = str((path.parent / passive["file"]).absolute())
+    if isinstance(passive, dict):
+        file = passive.get("file")
+        if isinstance(file, str):
+            # a file of fields is written relative to the scene's own
+            passive["file"] = str((path.parent / file).absolute())
     return Scene.parse(values, str(path))
 
 
@@ -73,5 +76,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
         OSError: where the file cannot be written.
     """
     checked_type("scene", scene, Scene, "see load_scene")
+    table = scene_to_dict(scene)
+    text = tomli_w.dumps(table)
     with replacing(Path(path)) as temporary:
-        temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")

@@ -67,7 +67,10 @@ class Parameter(NamedTuple):
         """
         if not self.is_factor:
             return dict.fromkeys(self.keys, value)
-        return {key: value * number for key, number in zip(self.keys, self.values, strict=True)}
+        numbers = {}
+        for key, number in zip(self.keys, self.values, strict=True):
+            numbers[key] = value * number
+        return numbers
 
 
 class Range(NamedTuple):
@@ -101,7 +104,8 @@ class Range(NamedTuple):
         least = self.changes(self.least)[key]
         greatest = self.changes(self.greatest)[key]
         number = numbers.get(key, self.values[0])
-        return (number - least) / (greatest - least)
+        width = greatest - least
+        return (number - least) / width
 
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
@@ -124,7 +128,7 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     Raises:
         ConfigurationError: for keys of anything else, with those that there are.
     """
-    entries = _entries(scene)
+    entries = scene_entries(scene)
     return tuple(_parameter(name, entries) for name in names)
 
 
@@ -141,9 +145,11 @@ def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
     Raises:
         ConfigurationError: for keys and values that are not allowed.
     """
-    named = {key.split(".")[1] for key in changes if key.startswith("effects.")}
-    lacking = _idle_effects(named - scene.effects.chosen().keys())
-    tables = {f"effects.{name}": table for name, table in lacking.items()}
+    effects = {key.split(".")[1] for key in changes if key.startswith("effects.")}
+    lacking_effects = effects - scene.effects.chosen().keys()
+    tables = dict[str, Any]()
+    for name, table in _idle_effects(lacking_effects).items():
+        tables[f"effects.{name}"] = table
     return scene.replace({**tables, **changes})
 
 
@@ -181,7 +187,7 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
         ConfigurationError: for keys that are no numbers of the scene, for what is no range, and for
             a number that two of them draw.
     """
-    entries = _entries(scene)
+    entries = scene_entries(scene)
     ranges = list[Range]()
     drawn = dict[str, str]()  # the range that draws a number, by the number's key
     for name, value in table.items():
@@ -212,6 +218,7 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
     Raises ConfigurationError for a list of another length.
     """
     children = _matching(f"{name}.*", entries)
+    # the last parts of the keys of a vector's entries are 0, 1, ...
     places = sorted({key.rpartition(".")[2] for key in children})
     is_vector = bool(places) and places[-1].isdecimal()
     if not is_vector:
@@ -227,10 +234,11 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
     return [(f"{name}.{i}", entry) for i, entry in enumerate(value)]
 
 
-def _entries(scene: Scene) -> dict[str, Any]:
+def scene_entries(scene: Scene) -> dict[str, Any]:
     """Entries of a scene by dotted keys, also of effects that do nothing by default."""
     tables = scene_to_dict(scene, {*TABLES})
-    tables["effects"] = {**_idle_effects(EFFECTS), **tables["effects"]}
+    idle = _idle_effects(EFFECTS)
+    tables["effects"] = {**idle, **tables["effects"]}
     return dict(_leaves(tables))
 
 
@@ -248,7 +256,8 @@ def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
 
 def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted keys and entries of tables and lists in each other."""
-    if not isinstance(node, dict | list) or not node:
+    is_branch = isinstance(node, dict | list) and bool(node)
+    if not is_branch:
         yield key.removeprefix("."), node
         return
     children = node.items() if isinstance(node, dict) else enumerate(node)
@@ -258,9 +267,12 @@ def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
     """Keys of the parameters that a name stands for, or several with `|` between them."""
-    dotted = re.sub(r"\[(\d+|\*)\]", r".\1", name)  # entries may be in brackets, [0] or [*]
-    pattern = re.escape(dotted).replace(r"\*", r"[^.]+").replace(r"\|", "|")
-    matches = [key for key in entries if re.fullmatch(pattern, key)]
+    # entries may be in brackets, [0] or [*]
+    dotted = re.sub(r"\[(\d+|\*)\]", r".\1", name)
+    escaped = re.escape(dotted)
+    with_any_part = escaped.replace(r"\*", r"[^.]+")
+    pattern = re.compile(with_any_part.replace(r"\|", "|"))
+    matches = [key for key in entries if pattern.fullmatch(key)]
     return [key for key in matches if not _misfit(key, entries[key])]
 
 
@@ -282,17 +294,18 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
     keys = list[str]()
     # a part of a name may list several entries
     choices = [part.split(",") for part in name.split(".")]
-    for single_name in map(".".join, itertools.product(*choices)):
+    for parts in itertools.product(*choices):
+        single_name = ".".join(parts)
         matches = _matching(single_name, entries)
         if not matches:
             _fail(single_name, _refusal(single_name, entries))
         keys += [key for key in matches if key not in keys]
+    # the size is that of the largest entry of the same arrays
     arrays = {_array_of(key) for key in keys}
-    sizes = [
-        abs(value)
-        for key, value in entries.items()
-        if isinstance(value, float) and _array_of(key) in arrays
-    ]
+    sizes = list[float]()
+    for key, value in entries.items():
+        if isinstance(value, float) and _array_of(key) in arrays:
+            sizes.append(abs(value))
     values = tuple(entries[key] for key in keys)
     return Parameter(
         name,
@@ -328,11 +341,11 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
             f"is a vector of {len(places)} numbers: name one, {name}.0, or all by a common factor,"
             f" {name}.*"
         )
-    valid = {
-        re.sub(r"\.\d+(?=\.|$)", ".*", key)
-        for key, value in entries.items()
-        if not _misfit(key, value)
-    }
+    valid = set[str]()
+    for key, value in entries.items():
+        if not _misfit(key, value):
+            # numbers of entries are left out
+            valid.add(re.sub(r"\.\d+(?=\.|$)", ".*", key))
     return f"is no number of the scene: {not_among(name, valid)}"
 
 
@@ -340,8 +353,9 @@ def _is_relative(value: Any) -> bool:
     """Whether a value is a range of a factor or an offset, and no table of the scene."""
     if not isinstance(value, Mapping) or len(value) != 1:
         return False
-    ((kind, interval),) = value.items()
-    return kind in KINDS and not isinstance(interval, Mapping)
+    kind, *_ = value
+    is_interval = not isinstance(value[kind], Mapping)
+    return kind in KINDS and is_interval
 
 
 def _interval(key: str, value: Any) -> tuple[float, float]:
@@ -350,7 +364,8 @@ def _interval(key: str, value: Any) -> tuple[float, float]:
     Raises ConfigurationError.
     """
     pair = value if isinstance(value, list | tuple) else (value, value)
-    if len(pair) == 2 and all(map(_is_number, pair)):
+    are_numbers = all(map(_is_number, pair))
+    if len(pair) == 2 and are_numbers:
         least, greatest = pair
         if least <= greatest:
             return float(least), float(greatest)
@@ -359,9 +374,9 @@ def _interval(key: str, value: Any) -> tuple[float, float]:
 
 def _is_number(value: Any) -> bool:
     """Whether a value is a finite number, which True and False are not."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return bool(np.isfinite(value))
+    is_bool = isinstance(value, bool)
+    is_number = isinstance(value, int | float)
+    return is_number and not is_bool and bool(np.isfinite(value))
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -96,9 +96,13 @@ class PassiveFields:
         values = np.zeros((len(coefficients), *points.shape, 6))
         for piece, (start, end) in enumerate(itertools.pairwise(self.borders)):
             is_inside = (points > start) & (points < end)
-            scaled = 2 * (points - start) / (end - start) - 1  # from -1 to 1 over the piece
-            basis = legendre.legvander(scaled, order) * is_inside[..., None]
-            values += np.einsum("...o,fco->f...c", basis, coefficients[:, piece])
+            # from -1 to 1 over the piece
+            from_start = points - start
+            scaled = 2 * from_start / (end - start) - 1
+            polynomials = legendre.legvander(scaled, order)
+            basis = polynomials * is_inside[..., None]
+            of_piece = coefficients[:, piece]
+            values += np.einsum("...o,fco->f...c", basis, of_piece)
         return values
 
     def fits(self, scene: Scene) -> bool:
@@ -112,6 +116,21 @@ class PassiveFields:
         """
         return _geometry(self.arm) == _geometry(arm_of(scene))
 
+    def is_of(self, scene: Scene) -> bool:
+        """Tells whether the fields were made for an arm of this material and these limits.
+
+        Args:
+            scene: of an arm of the same geometry.
+
+        Returns:
+            True if their errors are those of this arm; False if they may be larger.
+        """
+        limits = [tendon.tension_limits for tendon in scene.tendons]
+        low, high = np.transpose(limits)
+        least, greatest = self.tension_limits.T
+        is_within = np.all((low >= least) & (high <= greatest))
+        return bool(is_within) and self.arm == arm_of(scene)
+
     def misfit(self, scene: Scene) -> str:
         """Describes how a scene differs from that which the fields were made for.
 
@@ -123,15 +142,20 @@ class PassiveFields:
         """
         for i, segment in enumerate(scene.segments):
             for name in MATERIAL:
-                made_for = self.arm["segments"][i].get(name)
                 value = getattr(segment, name)
-                if value is not None and not made_for / ALIKE <= value <= made_for * ALIKE:
+                if value is None:
+                    continue
+                made_for = self.arm["segments"][i].get(name)
+                is_alike = made_for / ALIKE <= value <= made_for * ALIKE
+                if not is_alike:
                     return f"{name} of {made_for:g} in segment {i}, not {value:g}"
         low, high = self.tension_limits.T
         limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         least, greatest = limits.T
         margin = (ALIKE - 1.0) * (high - low)
-        is_within = (least >= low - margin) & (greatest <= high + margin)
+        is_above = least >= low - margin
+        is_below = greatest <= high + margin
+        is_within = is_above & is_below
         if not is_within.all():
             return (
                 f"tensions of {low.min():g} to {high.max():g} N, not {least.min():g} to"
@@ -169,9 +193,9 @@ class PassiveFields:
 
 
 def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of an arm without its material."""
     no_material = dict.fromkeys(MATERIAL)
-    return {**arm, "segments": [{**segment, **no_material} for segment in arm["segments"]]}
+    segments = [{**segment, **no_material} for segment in arm["segments"]]
+    return {**arm, "segments": segments}
 
 
 def read_fields(path: Path) -> PassiveFields:
@@ -199,9 +223,11 @@ def read_fields(path: Path) -> PassiveFields:
             **arrays,
         )
         coefficients = fields.coefficients
+        count = fields.singular_values.size
         pieces = fields.borders.size - 1
-        shape = (fields.singular_values.size, pieces, 6, SNAPSHOT_ORDER + 1)
-        if coefficients.shape != shape or not np.isfinite(coefficients).all():
+        shape = (count, pieces, 6, SNAPSHOT_ORDER + 1)
+        is_finite = np.isfinite(coefficients).all()
+        if coefficients.shape != shape or not is_finite:
             raise ValueError(
                 f"its coefficients should be finite and of shape {shape}, not {coefficients.shape}"
             )
@@ -233,10 +259,11 @@ def arm_of(scene: Scene) -> dict[str, Any]:
     They are segments, tendons, the strains that the rod has and the borders of its pieces.
     """
     segments = [segment.model_dump(mode="json", exclude_none=True) for segment in scene.segments]
-    tendons = [
-        {"routing": tendon.routing.model_dump(mode="json"), "ends": [*tendon_ends(scene, tendon)]}
-        for tendon in scene.tendons
-    ]
+    tendons = []
+    for tendon in scene.tendons:
+        routing = tendon.routing.model_dump(mode="json")
+        ends = [*tendon_ends(scene, tendon)]
+        tendons.append({"routing": routing, "ends": ends})
     strains = [strain for strain in STRAINS if strain in scene.strain.free]
     return {
         "segments": segments,
@@ -260,14 +287,16 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
     for folder in (*data_folders("fields"), SHIPPED):
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             fields = _read_once(path)
-            if digest in (None, fields.digest) and fields.fits(scene):
+            is_named = digest in (None, fields.digest)
+            if is_named and fields.fits(scene):
                 candidates.append(fields)
 
     def rank(fields: PassiveFields) -> tuple[bool, bool, int]:
         """Less for fields that fit better; of those that fit alike, the ones with fewer loads."""
         has_misfit = bool(fields.misfit(scene))
         has_other_loads = not scene.effects.includes(fields.effects)
-        return has_misfit, has_other_loads, len(fields.effects.chosen())
+        loads = len(fields.effects.chosen())
+        return has_misfit, has_other_loads, loads
 
     return min(candidates, key=rank, default=None)
 

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.effects.actuation import Actuators
+from soft_tendon_env.effects.loads import TipLoad
 from soft_tendon_env.scene.routing import HelixRouting, SurfaceRouting
 from soft_tendon_env.scene.scene import (
     Scene,
@@ -22,8 +24,8 @@ from soft_tendon_env.scene.scene import (
     tendon_ends,
     tendon_offset,
 )
-from soft_tendon_env.scene.sections import Stiffness
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.scene.sections import Discs, Stiffness
+from soft_tendon_env.tools.types import Array, Triple
 
 PLACES = 9
 """Places along the rod at which it is looked at."""
@@ -140,12 +142,18 @@ class ArmScales(NamedTuple):
 def scales_of(scene: Scene) -> ArmScales:
     """Sizes of a scene's arm."""
     length = rod_length(scene)
-    places = length * (np.arange(PLACES) + 0.5) / PLACES
+    places = _middles_of_parts(0.0, length)
     bending, viscous_bending, stretch, line_mass = along_rod(scene, places, _rod_numbers)
     radius, _ = rod_radius(scene, places)
-    mass = float(line_mass.mean() * length + disc_rows(scene)[:, 1].sum())
+    disc_mass = disc_rows(scene)[:, 1]
+    mass = float(line_mass.mean() * length + disc_mass.sum())
     stiffness = float(np.median(bending))
-    rate = FIRST_MODE * math.sqrt(stiffness / (mass / length * length**4))
+    mean_line_mass = mass / length
+    rate = FIRST_MODE * math.sqrt(stiffness / (mean_line_mass * length**4))
+    # of Kelvin and Voigt's damping: half the angular frequency times the retardation time
+    retardation_times = viscous_bending / bending
+    damping_ratio = float(0.5 * rate * np.max(retardation_times))
+    moduli = stretch / (np.pi * radius**2)
     limits = [abs(limit) for tendon in scene.tendons for limit in tendon.tension_limits]
     return ArmScales(
         length,
@@ -154,9 +162,15 @@ def scales_of(scene: Scene) -> ArmScales:
         bending=stiffness,
         rate=rate,
         pull=max(limits),
-        damping_ratio=float(0.5 * rate * np.max(viscous_bending / bending)),
-        modulus=float(np.median(stretch / (np.pi * radius**2))),
+        damping_ratio=damping_ratio,
+        modulus=float(np.median(moduli)),
     )
+
+
+def _middles_of_parts(start: float, end: float) -> Array:
+    """Middles (PLACES,) [m] of equal parts between two arc lengths [m]."""
+    shares = (np.arange(PLACES) + 0.5) / PLACES
+    return start + (end - start) * shares
 
 
 def _rod_numbers(segment: Segment, places: Array) -> Array:
@@ -166,16 +180,13 @@ def _rod_numbers(segment: Segment, places: Array) -> Array:
     [N] and mass per length [kg/m].
     """
     elasticity, viscosity, inertia = segment.screw_matrices(places)
-    softer = elasticity[1:3].argmin(axis=0)
+    softer = 1 + elasticity[1:3].argmin(axis=0)
     column = np.arange(places.size)
-    return np.stack(
-        [
-            elasticity[1 + softer, column],
-            viscosity[1 + softer, column],
-            elasticity[3],
-            inertia[3],
-        ]
-    )
+    bending = elasticity[softer, column]
+    viscous_bending = viscosity[softer, column]
+    stretch = elasticity[3]
+    line_mass = inertia[3]
+    return np.stack([bending, viscous_bending, stretch, line_mass])
 
 
 def implausible(scene: Scene) -> Iterator[str]:
@@ -184,14 +195,18 @@ def implausible(scene: Scene) -> Iterator[str]:
     Args:
         scene: of an arm whose length, radius and modulus are plausible.
     """
-    told = set[str]()
+    named_bounds = set[str]()
     for quantity in _quantities(scene, scales_of(scene)):
         bound = BOUNDS[quantity.bound]
-        is_outside = not bound.least <= abs(quantity.share) <= bound.greatest
-        if is_outside and quantity.bound not in told:
-            told.add(quantity.bound)
-            share = f", {abs(quantity.share):.3g} {bound.share}" if bound.share else ""
-            yield f"{quantity.key} is {quantity.value:g}{share}: {bound.question}"
+        size = abs(quantity.share)
+        is_outside = not bound.least <= size <= bound.greatest
+        if not is_outside or quantity.bound in named_bounds:
+            continue
+        named_bounds.add(quantity.bound)
+        share = ""
+        if bound.share:
+            share = f", {size:.3g} {bound.share}"
+        yield f"{quantity.key} is {quantity.value:g}{share}: {bound.question}"
 
 
 def _quantities(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -206,63 +221,85 @@ def _quantities(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     yield from _of_base_motion(scene, arm)
     yield from _of_actuation(scene, arm)
     yield from _of_surroundings(scene, arm)
-    yield Quantity("step", "integrator.step", scene.integrator.step, scene.integrator.step)
+    step = scene.integrator.step
+    yield Quantity("step", "integrator.step", step, step)
     tolerance = scene.integrator.tolerance or 0.0
-    yield Quantity("tolerance", "integrator.tolerance", tolerance, tolerance / arm.length)
+    share = tolerance / arm.length
+    yield Quantity("tolerance", "integrator.tolerance", tolerance, share)
 
 
 def _damping(scene: Scene) -> float:
     """Damping of the first segment, a viscosity [Pa s] or a retardation time [s]."""
-    section = scene.segments[0].section
-    if isinstance(section, Stiffness):
-        return section.retardation_time
-    return scene.segments[0].damping or 0.0
+    segment = scene.segments[0]
+    if isinstance(segment.section, Stiffness):
+        return segment.section.retardation_time
+    return segment.damping or 0.0
 
 
 def _damping_key(scene: Scene) -> str:
     """Key of that number."""
-    is_stiffness = isinstance(scene.segments[0].section, Stiffness)
-    return "segments[0].section.retardation_time" if is_stiffness else "segments[0].damping"
+    section = scene.segments[0].section
+    if isinstance(section, Stiffness):
+        return "segments[0].section.retardation_time"
+    return "segments[0].damping"
 
 
 def _of_segment(segment: Segment, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Material, shape at rest and discs of a segment."""
-    if isinstance(segment.section, Stiffness):
-        yield from _of_stiffness(segment.section, segment.length, f"{key}.section")
+    section = segment.section
+    if isinstance(section, Stiffness):
+        yield from _of_stiffness(section, segment.length, f"{key}.section")
     ratio = segment.poisson_ratio
     # 0 is written on purpose
     if ratio:
-        yield Quantity("Poisson's ratio", f"{key}.poisson_ratio", ratio, max(ratio, 0.0))
+        not_negative = max(ratio, 0.0)
+        yield Quantity("Poisson's ratio", f"{key}.poisson_ratio", ratio, not_negative)
     torsion, *bends = segment.curvature
     curvature = math.hypot(*bends)
-    turns = math.hypot(torsion, curvature) * segment.length / (2.0 * math.pi)
-    yield Quantity("bow", f"{key}.curvature", curvature, curvature * arm.radius)
-    yield Quantity("coil", f"{key}.curvature", math.hypot(torsion, curvature), turns)
-    discs = segment.discs
-    if discs is not None:
-        thickness = discs.thickness or 2.0 * discs.radius
-        density = discs.mass / (math.pi * discs.radius**2 * thickness)
-        yield Quantity("disc density", f"{key}.discs.mass", discs.mass, density)
-        share = (discs.thickness or 0.0) / arm.length
-        yield Quantity("disc thickness", f"{key}.discs.thickness", thickness, share)
+    curvature_key = f"{key}.curvature"
+    yield Quantity("bow", curvature_key, curvature, curvature * arm.radius)
+    total = math.hypot(torsion, curvature)
+    turns = total * segment.length / (2.0 * math.pi)
+    yield Quantity("coil", curvature_key, total, turns)
+    if segment.discs is not None:
+        yield from _of_discs(segment.discs, f"{key}.discs", arm)
+
+
+def _of_discs(discs: Discs, key: str, arm: ArmScales) -> Iterator[Quantity]:
+    """Mass and thickness of spacer discs."""
+    width = 2.0 * discs.radius
+    thickness = discs.thickness or width
+    volume = math.pi * discs.radius**2 * thickness
+    yield Quantity("disc density", f"{key}.mass", discs.mass, discs.mass / volume)
+    share = 0.0
+    if discs.thickness:
+        share = discs.thickness / arm.length
+    yield Quantity("disc thickness", f"{key}.thickness", thickness, share)
 
 
 def _of_stiffness(section: Stiffness, length: float, key: str) -> Iterator[Quantity]:
     """Numbers of a section that are stiffnesses, beside each other and its radius."""
-    radii, _ = section.outer_radius(np.array([0.0, 0.5, 1.0]) * length, length)
+    places = length * np.array([0.0, 0.5, 1.0])
+    radii, _ = section.outer_radius(places, length)
     radius = float(np.median(radii))
     for stiffness in section.bending:
+        # E I / (E A) is the square of the radius of gyration
         gyration = math.sqrt(stiffness / section.stretch)
         yield Quantity("gyration", f"{key}.bending", stiffness, gyration / radius)
-    twist = section.torsion / min(section.bending)
-    yield Quantity("torsion", f"{key}.torsion", section.torsion, twist)
+    softer = min(section.bending)
+    torsion = section.torsion
+    yield Quantity("torsion", f"{key}.torsion", torsion, torsion / softer)
     for stiffness in section.shear:
-        yield Quantity("shear", f"{key}.shear", stiffness, stiffness / section.stretch)
+        share = stiffness / section.stretch
+        yield Quantity("shear", f"{key}.shear", stiffness, share)
     mass = section.mass_per_length
-    yield Quantity("line density", f"{key}.mass_per_length", mass, mass / (math.pi * radius**2))
-    for inertia in section.rotary_inertia or ():
-        gyration = math.sqrt(inertia / mass)
-        yield Quantity("rotary inertia", f"{key}.rotary_inertia", inertia, gyration / radius)
+    area = math.pi * radius**2
+    yield Quantity("line density", f"{key}.mass_per_length", mass, mass / area)
+    if section.rotary_inertia is not None:
+        for inertia in section.rotary_inertia:
+            gyration = math.sqrt(inertia / mass)
+            share = gyration / radius
+            yield Quantity("rotary inertia", f"{key}.rotary_inertia", inertia, share)
 
 
 def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterator[Quantity]:
@@ -272,61 +309,76 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
     if isinstance(routing, HelixRouting):
         name = f"{key}.routing.angular_rate"
         rate = routing.angular_rate
-        yield Quantity("helix slope", name, rate, rate * routing.radius)
-        yield Quantity("helix turns", name, rate, rate * (end - start) / (2.0 * math.pi))
+        slope = rate * routing.radius
+        turns = rate * (end - start) / (2.0 * math.pi)
+        yield Quantity("helix slope", name, rate, slope)
+        yield Quantity("helix turns", name, rate, turns)
         yield from _of_angles(f"{key}.routing.phase", (routing.phase,))
     if isinstance(routing, SurfaceRouting):
         yield from _of_angles(f"{key}.routing.angle", (routing.angle,))
-    places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
-    offsets, _ = tendon_offset(scene, tendon, places)
-    radius, _ = rod_radius(scene, places)
-    farthest = np.linalg.norm(offsets, axis=1)
     # tendons of backbones run through discs, which a scene need not have, and those of soft
     # bodies inside of them
     has_discs = bool(disc_rows(scene).size)
-    is_soft = arm.modulus < SOFT and arm.radius > SLENDER * arm.length
+    is_thick = arm.radius > SLENDER * arm.length
+    is_soft = arm.modulus < SOFT and is_thick
     if is_soft and not has_discs:
-        share = float((farthest / radius).max())
-        yield Quantity("outside", f"{key}.routing", float(farthest.max()), share)
+        places = _middles_of_parts(start, end)
+        offsets, _ = tendon_offset(scene, tendon, places)
+        radius, _ = rod_radius(scene, places)
+        distance = np.linalg.norm(offsets, axis=1)
+        farthest = float(distance.max())
+        shares = distance / radius
+        yield Quantity("outside", f"{key}.routing", farthest, float(shares.max()))
 
 
 def _of_angles(key: str, angles: tuple[float, ...]) -> Iterator[Quantity]:
     """Angles in degrees: 1 where the size of one is a usual part of a turn in radians."""
+    usual = np.array(RADIANS + MORE_RADIANS)
     for angle in angles:
-        usual = np.array(RADIANS + MORE_RADIANS)
-        is_usual = (np.abs(abs(angle) - usual) <= SAME_ANGLE * usual).any()
-        yield Quantity("radians", key, angle, float(is_usual))
+        difference = np.abs(abs(angle) - usual)
+        is_usual = difference <= SAME_ANGLE * usual
+        yield Quantity("radians", key, angle, float(is_usual.any()))
 
 
 def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     """Gravity, payloads, forces and moments."""
     effects = scene.effects
     if effects.gravity is not None:
+        key = "effects.gravity.acceleration"
         size = math.hypot(*effects.gravity.acceleration)
-        yield Quantity("gravity", "effects.gravity.acceleration", size, size)
+        yield Quantity("gravity", key, size, size)
         is_one = abs(size - 1.0) <= 0.02
-        yield Quantity("gravity in g", "effects.gravity.acceleration", size, float(is_one))
-    by_moment = arm.length / arm.bending  # [rad/(N m)]
-    tip = effects.tip_load
-    if tip is not None:
-        key = "effects.tip_load"
-        yield Quantity("payload", f"{key}.mass", tip.mass, tip.mass / arm.mass)
-        weight = GRAVITY * tip.mass
-        yield Quantity("sag", f"{key}.mass", tip.mass, _sag(weight, arm))
-        force = math.hypot(*tip.force)
-        yield Quantity("sag", f"{key}.force", force, _sag(force, arm))
-        moment = math.hypot(*tip.moment)
-        yield Quantity("sag", f"{key}.moment", moment, moment * by_moment)
-        inertia = max(tip.inertia)
-        whole = max(arm.mass, tip.mass) * arm.length**2
-        yield Quantity("tip inertia", f"{key}.inertia", inertia, inertia / whole)
-    for i, load in enumerate(effects.disturbance.loads if effects.disturbance else ()):
-        key = f"effects.disturbance.loads[{i}]"
-        force = math.hypot(*load.force)
-        yield Quantity("sag", f"{key}.force", force, _sag(force, arm))
-        moment = math.hypot(*load.moment)
-        yield Quantity("sag", f"{key}.moment", moment, moment * by_moment)
-        yield from _of_signal(load.signal, f"{key}.signal", arm)
+        yield Quantity("gravity in g", key, size, float(is_one))
+    if effects.tip_load is not None:
+        yield from _of_tip_load(effects.tip_load, arm)
+    if effects.disturbance is not None:
+        for i, load in enumerate(effects.disturbance.loads):
+            key = f"effects.disturbance.loads[{i}]"
+            yield from _of_wrench(load.force, load.moment, key, arm)
+            yield from _of_signal(load.signal, f"{key}.signal", arm)
+
+
+def _of_tip_load(load: TipLoad, arm: ArmScales) -> Iterator[Quantity]:
+    """Payload, force and moment at the tip."""
+    key = "effects.tip_load"
+    mass = load.mass
+    yield Quantity("payload", f"{key}.mass", mass, mass / arm.mass)
+    weight = GRAVITY * mass
+    yield Quantity("sag", f"{key}.mass", mass, _sag(weight, arm))
+    yield from _of_wrench(load.force, load.moment, key, arm)
+    inertia = max(load.inertia)
+    heavier = max(arm.mass, mass)
+    whole = heavier * arm.length**2
+    yield Quantity("tip inertia", f"{key}.inertia", inertia, inertia / whole)
+
+
+def _of_wrench(force: Triple, moment: Triple, key: str, arm: ArmScales) -> Iterator[Quantity]:
+    """Force [N] and moment [N m] on the arm."""
+    force_size = math.hypot(*force)
+    yield Quantity("sag", f"{key}.force", force_size, _sag(force_size, arm))
+    moment_size = math.hypot(*moment)
+    bent = moment_size * arm.length / arm.bending  # [rad] by M l / (E I)
+    yield Quantity("sag", f"{key}.moment", moment_size, bent)
 
 
 def _sag(force: float, arm: ArmScales) -> float:
@@ -334,17 +386,21 @@ def _sag(force: float, arm: ArmScales) -> float:
 
     It is 0 for forces like the arm's own weight, by which a gel may hang.
     """
-    if force < HEAVY * GRAVITY * arm.mass:
+    own_weight = GRAVITY * arm.mass
+    if force < HEAVY * own_weight:
         return 0.0
+    # F l^2 / (2 E I)
     return force * arm.length**2 / (2.0 * arm.bending)
 
 
 def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Frequency and phase of what swings."""
+    # not every signal has a frequency and a phase
     frequency = getattr(signal, "frequency", 0.0)
+    phase = getattr(signal, "phase", 0.0)
     rate = 2.0 * math.pi * frequency
     yield Quantity("frequency", f"{key}.frequency", frequency, rate / arm.rate)
-    yield from _of_angles(f"{key}.phase", (getattr(signal, "phase", 0.0),))
+    yield from _of_angles(f"{key}.phase", (phase,))
 
 
 def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -371,24 +427,22 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
 
 def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     """Actuators, elasticity and friction of the tendons."""
-    actuators = scene.effects.actuators
-    if actuators is not None:
-        for name in ("time_constant", "delay"):
-            value = getattr(actuators, name)
-            yield Quantity("lag", f"effects.actuators.{name}", value, value)
-        if actuators.rate_limit is not None and arm.pull:
-            limit = actuators.rate_limit
-            yield Quantity("rate limit", "effects.actuators.rate_limit", limit, limit / arm.pull)
-    elasticity = scene.effects.tendon_elasticity
+    effects = scene.effects
+    if effects.actuators is not None:
+        yield from _of_actuators(effects.actuators, arm)
+    elasticity = effects.tendon_elasticity
     if elasticity is not None:
         key = "effects.tendon_elasticity"
         softest = _stiffness_at_tendons(scene, arm)
         stiffness = elasticity.stiffness
-        yield Quantity("tendon stiffness", f"{key}.stiffness", stiffness, stiffness / softest)
+        share = stiffness / softest
+        yield Quantity("tendon stiffness", f"{key}.stiffness", stiffness, share)
         for name in ("displacement_limits", "slack"):
-            greatest = max(map(abs, getattr(elasticity, name)), default=0.0)
-            yield Quantity("displacement", f"{key}.{name}", greatest, greatest / arm.length)
-    friction = scene.effects.tendon_friction
+            sizes = map(abs, getattr(elasticity, name))
+            greatest = max(sizes, default=0.0)
+            share = greatest / arm.length
+            yield Quantity("displacement", f"{key}.{name}", greatest, share)
+    friction = effects.tendon_friction
     if friction is not None:
         key = "effects.tendon_friction"
         coefficient = friction.coefficient
@@ -397,16 +451,30 @@ def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
         yield Quantity("stiction speed", f"{key}.stiction_speed", speed, speed)
 
 
+def _of_actuators(actuators: Actuators, arm: ArmScales) -> Iterator[Quantity]:
+    """Lags and rates of the actuators."""
+    key = "effects.actuators"
+    for name in ("time_constant", "delay"):
+        value = getattr(actuators, name)
+        yield Quantity("lag", f"{key}.{name}", value, value)
+    limit = actuators.rate_limit
+    if limit is not None and arm.pull:
+        yield Quantity("rate limit", f"{key}.rate_limit", limit, limit / arm.pull)
+
+
 def _stiffness_at_tendons(scene: Scene, arm: ArmScales) -> float:
     """Least stiffness [N/m] that a tendon meets: E I / (d^2 l) of the bending arm."""
     stiffnesses = []
     for tendon in scene.tendons:
         start, end = tendon_ends(scene, tendon)
-        places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
+        length = end - start
+        places = _middles_of_parts(start, end)
         offset, _ = tendon_offset(scene, tendon, places)
-        squared = float((offset**2).sum(axis=1).mean())
-        if squared:
-            stiffnesses.append(arm.bending / (squared * (end - start)))
+        squared_distance = (offset**2).sum(axis=1)
+        mean = float(squared_distance.mean())
+        if mean:
+            stiffness = arm.bending / (mean * length)
+            stiffnesses.append(stiffness)
     return min(stiffnesses, default=math.inf)
 
 
@@ -414,25 +482,33 @@ def _of_surroundings(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     """Fluid and obstacles."""
     fluid = scene.effects.fluid
     if fluid is not None:
+        key = "effects.fluid"
         density = fluid.density
-        yield Quantity("fluid", "effects.fluid.density", density, density)
+        yield Quantity("fluid", f"{key}.density", density, density)
         is_water = 0.95 <= density <= 1.06  # air has 1.1 kg/m^3 and more where people are
-        yield Quantity("water", "effects.fluid.density", density, float(is_water))
+        yield Quantity("water", f"{key}.density", density, float(is_water))
         speed = math.hypot(*fluid.current)
-        yield Quantity("current", "effects.fluid.current", speed, speed)
+        yield Quantity("current", f"{key}.current", speed, speed)
     contact = scene.effects.contact
-    if contact is None:
-        return
-    yield Quantity("friction", "effects.contact.friction", contact.friction, contact.friction)
-    for i, obstacle in enumerate(contact.obstacles):
-        key = f"effects.contact.obstacles[{i}]"
-        away = np.subtract(obstacle.position, scene.base.position)
-        distance = float(np.linalg.norm(away))
-        yield Quantity("distance", f"{key}.position", distance, distance / arm.length)
-        for name in ("radius", "length", "size"):
-            size = float(np.max(getattr(obstacle, name, 0.0)))
-            yield Quantity("obstacle", f"{key}.{name}", size, size / arm.length)
-        speed = math.hypot(*obstacle.velocity)
-        yield Quantity("current", f"{key}.velocity", speed, speed)
-        yield from _of_signal(obstacle, key, arm)
-        yield from _of_angles(f"{key}.rotation", getattr(obstacle, "rotation", ()))
+    if contact is not None:
+        friction = contact.friction
+        yield Quantity("friction", "effects.contact.friction", friction, friction)
+        for i, obstacle in enumerate(contact.obstacles):
+            away = np.subtract(obstacle.position, scene.base.position)
+            distance = float(np.linalg.norm(away))
+            yield from _of_obstacle(obstacle, distance, f"effects.contact.obstacles[{i}]", arm)
+
+
+def _of_obstacle(obstacle: Any, distance: float, key: str, arm: ArmScales) -> Iterator[Quantity]:
+    """Place, size and motion of an obstacle at a distance [m] from the base."""
+    yield Quantity("distance", f"{key}.position", distance, distance / arm.length)
+    # each kind has some of these
+    for name in ("radius", "length", "size"):
+        value = getattr(obstacle, name, 0.0)
+        size = float(np.max(value))
+        yield Quantity("obstacle", f"{key}.{name}", size, size / arm.length)
+    speed = math.hypot(*obstacle.velocity)
+    yield Quantity("current", f"{key}.velocity", speed, speed)
+    yield from _of_signal(obstacle, key, arm)
+    rotation = getattr(obstacle, "rotation", ())
+    yield from _of_angles(f"{key}.rotation", rotation)

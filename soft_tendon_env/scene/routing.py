@@ -48,12 +48,14 @@ class AlongRod(Configuration):
         table = getattr(self, "arc_length", ())
         if not table:
             return float("inf")
-        return 2 * float(np.diff(table).min())
+        distances = np.diff(table)
+        return 2 * float(distances.min())
 
     @field_validator("arc_length", check_fields=False)
     @classmethod
     def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
-        if not np.all(np.diff(arc_length) >= SHORTEST):
+        distances = np.diff(arc_length)
+        if not np.all(distances >= SHORTEST):
             raise ValueError(f"should increase, by at least {SHORTEST:g} m")
         return arc_length
 
@@ -119,7 +121,8 @@ class TaperTable(Taper):
         from scipy.interpolate import PchipInterpolator
 
         curve = PchipInterpolator(self.arc_length, self.size)
-        return curve(arc_length), curve.derivative()(arc_length)
+        slope = curve.derivative()
+        return curve(arc_length), slope(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
         first, *_, last = self.arc_length
@@ -219,8 +222,11 @@ class ConvergingRouting(TendonRouting):
         start, end = ends
         way = np.array(self.end_offset) - self.start_offset
         slope = way / (end - start)
-        offset = self.start_offset + np.outer(arc_length - start, slope)
-        return offset, np.tile(slope, (len(arc_length), 1))
+        from_start = arc_length - start
+        offset = self.start_offset + np.outer(from_start, slope)
+        # the same at all arc lengths
+        slopes = np.tile(slope, (len(arc_length), 1))
+        return offset, slopes
 
 
 @register("routing", "surface")
@@ -245,9 +251,12 @@ class SurfaceRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        unit = np.array([np.cos(self.direction), np.sin(self.direction)])
-        way = self.fraction * unit
-        return np.outer(radius, way), np.outer(radius_slope, way)
+        y = np.cos(self.direction)
+        z = np.sin(self.direction)
+        way = self.fraction * np.array([y, z])
+        offset = np.outer(radius, way)
+        slope = np.outer(radius_slope, way)
+        return offset, slope
 
 
 @register("routing", "helix")
@@ -305,13 +314,16 @@ class TableRouting(TendonRouting):
 
         points = np.column_stack([self.y, self.z])
         curve = CubicSpline(self.arc_length, points)
-        return curve(arc_length), curve(arc_length, 1)
+        offset = curve(arc_length)
+        slope = curve(arc_length, 1)
+        return offset, slope
 
     def misfit(self, ends: Ends) -> str | None:
         first, *_, last = self.arc_length
         slack = ROUND_OFF * (last - first)
         start, end = ends
-        if first - slack <= start and end <= last + slack:
+        is_covered = first - slack <= start and end <= last + slack
+        if is_covered:
             return None
         return (
             f"should cover the tendon, {start:g} to {end:g}, but its arc_length runs from"

@@ -88,9 +88,10 @@ class Base(Configuration):
         # quaternion (a, b, c, d) of the further turn: cos and sin of half of the angle
         turn = np.radians(self.rotation)
         angle = math.radians(math.hypot(*self.rotation))
-        a = math.cos(0.5 * angle)
+        half = 0.5 * angle
+        a = math.cos(half)
         # sin(angle / 2) / angle, also where the angle is 0
-        share = 0.5 * np.sinc(0.5 * angle / np.pi)
+        share = 0.5 * np.sinc(half / np.pi)
         b, c, d = share * turn
         left_product = np.array(
             [
@@ -101,9 +102,12 @@ class Base(Configuration):
             ]
         )
         product = left_product @ self.quaternion
-        w, *v = product / math.hypot(*product)  # quaternions are given with a few digits
+        # quaternions are given with a few digits
+        size = math.hypot(*product)
+        w, *v = product / size
         # rotation matrix of a unit quaternion: R = I + 2 (w v~ + v~ v~)
-        skew = np.cross(np.eye(3), v)
+        identity = np.eye(3)
+        skew = np.cross(identity, v)
         pose = np.eye(4)
         pose[:3, :3] += 2.0 * (w * skew + skew @ skew)
         pose[:3, 3] = self.position
@@ -158,9 +162,13 @@ class Segment(Configuration):
 
     @model_validator(mode="after")
     def _parts_fit_its_length(self) -> Self:
-        place: tuple[str, ...] = () if self.section is None else ("section",)
-        misfits = self.shape.misfits(self.length)
-        problems = [Problem((*place, *key), text) for key, text in misfits]
+        # where the section is a table of its own, problems are of its keys
+        place: tuple[str, ...] = ()
+        if self.section is not None:
+            place = ("section",)
+        problems = []
+        for key, text in self.shape.misfits(self.length):
+            problems.append(Problem((*place, *key), text))
         if self.discs is not None and not problems:
             problems = self._disc_problems(self.discs)
         if problems:
@@ -171,7 +179,8 @@ class Segment(Configuration):
         """Problem of discs that are beyond the segment, or inside of the rod."""
         places = discs.rows(self.length)[:, 0]
         last = places.max()
-        if last > self.length * (1 + SAME_PLACE):
+        end = self.length * (1 + SAME_PLACE)
+        if last > end:
             text = f"go to {last:g}: they should be at most the length, {self.length:g}"
             return [Problem(("discs", "places"), text)]
         radius, _ = self.shape.outer_radius(places, self.length)
@@ -227,8 +236,9 @@ class Tendon(Configuration):
     @field_validator("end")
     @classmethod
     def _after_start(cls, end: float | None, info: ValidationInfo) -> float | None:
-        if end is not None and end <= info.data.get("start", 0.0):
-            raise ValueError(f"should be greater than start, {info.data['start']:g}")
+        start = info.data.get("start", 0.0)
+        if end is not None and end <= start:
+            raise ValueError(f"should be greater than start, {start:g}")
         return end
 
 
@@ -260,9 +270,12 @@ class Integrator(Configuration):
     mean square displacement of the rod. If that fails, the step is shortened.
     """
 
-    step: TimeStep = 0.02
+    step: TimeStep = 0.02  # longest step [s]
+    # of the extrapolation, which is its order; None: as many as the damping allows
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
+    # [m], of the error of a step; None: the order is fixed
     tolerance: Annotated[float, Field(gt=0)] | None = None
+    # times by which a step that fails is halved
     max_halvings: int = Field(default=10, ge=0, le=20)
     # leaves inertia out: damping and elasticity alone balance tensions and loads
     quasi_static: bool = False
@@ -278,15 +291,15 @@ class Integrator(Configuration):
 class Scene(Configuration):
     """Scene of one arm: everything that a user writes, in SI units (angles in degrees)."""
 
-    name: str = Field(min_length=1)
-    description: str = ""
-    segments: tuple[Segment, ...] = Field(min_length=1)
-    tendons: tuple[Tendon, ...] = Field(min_length=1)
-    base: Base = Base()
-    strain: AnyStrain = StaticsBased()
-    quadrature: Quadrature = Quadrature()
-    integrator: Integrator = Integrator()
-    effects: Effects = Effects()
+    name: str = Field(min_length=1)  # of the arm, in titles and messages
+    description: str = ""  # one sentence, which `soft-tendon scenes` lists
+    segments: tuple[Segment, ...] = Field(min_length=1)  # parts of the rod, from the base on
+    tendons: tuple[Tendon, ...] = Field(min_length=1)  # in the order of the tensions
+    base: Base = Base()  # pose of the rod's base in the world frame
+    strain: AnyStrain = StaticsBased()  # strain parametrisation: what the coordinates are
+    quadrature: Quadrature = Quadrature()  # intervals along the rod
+    integrator: Integrator = Integrator()  # time integration
+    effects: Effects = Effects()  # loads, contact, actuators: a table for each
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
         """Returns a copy of the scene with other values, with the same checks.
@@ -305,9 +318,11 @@ class Scene(Configuration):
         if isinstance(changes, Mapping):  # if not, `override` says so
             for key in changes:
                 if isinstance(key, str):
-                    changed_tables.add(re.split(r"[.\[]", key)[0])
+                    table, *_ = re.split(r"[.\[]", key)
+                    changed_tables.add(table)
         # what is not changed need not be checked again, and stays as it is
-        values |= scene_to_dict(self, changed_tables & {*values})
+        known_tables = changed_tables.intersection(values)
+        values |= scene_to_dict(self, known_tables)
         override(values, changes)
         return Scene.parse(values, "scene")
 
@@ -386,12 +401,14 @@ def breakpoints(scene: Scene) -> Array:
     """
     length = rod_length(scene)
     apart = SAME_PLACE * length
-    ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
+    borders = [*segment_borders(scene), *scene.strain.borders]
+    for tendon in scene.tendons:
+        borders += tendon_ends(scene, tendon)
     places = [0.0]
-    borders = [*ends, *segment_borders(scene), *scene.strain.borders]
     for place in sorted(borders):
-        last = places[-1]
-        if place - last > apart and length - place > apart:
+        from_last = place - places[-1]
+        to_tip = length - place
+        if from_last > apart and to_tip > apart:
             places.append(float(place))
     return np.array([*places, length])
 
@@ -416,9 +433,11 @@ def along_rod(
     for i, segment in enumerate(scene.segments):
         is_inside = index == i
         from_start = arc_length[is_inside] - starts[i]
-        parts.append((is_inside, np.asarray(values(segment, from_start))))
+        own_values = np.asarray(values(segment, from_start))
+        parts.append((is_inside, own_values))
     _, first_values = parts[0]
-    together = np.empty((len(first_values), *arc_length.shape))
+    count = len(first_values)
+    together = np.empty((count, *arc_length.shape))
     for is_inside, part in parts:
         together[:, is_inside] = part
     return together
@@ -450,13 +469,14 @@ def disc_rows(scene: Scene) -> Array:
     The thickness is 0 for thin ones.
     """
     starts = segment_borders(scene)[:-1]
-    rows = list[Array]()
+    no_row = np.zeros((0, 4))
+    rows = [no_row]
     for segment, start in zip(scene.segments, starts, strict=True):
         if segment.discs is not None:
-            from_base = np.array([start, 0.0, 0.0, 0.0])
             own_rows = segment.discs.rows(segment.length)
+            from_base = np.array([start, 0.0, 0.0, 0.0])
             rows.append(own_rows + from_base)
-    return np.concatenate([np.zeros((0, 4)), *rows])
+    return np.concatenate(rows)
 
 
 def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
@@ -493,20 +513,25 @@ def extrapolation_columns(scene: Scene) -> int:
     function). A damping ratio of 0.0029 at omega h = 0.64 outweighs that. Where every strain of
     every segment has 0.01 there, 3 columns are chosen, or up to 6 with a tolerance; elsewhere 2.
     """
-    if scene.integrator.columns is not None:
-        return scene.integrator.columns
-    omega = GROWTH_ANGLE / scene.integrator.step
+    integrator = scene.integrator
+    if integrator.columns is not None:
+        return integrator.columns
+    omega = GROWTH_ANGLE / integrator.step
     free = [STRAINS.index(strain) for strain in scene.strain.free]
+    start = np.zeros(1)
     ratios = list[float]()
     for segment in scene.segments:
         # at the segment's start: Kelvin and Voigt's times are the same all along a segment, but of
         # torsion and shear others than of bending
-        elasticity, viscosity, _ = segment.screw_matrices(np.zeros(1))[..., 0]
+        elasticity, viscosity, _ = segment.screw_matrices(start)[..., 0]
         retardation = viscosity[free] / elasticity[free]
-        ratios.append(0.5 * omega * float(retardation.min()))
+        shortest = float(retardation.min())
+        ratios.append(0.5 * omega * shortest)
     if min(ratios) < ENOUGH_DAMPING:
         return SAFE_COLUMNS
-    return DAMPED_COLUMNS if scene.integrator.tolerance is None else MOST_COLUMNS
+    if integrator.tolerance is None:
+        return DAMPED_COLUMNS
+    return MOST_COLUMNS
 
 
 def _misfits(scene: Scene) -> Iterator[Problem]:

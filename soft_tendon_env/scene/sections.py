@@ -75,8 +75,12 @@ class Section(Configuration):
         Returns:
             Tapers by name of the size.
         """
-        sizes = {name: getattr(self, name) for name in self.sizes}
-        return {name: size for name, size in sizes.items() if isinstance(size, Taper)}
+        tapers = {}
+        for name in self.sizes:
+            size = getattr(self, name)
+            if isinstance(size, Taper):
+                tapers[name] = size
+        return tapers
 
     def at(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes the sizes at arc lengths, and their derivatives along the rod.
@@ -108,7 +112,8 @@ class Section(Configuration):
             The sizes [m], (sizes, m).
         """
         # between the points of a table a size has no other extremes
-        tables = [getattr(taper, "arc_length", ()) for taper in self.tapers().values()]
+        tapers = self.tapers().values()
+        tables = [getattr(taper, "arc_length", ()) for taper in tapers]
         places = np.concatenate([length * PLACES, *tables])
         values, _ = self.at(places, length)
         return values
@@ -210,8 +215,10 @@ class Solid(Section):
         A, Iy, Iz, J = self.integrals(sizes)
         kA = self.shear_correction * A
         moduli = np.array([G, E, E, E, G, G])
+        # what a modulus is multiplied by, and a density
         resisting = np.stack([J, Iy, Iz, A, kA, kA])
-        moving = np.stack([Iy + Iz, Iy, Iz, A, A, A])
+        polar = Iy + Iz
+        moving = np.stack([polar, Iy, Iz, A, A, A])
         elasticity = moduli[:, None] * resisting
         viscosity = eta * (VISCOUS * resisting)
         inertia = rho * moving
@@ -246,8 +253,9 @@ class Tube(Solid):
         if not self.inner_radius:
             return
         outer, inner = self.sizes_along(length)
+        wall = outer - inner
         if (inner > (1.0 - THINNEST) * outer).any():
-            i = int(np.argmin(outer - inner))
+            i = int(np.argmin(wall))
             text = (
                 f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by"
                 f" {THINNEST:g} of it"
@@ -278,31 +286,35 @@ class Rectangle(Flat):
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
         """Computes area and second moments of the rectangle."""
         width, height = sizes
-        short, long = np.sort(sizes, axis=0)
         A = width * height
         Iy = A * height**2 / 12
         Iz = A * width**2 / 12
-        # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
+        short, long = np.sort(sizes, axis=0)
         ratio = short / long
-        tanh = np.tanh(0.5 * np.pi * ODD / ratio)
-        lacking = (1.0 - tanh) / ODD**5
+        # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
+        argument = 0.5 * np.pi * ODD / ratio
+        lacking = (1.0 - np.tanh(argument)) / ODD**5
         series = SUM_OF_ODD - lacking.sum(axis=0)
         # of a thin rectangle the shape factor is 1/3
-        shape_factor = 1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series
+        factor_of_series = 64.0 / np.pi**5
+        shape_factor = 1.0 / 3.0 - factor_of_series * ratio * series
         J = long * short**3 * shape_factor
         return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes half the diagonal, and its derivative along the rod."""
         values, slopes = self.at(arc_length, length)
-        sides = values[:2]
-        diagonal = np.hypot(*sides)
-        slope = 0.5 * (sides * slopes[:2]).sum(axis=0) / diagonal
-        return 0.5 * diagonal, slope
+        width, height = values[:2]
+        diagonal = np.hypot(width, height)
+        # d^2 = w^2 + h^2: d' = (w w' + h h') / d
+        products = values[:2] * slopes[:2]
+        diagonal_slope = products.sum(axis=0) / diagonal
+        return 0.5 * diagonal, 0.5 * diagonal_slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Computes widths, perimeter and area of the rectangle."""
-        (width, height, *_), _ = self.at(arc_length, length)
+        values, _ = self.at(arc_length, length)
+        width, height = values[:2]
         perimeter = 2.0 * (width + height)
         area = width * height
         return np.stack([width, height, perimeter, area])
@@ -316,9 +328,10 @@ class Rectangle(Flat):
         along_z = abs(np.sin(angle))
         # the direction leaves through a side across y where its slope is below the diagonal's
         meets_y = half_z * along_y >= half_y * along_z
-        radius = np.where(meets_y, half_y, half_z) / np.where(meets_y, along_y, along_z)
-        slope = np.where(meets_y, slope_y, slope_z) / np.where(meets_y, along_y, along_z)
-        return radius, slope
+        half = np.where(meets_y, half_y, half_z)
+        half_slope = np.where(meets_y, slope_y, slope_z)
+        along = np.where(meets_y, along_y, along_z)
+        return half / along, half_slope / along
 
     def outline(self, circle: Array) -> Array:
         """Returns points of the square that the outline is in parts of half its widths."""
@@ -337,25 +350,32 @@ class Ellipse(Flat):
         A = np.pi * a * b
         Iy = A * b**2 / 4
         Iz = A * a**2 / 4
-        J = A * a**2 * b**2 / (a**2 + b**2)
+        # pi a^3 b^3 / (a^2 + b^2)
+        sum_of_squares = a**2 + b**2
+        J = A * a**2 * b**2 / sum_of_squares
         return A, Iy, Iz, J
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes the greater half axis, and its derivative along the rod."""
-        (width, height), (width_slope, height_slope) = self.at(arc_length, length)
-        radius = 0.5 * np.maximum(width, height)
-        slope = 0.5 * np.where(width >= height, width_slope, height_slope)
-        return radius, slope
+        values, slopes = self.at(arc_length, length)
+        width, height = values
+        width_slope, height_slope = slopes
+        is_wider = width >= height
+        diameter = np.where(is_wider, width, height)
+        slope = np.where(is_wider, width_slope, height_slope)
+        return 0.5 * diameter, 0.5 * slope
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Computes widths, perimeter and area of the ellipse."""
         sizes, _ = self.at(arc_length, length)
+        width, height = sizes
         a, b = 0.5 * sizes
-        # S. Ramanujan 1914
+        # S. Ramanujan 1914: pi (3 (a + b) - sqrt((3 a + b) (a + 3 b)))
         mixed = (3 * a + b) * (a + 3 * b)
-        perimeter = np.pi * (3 * (a + b) - np.sqrt(mixed))
+        difference = 3 * (a + b) - np.sqrt(mixed)
+        perimeter = np.pi * difference
         area = np.pi * a * b
-        return np.stack([2.0 * a, 2.0 * b, perimeter, area])
+        return np.stack([width, height, perimeter, area])
 
     def outline_radius(self, angle: float, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Computes the radius of the ellipse in a direction."""
@@ -366,7 +386,10 @@ class Ellipse(Flat):
         along_y = np.cos(angle) ** 2 / a**2
         along_z = np.sin(angle) ** 2 / b**2
         radius = 1.0 / np.sqrt(along_y + along_z)
-        slope = radius**3 * (along_y * a_slope / a + along_z * b_slope / b)
+        # r' = r^3 ((cos / a)^2 a' / a + (sin / b)^2 b' / b)
+        of_a = along_y * a_slope / a
+        of_b = along_z * b_slope / b
+        slope = radius**3 * (of_a + of_b)
         return radius, slope
 
 
@@ -404,7 +427,8 @@ class Stiffness(Section):
         """Returns the stiffnesses of the table, with viscosity and inertia of its other entries."""
         ones = np.ones_like(arc_length)
         stiffnesses = [self.torsion, *self.bending, self.stretch, *self.shear]
-        sigma = np.outer(stiffnesses, ones)
+        elasticity = np.outer(stiffnesses, ones)
+        viscosity = self.retardation_time * elasticity
         mass = self.mass_per_length
         if self.rotary_inertia is not None:
             rotary = np.outer(self.rotary_inertia, ones)
@@ -415,7 +439,7 @@ class Stiffness(Section):
             rotary = np.outer(shares, ones) * radius**2
         moving = np.outer([mass, mass, mass], ones)
         inertia = np.concatenate([rotary, moving])
-        return np.stack([sigma, self.retardation_time * sigma, inertia])
+        return np.stack([elasticity, viscosity, inertia])
 
 
 AnySection = Annotated[SerializeAsAny[Section], BeforeValidator(SECTIONS.parse)]
@@ -463,10 +487,12 @@ class Discs(Configuration):
             each: (d, 4).
         """
         if self.number is not None:
+            # at equal distances, the last one at the segment's end
             order = np.arange(1, self.number + 1)
             places = length * order / self.number
         else:
             places = np.array(self.places)
-        disc = [self.mass, self.radius, self.thickness or 0.0]
+        thickness = self.thickness or 0.0
+        disc = [self.mass, self.radius, thickness]
         discs = np.tile(disc, (places.size, 1))
         return np.column_stack([places, discs])

@@ -45,9 +45,10 @@ STRAINS: tuple[Strain, ...] = (
 
 
 def _check_each_once(strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
-    repeated = sorted({strain for strain in strains if strains.count(strain) > 1})
+    repeated = {strain for strain in strains if strains.count(strain) > 1}
     if repeated:
-        raise ValueError(f"should name each strain once, but repeats {', '.join(repeated)}")
+        names = ", ".join(sorted(repeated))
+        raise ValueError(f"should name each strain once, but repeats {names}")
     return strains
 
 
@@ -93,8 +94,9 @@ def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Arra
                 block = np.zeros((*polynomials.shape, 6))
                 block[..., component] = polynomials
                 fields.extend(block)
-    count = len(fields)
-    return np.array(fields).reshape(count, *points.shape, 6)
+    # there may be none
+    shape = (len(fields), *points.shape, 6)
+    return np.array(fields).reshape(shape)
 
 
 def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Array:
@@ -207,7 +209,8 @@ class StaticsBased(RodStrain):
         """Highest Legendre order of the fields that have coordinates of their own, else 0."""
         if isinstance(self.passive, Snapshots):
             return SNAPSHOT_ORDER
-        return max((modes.order for modes in self.passive), default=0)
+        orders = [modes.order for modes in self.passive]
+        return max(orders, default=0)
 
     @field_validator("passive")
     @classmethod

@@ -84,7 +84,9 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     factors = {"": 1.0, **units}  # "": as it is
 
     def decades_off(unit: str) -> float:
-        return abs(math.log10(value * factors[unit] / usual))
+        """Distance of the value, in a unit, to the usual one, in powers of ten."""
+        converted = value * factors[unit]
+        return abs(math.log10(converted / usual))
 
     nearest = min(factors, key=decades_off)
     return f": is it {nearest}?" if nearest else ""
@@ -136,15 +138,18 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
     if E is None or density is None:  # a section that has the stiffnesses themselves
         return
     is_metal = density > METAL
-    if not SOFTEST <= E <= STIFFEST or (is_metal and E < IN_MPA):
+    is_plausible = SOFTEST <= E <= STIFFEST
+    if not is_plausible or (is_metal and E < IN_MPA):
         reason = f", and its density, {density:g} kg/m^3, that of a metal" if is_metal else ""
         usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
         question = _ask(E, usual, MODULI)
         yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
+    # the strain at the base of a standing rod
+    compression = GRAVITY * density * length / E
     if not LIGHTEST <= density <= HEAVIEST:
         question = _ask(density, USUAL_DENSITY, DENSITIES)
         yield f"segments[{i}].density is {density:g} kg/m^3{question}"
-    elif E >= SOFTEST and GRAVITY * density * length / E > CRUSHED:
+    elif E >= SOFTEST and compression > CRUSHED:
         yield (
             f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by"
             " its own weight: is it mm, or MPa?"
@@ -190,7 +195,8 @@ class _Path(NamedTuple):
         """Strain that this tension makes: bending at the surface, and compression."""
         of_bending = self.offset * self.radius / self.bending
         of_compression = 1.0 / self.stretch
-        return float(np.median(self.pull * (of_bending + of_compression)))
+        strain = self.pull * (of_bending + of_compression)
+        return float(np.median(strain))
 
     def bent(self) -> float:
         """Angle [rad] by which this tension bends the rod."""
@@ -205,7 +211,8 @@ def _unlikely_radius(scene: Scene, path: _Path) -> str:
     """
     length = path.rod_length
     widest = path.radius.max()
-    disc = disc_rows(scene)[:, 2].max(initial=0.0)
+    disc_radii = disc_rows(scene)[:, 2]
+    disc = disc_radii.max(initial=0.0)
     for name, radius in (("the rod has", widest), ("spacer discs have", disc)):
         if radius >= length:
             question = _ask(radius, SLENDER * length, UNITS)
@@ -217,17 +224,18 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
     """Place or limits of tendon i that no arm has, in words; empty where there are none."""
     length = path.rod_length
     farthest = path.offset.max()
-    if farthest > max(FAR_OFF * length, path.radius.max()):
+    plausible = max(FAR_OFF * length, path.radius.max())
+    if farthest > plausible:
+        question = _ask(farthest, SLENDER * length, UNITS)
         return (
-            f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g}"
-            f" m{_ask(farthest, SLENDER * length, UNITS)}"
+            f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{question}"
         )
-    modulus = path.stretch / (np.pi * path.radius**2)  # of a solid circle
+    area = np.pi * path.radius**2  # of a solid circle
+    modulus = path.stretch / area
     strain = path.strain()
-    most = STRAINED if modulus.min() < SOFT else STIFF_STRAINED
-    # the usual limits are no numbers that a user wrote
+    greatest = STRAINED if modulus.min() < SOFT else STIFF_STRAINED
     is_usual = path.tendon.tension_limits == Tendon.model_fields["tension_limits"].default
-    if strain > most and not is_usual:
+    if strain > greatest and not is_usual:
         return (
             f"tendons[{i}].tension_limits are up to {path.pull:g} N, which strain the rod by"
             f" {strain:.0%}: is it mN, or a modulus in kPa?"

@@ -61,7 +61,8 @@ class ConfigurationError(ValueError):
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "scene"):
-        self.problems, self.source = tuple(problems), source
+        self.problems = tuple(problems)
+        self.source = source
         super().__init__(self.problems, source)  # both in args: the exception pickles
 
     def __str__(self) -> str:

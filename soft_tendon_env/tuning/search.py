@@ -74,7 +74,8 @@ class Parameter(Configuration):
         """Value that a trial tries; Optuna keeps choices as JSON."""
         if self.choices:
             choices = [json.dumps(choice) for choice in self.choices]
-            return json.loads(trial.suggest_categorical(name, choices))
+            choice = trial.suggest_categorical(name, choices)
+            return json.loads(choice)
         low = self.low
         high = self.high
         # a range has both, see _is_a_range
@@ -168,17 +169,21 @@ class ControllerSearch(Search):
     @model_validator(mode="after")
     def _fits(self) -> "ControllerSearch":
         known = self._controller({}).defaults
-        for key in self.search.keys() - known.keys():
+        unknown = self.search.keys() - known.keys()
+        for key in unknown:
             text = f"is no parameter of {self.policy}: {not_among(key, known)}"
-            raise ConfigurationError([Problem(("search", key), text)])
+            problem = Problem(("search", key), text)
+            raise ConfigurationError([problem])
         return self
 
     def _controller(self, values: Mapping[str, Any]) -> Controller:
         name = PolicyName.parse(self.policy, self.task)
         if not isinstance(name, Controller):
             text = f"is {self.policy!r}: it should be a controller, others have no parameters"
-            raise ConfigurationError([Problem(("policy",), text)])
-        return name.with_parameters({**name.parameters, **values})
+            problem = Problem(("policy",), text)
+            raise ConfigurationError([problem])
+        parameters = {**name.parameters, **values}
+        return name.with_parameters(parameters)
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
         """Computes the geometric mean of the costs over all settings and regimes."""
@@ -188,8 +193,10 @@ class ControllerSearch(Search):
         make = partial(name.load, scene=believed_scene(name, changes))
         costs = []
         mean = np.nan
-        for setting, regime in product(self.settings, self.regimes or (None,)):
-            options = SETTINGS[setting].options(self._options(name, regime))
+        regimes = self.regimes or (None,)
+        for setting, regime in product(self.settings, regimes):
+            regime_options = self._options(name, regime)
+            options = SETTINGS[setting].options(regime_options)
             cost = self.play(make, self.task, options, self.seconds, self.skip)
             costs.append(cost)
             logarithm = np.mean(np.log(costs))
@@ -201,9 +208,11 @@ class ControllerSearch(Search):
         """Options of the environment in an information regime; None: exact, what it needs."""
         randomize: dict[str, Any] = {}
         if regime is not None:
-            randomize["noise"] = dict(REGIMES[regime].noise)
+            noise = REGIMES[regime].noise
+            randomize["noise"] = dict(noise)
         randomize |= self.options.get("randomize", {})
-        return {**name.options(self.options, regime), "randomize": randomize}
+        options = name.options(self.options, regime)
+        return {**options, "randomize": randomize}
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the tables of a tuned controller."""

@@ -31,21 +31,23 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=1)
-    storage = JournalStorage(JournalFileBackend(str(folder / "study.log")))
+    log = JournalFileBackend(str(folder / "study.log"))
     study = optuna.create_study(
-        storage=storage, study_name="study", load_if_exists=True, pruner=pruner
+        storage=JournalStorage(log), study_name="study", load_if_exists=True, pruner=pruner
     )
     begun = study.user_attrs.get("search")
     table = search.model_dump(mode="json", exclude={"trials"})
     if begun is None:
         study.set_user_attr("search", table)
         return study
-    changed = [key for key in table if begun.get(key) != table[key]]
-    if changed:
-        differences = "; ".join(
-            f"{key} was {shown(begun.get(key))} and is {shown(table[key])}" for key in changed
-        )
-        raise ValueError(f"{folder} has another search, {differences}: give another --out")
+    differences = []
+    for key, value in table.items():
+        value_before = begun.get(key)
+        if value_before != value:
+            differences.append(f"{key} was {shown(value_before)} and is {shown(value)}")
+    if differences:
+        text = "; ".join(differences)
+        raise ValueError(f"{folder} has another search, {text}: give another --out")
     return study
 
 
@@ -104,7 +106,8 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
         UserError: no trial was successful.
     """
     study = open_study(search, folder)
-    missing = range(len(study.get_trials(states=DONE)), search.trials)
+    done = len(study.get_trials(states=DONE))
+    missing = range(done, search.trials)
     one_more = partial(run_trial, search, folder)
     run_all(one_more, missing, workers, "study", unit="trial", cluster=cluster)
     trials = study.get_trials(states=DONE)
@@ -114,7 +117,9 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     pruned = _count(trials, TrialState.PRUNED)
     if not complete:
         errors = [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
-        first = f", the first: {errors[0]}" if errors else ""
+        first = ""
+        if errors:
+            first = f", the first: {errors[0]}"
         raise UserError(f"none of {len(trials)} trials was successful{first}")
     best = study.best_trial
     values = best.user_attrs["values"]
@@ -122,7 +127,8 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     print(f"{len(trials)} trials: {complete} complete, {pruned} pruned")
     print(f"best: trial {best.number}, {number(cost)} mm, {values}")
     path = folder / "best.toml"
-    path.write_text(tomli_w.dumps(search.file(values)))
+    table = search.file(values)
+    path.write_text(tomli_w.dumps(table))
     print(f"written: {path}")
     return best
 

@@ -60,6 +60,44 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
         assert distance(tip_path(model, tensions), exact) < asked.share * length, fidelity
 
 
+@pytest.mark.parametrize(
+    ("change", "margin"),
+    [({}, 1.0), ({"segments.0.young_modulus": 0.85}, 2.5), ({"segments.0.damping": 1.2}, 2.5)],
+)
+def test_shipped_errors_have_a_margin_for_an_arm_within_a_quarter(change, margin):
+    """Its steps are finer, and its fields no fewer."""
+    shipped = load_scene("paper")
+    changed = shipped
+    for key, factor in change.items():
+        value = getattr(shipped.segments[0], key.split(".")[-1])
+        changed = changed.replace({key: factor * value})
+    for preset in ("fast", "standard"):
+        own = at_fidelity(shipped, preset)
+        alike = at_fidelity(changed, preset)
+        assert own.integrator.tolerance == pytest.approx(margin * alike.integrator.tolerance)
+        assert alike.strain.passive.fields >= own.strain.passive.fields
+
+
+@pytest.mark.parametrize("preset", ["fast", "standard"])
+def test_a_softer_arm_within_a_quarter_keeps_its_preset(preset):
+    """It is pulled harder too, and less damped."""
+    shipped = load_scene("paper")
+    segment = shipped.segments[0]
+    _, high = shipped.tendons[0].tension_limits
+    softer = shipped.replace(
+        {
+            "segments.*.young_modulus": 0.82 * segment.young_modulus,
+            "segments.*.damping": 0.83 * segment.damping,
+            "tendons.*.tension_limits": [0.0, 1.2 * high],
+        }
+    )
+    tensions = motion_tensions(softer, "redrawn", 12, 0.8)
+    length = rod_length(softer)
+    (exact,) = reference_motions(softer, [tensions], 5e-5 * length).tips
+    model = build_model(softer, preset)
+    assert distance(tip_path(model, tensions), exact) < 0.8 * PRESETS[preset].share * length
+
+
 def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
     """Of a scene that leaves its strain open a model has other coordinates than `gym.make`."""
     with pytest.warns(

@@ -3,6 +3,7 @@ where nothing does."""
 
 import json
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -10,29 +11,37 @@ import pytest
 from soft_tendon_env.accuracy import kept_trials
 from soft_tendon_env.accuracy import trial as module
 from soft_tendon_env.accuracy.candidates import bare_rod, strain_tables
-from soft_tendon_env.accuracy.case_models import CaseModels
+from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
-from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions, tension_limits
+from soft_tendon_env.accuracy.input_motions import (
+    HOLD,
+    USUAL,
+    motion_tensions,
+    tension_limits,
+)
 from soft_tendon_env.accuracy.kept_trials import choose, trial_digest
 from soft_tendon_env.accuracy.loads import REACH, covers, load_cases, reaches, scaled_effects
 from soft_tendon_env.accuracy.progress import Progress
 from soft_tendon_env.accuracy.reference import (
+    CONVERGING,
     Ladder,
     ReferenceMotion,
     distance,
     reference_motions,
+    remaining_error,
     start_at_rest,
     tip_path,
 )
 from soft_tendon_env.accuracy.settling import settle
-from soft_tendon_env.accuracy.trial import Trial
+from soft_tendon_env.accuracy.trial import OWN, Trial
 from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
 from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools import files
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -54,6 +63,10 @@ STOCKY = {
     "segments.0.length": 0.3,
     "segments.0.radius": 0.025,
     "effects.tip_load.force": [0.0, 3.0, -4.0],
+}
+MOMENTS = {
+    "type": "statics_based",
+    "passive": [{"strains": list(STRAINS), "order": 6, "span": "rod"}],
 }
 STANDS = {"effects.gravity.acceleration": [-9.81, 0.0, 0.0]}
 """Own weight upon the arm; from a Young's modulus of 1.45 MPa on it stands."""
@@ -114,6 +127,10 @@ def test_presets_keep_their_error_under_all_loads_of_the_range(changes, preset):
             for tensions, tips in zip(inputs, exact, strict=True)
         ]
         assert max(errors) <= PRESETS[preset].share * rod_length(scene), factor
+
+
+LARGEST = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
+"""Table of the largest loads of a trial of ARM."""
 
 
 def chosen_under(effects, coordinates=3, error=0.0):
@@ -316,11 +333,56 @@ def test_a_preset_that_left_out_inputs_has_no_fewer_coordinates_than_coarser_one
     def chosen(scene, asked, least=0):
         calls.append((names[asked], least))
         count = max(counts[names[asked]], least)
-        return chosen_under({}, count)._replace(not_unique=left_out)
+        return chosen_under(LARGEST, count)._replace(not_unique=left_out)
 
     monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", chosen)
-    at_fidelity(ARM, "fine")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        at_fidelity(ARM, "fine")
     assert calls == tried
+    assert len(caught) == (left_out > 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"not_unique": 2}, "a trial without 2 inputs under which"),
+        ({"seconds": 0.36, "growth": ((0.2, 4e-4), (0.5, np.inf))}, "for 0.36 s, not known after"),
+        ({"seconds": 0.5, "growth": ((0.5, 2e-3), (2.0, 0.031))}, "for 0.5 s, 3.1 % after 2 s"),
+        ({"tensions": 0.25}, "under 0.25 of the tensions of the usual motions"),
+        ({"error": 0.4, "seconds": 0.1}, "as 'fine' asks.*for 0.1 s"),
+    ],
+)
+def test_what_a_promise_does_not_speak_of_is_told_each_time(monkeypatch, change, reason):
+    """By a warning, and nowhere as inf; the choice is that of the coarser preset if that states
+    less."""
+    choices = {
+        PRESETS["fast"]: chosen_under(LARGEST, 9, 0.004),
+        PRESETS["standard"]: chosen_under(LARGEST, 12, 0.5),
+        PRESETS["fine"]: chosen_under(LARGEST, 15, 2e-4)._replace(**change),
+    }
+    monkeypatch.setattr(
+        "soft_tendon_env.accuracy.fidelity.choose", lambda scene, asked, least=0: choices[asked]
+    )
+    if choices[PRESETS["fine"]].error > 0.1:
+        choices[PRESETS["standard"]] = choices[PRESETS["fine"]]._replace(error=0.6)
+        choices[PRESETS["fast"]] = choices[PRESETS["fine"]]._replace(error=0.7)
+    for _ in range(2):
+        with pytest.warns(FidelityWarning, match=reason) as caught:
+            at_fidelity(ARM, "fine")
+        assert "inf" not in str(caught[0].message)
+
+
+def test_a_finer_preset_states_no_larger_error_than_a_coarser_one(monkeypatch):
+    choices = {
+        PRESETS["fast"]: chosen_under(LARGEST, 9, 0.004),
+        PRESETS["standard"]: chosen_under(LARGEST, 12, 0.02),
+    }
+    monkeypatch.setattr(
+        "soft_tendon_env.accuracy.fidelity.choose", lambda scene, asked, least=0: choices[asked]
+    )
+    with pytest.warns(FidelityWarning, match=r"'standard' asks.*9 coordinates.*within 0.4 %"):
+        at_fidelity(ARM, "standard")
 
 
 def modes_of(table):
@@ -472,7 +534,7 @@ def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
         for place, motion in enumerate(motions):
             refine(motion)
             motion.tips = tip_path(model, motion.tensions)
-            motion.error = error
+            motion.errors = np.full(1, error)
             done(place, None)
 
     monkeypatch.setattr(module, "refine_once", refined)
@@ -497,10 +559,118 @@ def test_a_reference_is_refined_only_where_a_decision_depends_on_it(monkeypatch)
         reference = ReferenceMotion(test.reference.ladder, test.tensions)
         reference.refine()
         reference.refine()
-        reference.error = 0.4 * enough
+        reference.errors = np.full(1, 0.4 * enough)
         moved = tips + np.array([0.0, away * enough, 0.0])
-        trial._decide(reference, moved, enough)
+        trial._decide(TrialInput(reference, OWN), moved, enough)
         assert reference.depth == depth, away
+
+
+LIVELY = SHIPPED.replace(
+    {
+        "segments.0.length": 0.22,
+        "segments.0.radius": 0.009,
+        "segments.0.young_modulus": 8e5,
+        "segments.0.damping": 60.0,
+    }
+)
+"""An arm with so little damping that its motions last."""
+
+
+def test_a_motion_is_known_as_far_as_its_work_reaches():
+    """The errors bound those of a finer level, at all times."""
+    tensions = motion_tensions(LIVELY, "redrawn", 12, 0.4)
+    ladder = Ladder(LIVELY, 1e-3 * rod_length(LIVELY))
+    whole = ReferenceMotion(ladder, tensions)
+    for _ in range(3):
+        whole.refine()
+    assert whole.is_whole
+    assert np.all(np.diff(whole.errors) >= 0.0)
+
+    cut = ReferenceMotion(ladder, tensions, most_work=1e6)
+    cut.refine()
+    assert not cut.is_whole
+    assert cut.error == np.inf
+    cut.refine()
+    away = np.linalg.norm(cut.tips - whole.tips[: len(cut.tips)], axis=1)
+    assert np.all(away <= cut.errors + whole.errors[: len(cut.tips)])
+    within = cut.rows_within(cut.errors[3])
+    assert cut.errors[within] <= cut.errors[3]
+
+
+def test_a_motion_ends_where_levels_have_strayed_from_one_another():
+    tensions = motion_tensions(LIVELY, "redrawn", 12, 0.4)
+    motion = ReferenceMotion(Ladder(LIVELY, 1e-3), tensions, lost=1e-7)
+    motion.refine()
+    motion.refine()
+    assert len(motion.tips) < len(tensions) + 1
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.2, 0.3, 0.6])
+def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
+    errors = 3e-4 * ratio ** np.arange(6)
+    changes = errors[:-1] - errors[1:]
+    for level in range(1, 4):
+        bound = remaining_error(np.full(2, changes[level]), np.full(2, changes[level - 1]))
+        assert np.all(bound >= (1.0 - 1e-12) * errors[level + 1])
+        assert np.all(bound <= changes[level]) or ratio >= CONVERGING
+    np.testing.assert_array_equal(remaining_error(changes, None), changes)
+
+
+def test_where_work_ends_a_trial_says_for_how_long_it_promises(monkeypatch, cache):
+    """Again where the choice is read from the cache."""
+    monkeypatch.setattr(module, "MOST_WORK", 1e7)
+    monkeypatch.setattr(module, "strain_tables", lambda scene, fields, least: [MOMENTS])
+    heard = []
+    for _ in range(2):
+        with pytest.warns(FidelityWarning, match=r"'fast'.*1 % of the length") as caught:
+            at_fidelity(LIVELY, "fast")
+        heard.append(str(caught[0].message))
+    assert heard[0] == heard[1]
+    assert re.search(r"1 % of the length for [01]\.?\d* s", heard[0])
+    assert "inf" not in heard[0]
+    (path,) = cache.glob("*.json")
+    record = json.loads(path.read_text())
+    assert 0.2 <= record["seconds"] < 2.0
+    bounds = [bound for _, bound in record["growth"]]
+    assert bounds == sorted(bounds)
+
+
+def test_a_motion_that_is_not_certain_is_tried_with_smaller_tensions(monkeypatch):
+    monkeypatch.setattr(module, "USUAL", ("redrawn",))
+    monkeypatch.setattr(module, "SECONDS", 0.2)
+    monkeypatch.setattr(module, "RESTS", 0)
+    certain = Trial._certain_rows
+    usual = motion_tensions(LIVELY, "redrawn", module.SEED, 0.2)
+
+    def rows(trial, reference):
+        is_large = not reference.is_equilibrium and reference.tensions.max() > 0.3 * usual.max()
+        return 0 if is_large else certain(trial, reference)
+
+    monkeypatch.setattr(Trial, "_certain_rows", rows)
+    trial = Trial(LIVELY, 1e-2)
+    assert trial.left_out == 0
+    assert trial.share == 0.25
+    (motion,) = [test for test in trial.tests if not test.reference.is_equilibrium]
+    np.testing.assert_allclose(motion.tensions, 0.25 * usual)
+
+
+@pytest.mark.slow
+def test_a_lightly_damped_arm_keeps_what_it_promises():
+    """For the time that it says, on tensions that the trial had not."""
+    inputs = [motion_tensions(LIVELY, kind, 72, 2.0) for kind in USUAL]
+    exact = reference_motions(LIVELY, inputs, 2e-4 * rod_length(LIVELY), most=4).tips
+    counts = []
+    for preset in ("fast", "standard"):
+        choice = module.search(LIVELY, PRESETS[preset])
+        model = build_model(choice.applied_to(LIVELY))
+        counts.append(choice.coordinates)
+        samples = round(choice.seconds / HOLD) + 1
+        assert choice.seconds > 0.5
+        for tensions, tips in zip(inputs, exact, strict=True):
+            path = tip_path(model, tensions)
+            away = distance(path[:samples], tips[:samples])
+            assert away <= PRESETS[preset].share * rod_length(LIVELY), preset
+    assert counts == sorted(counts)
 
 
 def test_a_motion_ends_where_it_is_too_far(monkeypatch):

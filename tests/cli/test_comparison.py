@@ -42,10 +42,8 @@ def runs(tmp_path):
 
 
 def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, command):
-    both, short = (
-        "tension-10%,latency-20ms",
-        ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1"),
-    )
+    both = "tension-10%,latency-20ms"
+    short = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
     given = (
         "--task",
         "Shape",
@@ -83,7 +81,8 @@ def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, comma
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
-    files, out = [runs / f"seed_{seed}" / "best" for seed in (2, 10)], tmp_path / "out"
+    files = [runs / f"seed_{seed}" / "best" for seed in (2, 10)]
+    out = tmp_path / "out"
     given = (
         "--errors",
         "nominal",

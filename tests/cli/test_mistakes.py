@@ -148,7 +148,7 @@ FILES = [
     ),
     (
         "evaluate {best} --scene paper",
-        "was trained on an arm with other segments (scene 'three_tendon')",
+        "was trained on an arm with other segments and tendons (scene 'three_tendon')",
     ),
     (
         "train {config} --set hyperparameters.n_steps=0",
@@ -211,6 +211,16 @@ def test_damaged_checkpoints_and_agents_are_refused(
     said = refused(*arguments.format(config=config, run=run).split())
     assert str(run / place) in said
     assert name in said
+
+
+def test_an_agent_does_not_run_an_arm_that_is_none_of_its_training(refused, finished):
+    arm = ("--set", 'scene."segments.0.young_modulus"=6e5', "scene.scene=three_tendon")
+    said = refused("run", finished / "best", *arm)
+    assert "was not trained for this arm: segments.0.young_modulus is 600000, in its" in said
+    assert "--beyond-training" in said
+    other = refused("evaluate", finished / "best", "--scene", "paper", "--out", "out")
+    assert "it has 10 tendons, in its training 3;" in other
+    assert "soft-tendon train ppo_tip_pose --set options.scene=paper" in other
 
 
 @pytest.mark.parametrize(

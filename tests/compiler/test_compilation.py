@@ -98,7 +98,9 @@ def fail(out):
     out[0] = "text"
 
 
-scale, add, fail = fresh_kernel(scale), fresh_kernel(add), Kernel(fail, OPTIONS, is_phase=True).call
+scale = fresh_kernel(scale)
+add = fresh_kernel(add)
+fail = Kernel(fail, OPTIONS, is_phase=True).call
 
 
 @pytest.mark.no_jit
@@ -145,12 +147,15 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
         for name, value in os.environ.items()
         if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_"))
     }
-    environment, results = (
-        {**inherited, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")},
-        [],
-    )
+    environment = {
+        **inherited,
+        "PYTHONPATH": str(tmp_path),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+    }
+    results = []
     for options in (("", 2.0), ("", 2.0), ("", 3.0), ("(inline=True)", 5.0)):
-        inner, text = mechanics / "inner.py", INNER.format(*options)
+        inner = mechanics / "inner.py"
+        text = INNER.format(*options)
         if not inner.exists() or inner.read_text() != text:  # numba looks at the time of writing
             inner.write_text(text)
         process = subprocess.run(
@@ -182,7 +187,8 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(
     tmp_path, monkeypatch, capsys
 ):
-    blocked, writable = tmp_path / "file", tmp_path / "writable"
+    blocked = tmp_path / "file"
+    writable = tmp_path / "writable"
     blocked.touch()
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked, writable])
     found = kept_code.cache_folder.__wrapped__()
@@ -244,7 +250,8 @@ ignoring_forks = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of for
 @ignoring_forks
 def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
     """Its child would wait forever for a thread that it does not have."""
-    begun, twice = threading.Event(), fresh_kernel(inspect.unwrap(scale))
+    begun = threading.Event()
+    twice = fresh_kernel(inspect.unwrap(scale))
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(first_use, "say_once", lambda line: begun.set())
     thread = threading.Thread(target=twice, args=(1.0, 2.0))
@@ -261,7 +268,8 @@ def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
 @forking
 @ignoring_forks
 def test_a_thread_forks_within_its_own_compilation(monkeypatch, tmp_path):
-    children, other = [], fresh_kernel(inspect.unwrap(scale))
+    children = []
+    other = fresh_kernel(inspect.unwrap(scale))
 
     def fork(line):
         if not children:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.allocation import Rows, allocate
 
 LEAST = np.array([-1.0, 0.5])
 GREATEST = np.array([1.0, 2.0])
@@ -82,3 +82,19 @@ def test_tendons_that_do_the_same_stay_within_their_bounds():
     assert (allocation.x >= 0.0).all()
     assert (allocation.x <= 1.0).all()
     assert np.isfinite(allocation.multipliers).all()
+
+
+def test_rows_are_bounds_of_other_variables(problem):
+    """With x = M^-1 z and bounds of z alone, the least is that of the problem in z."""
+    A, b, least, greatest = problem
+    size = least.size
+    M = np.eye(size) - 0.7 * np.eye(size, k=-1)  # changes from one to the next
+    back = np.linalg.inv(M)
+    of_z = allocate((A @ back).T @ (A @ back), -(A @ back).T @ b, least, greatest)
+    wide = np.full(size, 1e6)
+    rows = Rows(M, least, greatest)
+    of_x = allocate(A.T @ A, -A.T @ b, -wide, wide, rows=rows)
+    assert of_x.solved
+    np.testing.assert_allclose(M @ of_x.x, of_z.x, atol=1e-7)
+    warm = allocate(A.T @ A, -A.T @ b, -wide, wide, of_x.multipliers, rows)
+    np.testing.assert_allclose(warm.x, of_x.x, atol=1e-9)

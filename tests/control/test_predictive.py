@@ -156,6 +156,34 @@ def test_bounds_hold_for_the_whole_plan(model, holding, drive):
     assert 0.0 < motion.reports[-1]["limited"] <= 1.0
 
 
+@pytest.mark.parametrize("hold", [1, 3])
+def test_plans_change_no_faster_than_the_actuators(model, holding, hold):
+    """By the change of a period at first, and of an interval from one to the next; both are
+    reached, on the way to a target that is far."""
+    target = holding(model, np.linspace(0.0, 25.0, 10))
+    q = model.rest_coordinates(np.full(10, 10.0))
+    most = np.linspace(0.2, 0.6, 10)
+    now = ControllerInput(
+        q, 0.0 * q, model.tip_pose(q), np.full(10, 10.0), target, greatest_change=most
+    )
+    tuning = Tuning(horizon=4, hold=hold)
+    decision = Predictive(model, WIDE, PERIOD, Shape(model), tuning).act(now)
+    plan = np.vstack([now.tension, decision.memory.tension])
+    changes = np.abs(np.diff(plan, axis=0))
+    allowed = np.stack([most, *(3 * [hold * most])])
+    assert (changes <= allowed * (1.0 + 1e-6)).all()
+    assert decision.report["singular"] == 0.0
+    assert np.isclose(changes, allowed, rtol=1e-6).sum() > 10
+
+
+def test_a_limit_that_is_never_reached_changes_no_plan(model, holding):
+    now = near(model, holding, 0)
+    free = Predictive(model, WIDE, PERIOD, TipPosition()).act(now)
+    loose = now._replace(greatest_change=np.full(10, 1e3))
+    limited = Predictive(model, WIDE, PERIOD, TipPosition()).act(loose)
+    np.testing.assert_allclose(limited.tension, free.tension, atol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("hold", "expected"),
     [(1, [1.0, 2.0, 2.0]), (2, [0.5, 1.5, 2.0]), (4, [0.25, 1.25, 2.0])],

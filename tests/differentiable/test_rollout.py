@@ -19,6 +19,7 @@ from soft_tendon_env.differentiable import (
     rollout,
 )
 from soft_tendon_env.differentiable.accuracy import check_gradients
+from soft_tendon_env.differentiable.actuation import TensorActuation
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
@@ -35,14 +36,17 @@ def rows_of(task, rows=3, **options):
 
 
 @pytest.mark.parametrize("task", SHIPPED)
-@pytest.mark.parametrize("action", ["tension", "increment"])
-def test_a_rollout_is_the_environments_own_episode(task, action, everything, same):
+@pytest.mark.parametrize(
+    ("action", "rate_limit"), [("tension", None), ("increment", None), ("tension", 30.0)]
+)
+def test_a_rollout_is_the_environments_own_episode(task, action, rate_limit, everything, same):
     """Every group, under all that is drawn: states bit for bit, observations to the rounding of
     float32."""
     options = {
         "observation": [*TASKS[task].observable],
         "randomize": everything,
         "action": action,
+        "rate_limit": rate_limit,
         "sensors": 2,
         "preview": [0.02, 0.1],
         "history": 2,
@@ -142,6 +146,30 @@ COSINES = {
     "loaded": 0.999,
     "shape of a loaded arm": 0.999,
 }  # under gravity the map backward is further off
+
+
+@pytest.mark.parametrize("action", ["tension", "increment"])
+def test_gradients_of_commands_that_a_rate_cuts_off_go_on_from_those_before(action):
+    """The second command is asked for within the rate, the first beyond it; it moves with the one
+    before where it is an increment, or cut off, and then alone."""
+    env = rows_of("TipPose", rows=1, action=action, tension_rate=50.0, rate_limit=20.0)
+    env.reset(seed=0)
+    actuation = TensorActuation(episodes_of(env).actuation)
+    first = torch.full((1, 3), 0.9, dtype=torch.float64)
+    actuation.apply(first)
+    np.testing.assert_allclose(actuation.command.numpy(), 0.4)
+    before = actuation.command.clone().requires_grad_()
+    for asked, is_cut in ((0.6, False), (3.0, True)):
+        actuation.command = before
+        value = (asked - 0.4) / 1.0 if action == "increment" else 2.0 * asked / 5.0 - 1.0
+        action_now = torch.full((1, 3), value, dtype=torch.float64, requires_grad=True)
+        actuation.apply(action_now)
+        # a cost that falls with larger commands: descent would lead further beyond the rate
+        by_action, by_before = torch.autograd.grad(-actuation.command.sum(), [action_now, before])
+        follows = is_cut or action == "increment"
+        np.testing.assert_allclose(by_before.numpy(), -1.0 if follows else 0.0)
+        unit = 1.0 if action == "increment" else 2.5
+        np.testing.assert_allclose(by_action.numpy(), 0.0 if is_cut else -unit)
 
 
 @pytest.mark.parametrize("case", CASES)

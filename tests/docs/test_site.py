@@ -1,5 +1,4 @@
-"""The hooks of the documentation site: equations, links to sources, and tables that the package
-fills."""
+"""The hooks of the documentation site: equations, links to sources, cells of tables."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +11,6 @@ pytest.importorskip("latex2mathml", reason="the extra docs is not installed")
 pytest.importorskip("griffe", reason="the extra docs is not installed")
 import field_comments  # noqa: E402
 import griffe  # noqa: E402
-import site_environments  # noqa: E402
 import site_hooks  # noqa: E402
 import site_math  # noqa: E402
 from mkdocs.exceptions import PluginError  # noqa: E402
@@ -62,33 +60,14 @@ def test_source_files_are_linked(markdown, shown):
     assert site_hooks.on_page_markdown(markdown, page("how_to/extend.md"), CONFIG) == shown
 
 
-def test_pages_of_environments_have_sizes_sections_and_arguments():
-    shown = site_environments.on_page_markdown(
-        "<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md")
-    )
-    env = site_environments.made("Reach", fidelity="fast")
-    assert (
-        f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |'
-        in shown
-    )
-    assert "\n### Rewards\n" in shown
-    assert "<!--" not in shown
-    assert all(f"\n| `{name}` | " in shown for name in site_environments.Options.model_fields)
-    assert all(f'\n| `"{name}"` | ' in shown for name in site_environments.PRESETS)
-    with pytest.raises(KeyError):
-        site_environments.on_page_markdown("<!-- environment: None -->", page("a.md"))
-
-
-def test_the_page_of_effects_has_every_key_with_its_meaning():
-    page_of_effects = (ROOT / "docs" / "how_to" / "effects.md").read_text()
-    shown = site_environments.on_page_markdown(page_of_effects, page("how_to/effects.md"))
-    keys = [
-        (name, key)
-        for name, effect in site_environments.EFFECTS.items()
-        for key in effect.model_fields
-    ]
-    assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys)
-    assert "| None |" not in shown
+@pytest.mark.parametrize(
+    ("cell", "stays_whole"),
+    [("1.8 (2.9)", True), ("-0.48 (-0.75 to -0.24)", True), ("3 columns", False)],
+)
+def test_numbers_of_a_table_do_not_break(cell, stays_whole):
+    html = site_hooks.on_page_content(f"<td>{cell}</td>", page("a.md"))
+    expected = '<td class="numbers">' if stays_whole else "<td>"
+    assert html == f"{expected}{cell}</td>"
 
 
 def test_fields_have_the_comment_beside_or_above_them(tmp_path):

@@ -28,8 +28,8 @@ PAGES = {
     "task": "reference/environments.md",
 }
 """Pages with the tables of kinds."""
-FILLED = {"observation_group": "groups", "target": "targets"}
-"""Kinds whose tables docs/site_environments.py fills, in reference/environments.md."""
+FILLED = {"observation_group": "observation groups", "target": "targets"}
+"""Kinds whose tables docs/reference_tables.py makes, in reference/environments.md."""
 CELLS = {
     "effect": lambda name: f"effects.{name}",
     "controller": lambda name: f"`{name.partition('/')[2]}`",

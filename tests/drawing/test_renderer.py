@@ -132,7 +132,8 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
 
 def test_rows_of_an_environment_have_the_frames_of_single_ones():
     options = {"scene": "three_tendon", "fidelity": "fast", "render_mode": "rgb_array"}
-    env, rows = gym.make(IDS["Shape"], **options), gym.make_vec(IDS["Shape"], num_envs=2, **options)
+    env = gym.make(IDS["Shape"], **options)
+    rows = gym.make_vec(IDS["Shape"], num_envs=2, **options)
     rows.reset(seed=0)
     env.reset(seed=1)
     np.testing.assert_array_equal(rows.render()[1], env.render())

@@ -27,15 +27,22 @@ MU = 0.15
 
 def limited_lag(u, c, time_constant, rate, times):
     """The solution of u_dot = clip((c - u) / tau, -r, r), in closed form."""
-    sign, away = np.sign(c - u), np.abs(c - u)
-    corner = max(away - rate * time_constant, 0.0) / rate
-    late = c - sign * min(away, rate * time_constant) * np.exp(-(times - corner) / time_constant)
-    return np.where(times < corner, u + sign * rate * times, late)
+    sign = np.sign(c - u)
+    away = np.abs(c - u)
+    # nearer than this the rate is below its limit
+    slow = rate * time_constant
+    corner = max(away - slow, 0.0) / rate
+    decay = np.exp(-(times - corner) / time_constant)
+    late = c - sign * min(away, slow) * decay
+    early = u + sign * rate * times
+    return np.where(times < corner, early, late)
 
 
 def tension_response(model, command, times):
     """Tensions of the first tendon at times [s], of an arm that gets this command at 0."""
-    simulation, found, now = Simulation(model), [], 0.0
+    simulation = Simulation(model)
+    found = []
+    now = 0.0
     for time in times:
         simulation.step(command, time - now)
         found.append(simulation.state.effects[0])
@@ -78,7 +85,8 @@ def test_a_delay_is_exact_at_any_time(uniform, delay):
     )
     for u in table:
         late.step(u, 0.02)
-    before, end = delay, 0.2
+    before = delay
+    end = 0.2
     prompt.step(np.zeros(3), min(before, end))
     for u in table:
         prompt.step(u, max(min(0.02, end - before), 0.0))
@@ -190,10 +198,8 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
                 "tendons": tendons,
                 "effects": effects,
             }
-            model, end = (
-                build_model(Scene.parse(table, "wire"), fidelity),
-                np.array([0.008, -0.02, -0.02]),
-            )
+            model = build_model(Scene.parse(table, "wire"), fidelity)
+            end = np.array([0.008, -0.02, -0.02])
             for command in (end, np.linspace(0.0, 1.0, 50)[:, None] * end):
                 assert np.isfinite(simulate(model, command, 1.0, 0.02).tip_pose).all()
         rest, _ = commanded_equilibrium(model, 0.5 * end)
@@ -260,9 +266,11 @@ def test_hysteresis_of_a_slow_cycle(uniform):
 
     motion = simulate(model, tension, 3.0 * period, 0.05)
     pull = np.array([tension(time)[0] for time in motion.time])
-    q, per = motion.q[:, 0], round(period / 0.05)
+    q = motion.q[:, 0]
+    per = round(period / 0.05)
     assert np.abs(q[2 * per :] - q[per : 2 * per + 1]).max() < 1e-3 * np.abs(q).max(), "closed"
-    least, most = bending(model, 0.5, -1.0), bending(model, 3.5, 1.0)
+    least = bending(model, 0.5, -1.0)
+    most = bending(model, 3.5, 1.0)
 
     def theory(direction, tensions):
         """Where the tendon slides, and before that where it sticks."""

@@ -77,7 +77,9 @@ def body_of(obstacle, time=0.0):
 @pytest.mark.no_jit
 @pytest.mark.parametrize("obstacle", KINDS, ids=lambda obstacle: obstacle["type"])
 def test_signed_distances_have_their_gradients(obstacle):
-    body, rng, h = body_of(obstacle), np.random.default_rng(0), 1e-6
+    body = body_of(obstacle)
+    rng = np.random.default_rng(0)
+    h = 1e-6
     differences = []
     for x in rng.uniform(-0.5, 0.5, (60, 3)):
         _, gradient = distance(body, tuple(x))
@@ -101,7 +103,8 @@ def test_an_obstacle_moves_as_it_is_told():
         "frequency": 0.7,
         "phase": 30.0,
     }
-    time, h = 0.6, 1e-6
+    time = 0.6
+    h = 1e-6
     here, before, after = (body_of(obstacle, t) for t in (time, time - h, time + h))
     swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
     np.testing.assert_allclose(
@@ -147,7 +150,8 @@ def test_forces_are_those_of_a_potential(build):
     obstacles = [FLOOR, {"type": "sphere", "position": [0.25, 0.012, 0.105], "radius": 0.1}]
     model = three_tendon(build, obstacles)
     n = model.coordinate_count
-    still, h = np.zeros(n), 1e-4 * model.coordinate_scale()
+    still = np.zeros(n)
+    h = 1e-4 * model.coordinate_scale()
     falls = [
         0.5 * (model.energy(-way, still).load - model.energy(way, still).load) for way in np.diag(h)
     ]
@@ -184,7 +188,8 @@ def test_energy_never_grows_with_friction(build, solid, step):
         "integrator.step": step,
     }
     model = three_tendon(build, [SOLIDS[solid]], 0.6, changes=changes)
-    simulation, total = Simulation(model), []
+    simulation = Simulation(model)
+    total = []
     speed = np.zeros(model.coordinate_count)
     speed[1:3] = 40.0, -40.0  # [N/s]
     simulation.reset(None, speed)

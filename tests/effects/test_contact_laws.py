@@ -112,14 +112,19 @@ def test_distances_are_those_of_the_shapes(obstacle, expected):
     """Also of one that has moved, and from the nearest point of the surface, which is 0."""
     contact = Contact(obstacles=[{**obstacle, "velocity": [0.3, -0.2, 0.1]}])
     x = PLACE + np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3))
-    out, nearest = np.empty((1, 40)), np.empty((1, 40, 3))
+    out = np.empty((1, 40))
+    nearest = np.empty((1, 40, 3))
     read_distances(contact.rows(), x, 0.0, out, nearest)
     exact = [expected(point) for point in x]
     np.testing.assert_allclose(out[0], exact, atol=1e-14)
-    np.testing.assert_allclose(contact.distances(nearest[0])[0], 0.0, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(x - nearest[0], axis=1), np.abs(exact), atol=1e-14)
+    surface = nearest[0]
+    np.testing.assert_allclose(contact.distances(surface)[0], 0.0, atol=1e-14)
+    ways = np.linalg.norm(x - surface, axis=1)
+    np.testing.assert_allclose(ways, np.abs(exact), atol=1e-14)
+    # two seconds later
     moved = x + 2.0 * np.array([0.3, -0.2, 0.1])
-    np.testing.assert_allclose(contact.distances(moved, 2.0)[0], exact, atol=1e-14)
+    later = contact.distances(moved, 2.0)
+    np.testing.assert_allclose(later[0], exact, atol=1e-14)
 
 
 THIN = {"type": "box", "position": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1e-3]}
@@ -147,7 +152,8 @@ def law(body, depth, approach=0.0, wall=0.5):
 @pytest.mark.parametrize("approach", [-5.0, -1.2, -0.5, 0.0, 0.8])
 def test_pressure_has_its_derivatives_and_its_energy(obstacle, approach):
     """Before the smoothing depth, beyond it, and in the wall of what is thin or thick."""
-    body, h = body_of(obstacle), 1e-8
+    body = body_of(obstacle)
+    h = 1e-8
     for depth in (0.4 * E, 3.0 * E, 0.3 * RADIUS, 0.9 * RADIUS, 1.6 * RADIUS):
         force, stiffness, damping, _ = law(body, depth, approach)
         assert force >= 0.0, "what leaves fast is not pulled back"
@@ -179,7 +185,8 @@ def test_pressure_is_hunt_and_crossleys_up_to_the_wall():
                 )
         # the wall stores a quarter of its energy over its width, twice half of what is thick
         end = WALL * RADIUS + thick
-        walled, bare = law(body, end)[3], law(body, end, wall=0.0)[3]
+        walled = law(body, end)[3]
+        bare = law(body, end, wall=0.0)[3]
         assert walled - bare == pytest.approx(0.25 * 0.5)
 
 
@@ -256,7 +263,9 @@ def rows_of(field, components):
 def read(parameters, nodes):
     """Gaps (samples,), positions and forces (samples, 3), for one obstacle, and the energy."""
     count = len(parameters.samples)
-    gap, position, force = np.empty((1, count)), np.empty((count, 3)), np.empty((1, count, 3))
+    gap = np.empty((1, count))
+    position = np.empty((count, 3))
+    force = np.empty((1, count, 3))
     energy = read_contacts(parameters, nodes, gap, position, force)
     return gap[0], position, force[0], energy
 
@@ -343,7 +352,9 @@ def test_wrenches_at_the_nodes_have_the_power_of_the_forces_on_the_surfaces(slid
 
 def test_sliding_down_an_incline_is_as_fast_as_coulombs_law_has_it(rod):
     """g (sin - mu cos) of a ball that is pressed on by its weight, and 0 across."""
-    angle, gravity, mass = np.radians(35.0), 9.81, 0.02
+    angle = np.radians(35.0)
+    gravity = 9.81
+    mass = 0.02
     down = np.array([np.cos(angle), 0.0, -np.sin(angle)])
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
     depth = mass * gravity * np.cos(angle) / K + 0.5 * E
@@ -417,12 +428,15 @@ def test_blocks_of_the_nodes_are_derivatives_of_their_wrenches(rod, edge, fricti
     parameters = contact.parameters(rod)
     nodes = nodes_at(poses)
     contact_wrench(parameters, nodes)
-    stiffness, damping = blocks_of(nodes.stiffness), blocks_of(nodes.damping)
-    t, h = sample[4], 1e-9
+    stiffness = blocks_of(nodes.stiffness)
+    damping = blocks_of(nodes.damping)
+    t = sample[4]
+    h = 1e-9
     for node, part in ((1, t), (0, 1.0 - t)):
 
         def wrench(displacement=0.0, twist=0.0, node=node):
-            moving, twists = poses.copy(), np.zeros((rod.node.size, 6))
+            moving = poses.copy()
+            twists = np.zeros((rod.node.size, 6))
             moving[node, :3, 3] += poses[node, :3, :3] @ (displacement * np.ones(3))
             twists[node] = twist
             pushed = nodes_at(moving, twists)
@@ -456,17 +470,21 @@ def test_samples_stand_for_the_rod_and_interpolate_it(rod):
     share = np.full(len(samples), places[0])
     share[-1] = 0.5 * places[0] + RADIUS
     area = np.pi * RADIUS**2
-    np.testing.assert_allclose(samples[:, 6], YOUNG * area / (2 * RADIUS) ** 2 * share)
+    stiffness = YOUNG * area / (2 * RADIUS) ** 2
+    np.testing.assert_allclose(samples[:, 6], stiffness * share)
     np.testing.assert_allclose(samples[:, 7], SMOOTHING * RADIUS)
     energy = WALL_MASS * WALL_SPEED**2 * DENSITY * area * share
     np.testing.assert_allclose(samples[:, 8], energy)
     # the Hermite polynomials give back any cubic
     h_a, reach_a, h_b, reach_b, t = samples[:, :5].T
-    end = np.repeat(rod.node[:2], (last - first)[:2].astype(int))
+    counts = (last - first)[:2].astype(int)
+    end = np.repeat(rod.node[:2], counts)
     start = end - 0.15
-    cubic, slope = np.poly1d([2.0, -1.0, 3.0, 0.5]), np.polyder(np.poly1d([2.0, -1.0, 3.0, 0.5]))
-    value = h_a * cubic(start) + reach_a * slope(start) + h_b * cubic(end) + reach_b * slope(end)
-    np.testing.assert_allclose(value, cubic(places), rtol=1e-12)
+    cubic = np.poly1d([2.0, -1.0, 3.0, 0.5])
+    slope = np.polyder(cubic)
+    of_start = h_a * cubic(start) + reach_a * slope(start)
+    of_end = h_b * cubic(end) + reach_b * slope(end)
+    np.testing.assert_allclose(of_start + of_end, cubic(places), rtol=1e-12)
     np.testing.assert_allclose(start + t * 0.15, places)
 
 
@@ -501,7 +519,8 @@ def landing_depths(contact, rod, energy):
     """Depths (samples,) at which an energy k d^3 / 6 e is stored, the smoothing depth at most."""
     _, samples, _ = make_samples(rod)
     stiffness, smoothing = samples[:, 6:8].T
-    return np.minimum(smoothing, (6.0 * smoothing * energy / stiffness) ** (1.0 / 3.0))
+    cubed = 6.0 * smoothing * energy / stiffness
+    return np.minimum(smoothing, cubed ** (1.0 / 3.0))
 
 
 @pytest.mark.parametrize("mass", [1e-12, 1e-2])
@@ -544,9 +563,11 @@ def test_a_step_in_contact_goes_deeper_by_a_share_of_the_radius_at_most(rod):
 def test_what_nodes_that_turn_bring_along_is_met_too(rod):
     """The middle between two nodes that stand still comes down by h / 8 of the sum of their
     rates."""
-    height, rate = 0.3, 20.0
+    height = 0.3
+    rate = 20.0
     twists = np.zeros((rod.node.size, 6))
-    twists[0, 1], twists[1:, 1] = rate, -rate
+    twists[0, 1] = rate
+    twists[1:, 1] = -rate
     contact = Contact(obstacles=[floor(-height)])
     step, flags = longest_step(contact, rod, nodes_at(straight(rod), twists))
     speed = 2.0 * rate * 0.15 / 8.0
@@ -555,11 +576,13 @@ def test_what_nodes_that_turn_bring_along_is_met_too(rod):
 
 
 def test_steps_are_short_beside_the_swing_of_an_obstacle(rod):
+    poses = straight(rod)
     swinging = Contact(obstacles=[floor(-1.0, amplitude=[0.0, 0.1, 0.0], frequency=30.0)])
-    step, _ = longest_step(swinging, rod, nodes_at(straight(rod)))
+    step, _ = longest_step(swinging, rod, nodes_at(poses))
     assert step == pytest.approx(TURN / (2.0 * np.pi * 30.0))
     still = Contact(obstacles=[floor(-1.0, frequency=30.0)])
-    assert longest_step(still, rod, nodes_at(straight(rod)))[0] == 1.0
+    longest, _ = longest_step(still, rod, nodes_at(poses))
+    assert longest == 1.0
 
 
 def lifted(rod, height):
@@ -600,7 +623,8 @@ def test_a_landing_that_stores_too_much_of_the_energy_is_told(rod, share, refuse
     twists = np.zeros((rod.node.size, 6))
     twists[:, 5] = -1.0
     # stored by the samples of the second interval, and by those of the first which came down less
-    before, now = lifted(rod, 1e-3), lifted(rod, -depth)
+    before = lifted(rod, 1e-3)
+    now = lifted(rod, -depth)
     _, _, _, stored = read(contact.parameters(rod), nodes_at(now))
     speed = np.hypot(1.0, IDLE * LENGTH)
     mass = stored / (share * MOST_LANDED * LANDED * 0.5 * speed**2 * rod.node.size)
@@ -614,7 +638,8 @@ def test_a_landing_that_stores_too_much_of_the_energy_is_told(rod, share, refuse
 )
 def test_ways_through_an_obstacle_are_found(obstacle):
     """Against a thousand places along random ways; what passes at some distance is let through."""
-    body, rng = body_of(obstacle), np.random.default_rng(1)
+    body = body_of(obstacle)
+    rng = np.random.default_rng(1)
     shares = np.linspace(0.0, 1.0, 1000)[:, None]
     outcomes = set()
     for start, end in rng.uniform(-0.6, 0.6, (60, 2, 3)):

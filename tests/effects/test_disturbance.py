@@ -57,7 +57,8 @@ def test_a_pulse_is_there_from_its_start_to_its_end(build):
 
 def test_a_sine_swings_as_a_forced_oscillator(uniform):
     """One coordinate: the amplitude of M q'' + D q' + K q = F sin(omega t) once it has settled."""
-    frequency, force = 1.5, 2e-4
+    frequency = 1.5
+    force = 2e-4
     signal = {"type": "sine", "frequency": frequency, "phase": 40.0}
     model = uniform(
         ("bend_z",),
@@ -68,7 +69,8 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
         },
     )
     constant = uniform(("bend_z",), 0, loads({"at": LENGTH, "force": [0.0, force, 0.0]}))
-    terms, omega = constant.terms([0.0], [0.0]), 2 * np.pi * frequency
+    terms = constant.terms([0.0], [0.0])
+    omega = 2 * np.pi * frequency
     expected = terms.external_force / np.abs(
         terms.stiffness - omega**2 * terms.mass + 1j * omega * terms.damping
     )
@@ -94,7 +96,8 @@ def motion_of(model, tension=None, seconds=0.4):
 def test_constant_acceleration_is_gravity_the_other_way(build):
     """Einstein's lift: relative to a base with acceleration a the arm moves as it does at rest
     under gravity -a."""
-    a, tension = np.array([0.0, -2.0, 5.0]), np.array([2.0, 0.0, 1.0])
+    a = np.array([0.0, -2.0, 5.0])
+    tension = np.array([2.0, 0.0, 1.0])
     accelerated = motion_of(moving(build, acceleration=a.tolist()), tension)
     heavy = motion_of(
         build("three_tendon", {**STIFF, "effects.gravity.acceleration": (-a).tolist()}), tension
@@ -119,14 +122,19 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
         "axis": [1.0, 2.0, -1.0],
     }
     model = moving(build, **motion, angular_velocity=3.0, angular_amplitude=0.4, frequency=0.7)
-    q, still, work, h = np.array([1.0, 0.5, 2.0]), np.zeros(3), make_workspace(model.arm), 1e-4
+    q = np.array([1.0, 0.5, 2.0])
+    still = np.zeros(3)
+    work = make_workspace(model.arm)
+    h = 1e-4
 
     def node(time):
         work.strain.xi[:] = model.arm.rod.reference_strain
         work.inputs.clock[0] = time
         assert evaluate(model.arm, still, q, still, 1e-12, work) == -1
-        g, tip = np.eye(4), work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
-        g[:3, :3], g[:3, 3] = tip[:9].reshape(3, 3), tip[9:]
+        g = np.eye(4)
+        tip = work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
+        g[:3, :3] = tip[:9].reshape(3, 3)
+        g[:3, 3] = tip[9:]
         return (
             g,
             work.kinematics.eta.reshape(-1, 6, 4)[-1, :, -1].copy(),

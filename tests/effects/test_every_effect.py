@@ -155,7 +155,8 @@ def test_order_in_time(name, uniform):
             -1, :3, 3
         ]
 
-    exact, steps = tip(3e-4, 4), 0.02 * 0.5 ** np.arange(6)
+    exact = tip(3e-4, 4)
+    steps = 0.02 * 0.5 ** np.arange(6)
     errors = np.array([np.abs(tip(step, 3) - exact).max() for step in steps])
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 2.5
     assert errors[0] < COARSE.get(name, 1e-4), "[m], of 0.3 m"
@@ -199,7 +200,8 @@ def test_rows_are_like_simulations(name, build):
         for simulation, u in zip(simulations, tension[:, 0], strict=True):
             simulation.step(u, 0.02)
     for row, simulation in enumerate(simulations):
-        state, tolerance = simulation.state, 1e-12 if row < 2 else 1e-9
+        state = simulation.state
+        tolerance = 1e-12 if row < 2 else 1e-9
         for found, expected in (
             (arms.rows.q, state.q),
             (arms.rows.q_dot, state.q_dot),

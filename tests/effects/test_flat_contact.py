@@ -76,7 +76,8 @@ def test_no_other_point_of_the_section_is_nearer(name, obstacle):
     y, z = np.meshgrid(HALF_Y * share, HALF_Z * share)
     if SHAPES[name] == ELLIPSE:
         is_inside = (y / HALF_Y) ** 2 + (z / HALF_Z) ** 2 <= 1.0
-        y, z = y[is_inside], z[is_inside]
+        y = y[is_inside]
+        z = z[is_inside]
     for angle in (0.0, 0.3, 0.9, 1.5):
         y_axis, z_axis = axes_turned(angle)
         point = nearest(body, sample_of(SHAPES[name]), (0.0, 0.0, 0.0), y_axis, z_axis)

@@ -53,8 +53,10 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
         "quadrature.intervals": 4,
     }
     model = uniform(("torsion", "bend_y", "bend_z"), 0, fluid)
-    n, added = 3, model.scene.effects.fluid
-    q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
+    n = 3
+    added = model.scene.effects.fluid
+    q = np.array([1.0, 2.0, -3.0])
+    v = np.array([2.0, 5.0, 3.0])
     mass = added.displaced_mass(model.discretisation)[:, 0]
 
     def parts(q):
@@ -73,7 +75,8 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
         return np.append(momentum, energy)
 
     gradient = slope(parts, q, 1e-5)
-    momentum, potential = gradient[:n], gradient[n]
+    momentum = gradient[:n]
+    potential = gradient[n]
     expected = -(momentum @ v - v @ momentum - potential)
     found = model.terms(q, v).external_force
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
@@ -115,7 +118,8 @@ def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, sha
         **shape,
     }
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
-    q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
+    q = np.array([1.0, 2.0, -3.0])
+    v = np.array([2.0, 5.0, 3.0])
     work = workspace_at(model, q, v)
     D = work.matrices.D.copy()
     add_implicit(model.arm, work)
@@ -127,10 +131,8 @@ def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, sha
 
 def test_potential_energy(build, slope):
     """Its gradient is the force on the arm at rest."""
-    model, q = (
-        build("paper", {**GRAVITY, "effects.fluid.density": 300.0}),
-        np.linspace(0.0, 4.0, 10),
-    )
+    model = build("paper", {**GRAVITY, "effects.fluid.density": 300.0})
+    q = np.linspace(0.0, 4.0, 10)
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-4)
     np.testing.assert_allclose(
         -gradient, model.terms(q, 0 * q).external_force, rtol=1e-6, atol=1e-9
@@ -150,18 +152,24 @@ def straight_arm(changes):
 def test_drag_of_a_rod_that_is_carried_through_still_water_is_morisons(velocity):
     """-1/2 rho C_t 2 pi r |v_x| v_x along it and -1/2 rho C_n 2 r |v_n| v_n across, per length; a
     stream the other way does the same."""
-    fluid = {"density": 1000.0, "normal_drag": 1.2, "tangential_drag": 0.02, "added_mass": 0.0}
+    density = 1000.0
+    fluid = {"density": density, "normal_drag": 1.2, "tangential_drag": 0.02, "added_mass": 0.0}
     x, y, z = velocity
-    along = -0.5 * 1000.0 * 0.02 * 2.0 * np.pi * RADIUS * abs(x) * x
-    across = -0.5 * 1000.0 * 1.2 * 2.0 * RADIUS * np.hypot(y, z)
+    surface = 2.0 * np.pi * RADIUS
+    width = 2.0 * RADIUS
+    along = -0.5 * density * 0.02 * surface * abs(x) * x
+    across = -0.5 * density * 1.2 * width * np.hypot(y, z)
     # displacements by a constant curvature are s^2 / 2, by a constant stretch s
-    expected = [-across * z * LENGTH**3 / 6, across * y * LENGTH**3 / 6, along * LENGTH**2 / 2]
+    about_y = -across * z * LENGTH**3 / 6
+    about_z = across * y * LENGTH**3 / 6
+    stretch = along * LENGTH**2 / 2
     still = np.zeros(3)
+    opposite = [-part for part in velocity]
     carried = {"effects.fluid": fluid, "effects.moving_base.velocity": list(velocity)}
-    stream = {"effects.fluid": {**fluid, "current": [-part for part in velocity]}}
+    stream = {"effects.fluid": {**fluid, "current": opposite}}
     for changes in (carried, stream):
         force = straight_arm(changes).terms(still, still).external_force
-        np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(force, [about_y, about_z, stretch], rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.no_jit

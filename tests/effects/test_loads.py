@@ -58,15 +58,21 @@ def test_a_wrench_at_the_tip_has_its_virtual_work(frame):
 
 
 def test_a_payload_is_inertia_and_weight_at_the_tip():
-    gravity = {"effects.gravity.acceleration": [1.0, -2.0, -9.0]}
+    acceleration = [1.0, -2.0, -9.0]
+    gravity = {"effects.gravity.acceleration": acceleration}
     inertia = [1e-5, 2e-5, 3e-5]
+    payload = tip_load(mass=0.02, inertia=inertia)
     bare = arm_with(gravity).terms(Q, STILL)
-    loaded = arm_with({**gravity, **tip_load(mass=0.02, inertia=inertia)}).terms(Q, STILL)
-    J, R = bare.tip_jacobian, bare.tip_pose[:3, :3]
+    loaded = arm_with({**gravity, **payload}).terms(Q, STILL)
+    J = bare.tip_jacobian
+    R = bare.tip_pose[:3, :3]
     added = J.T @ np.diag([*inertia, 0.02, 0.02, 0.02]) @ J
-    np.testing.assert_allclose(loaded.mass - bare.mass, added, rtol=1e-9, atol=1e-14)
-    weight = J[3:].T @ R.T @ (0.02 * np.array([1.0, -2.0, -9.0]))
-    np.testing.assert_allclose(loaded.external_force - bare.external_force, weight, rtol=1e-9)
+    more_mass = loaded.mass - bare.mass
+    np.testing.assert_allclose(more_mass, added, rtol=1e-9, atol=1e-14)
+    weight = 0.02 * np.array(acceleration)
+    generalised = J[3:].T @ R.T @ weight
+    more_force = loaded.external_force - bare.external_force
+    np.testing.assert_allclose(more_force, generalised, rtol=1e-9)
 
 
 def test_weight_and_forces_at_the_tip_are_gradients_of_their_energies():
@@ -121,7 +127,8 @@ def longest_at(limit, parameters, time):
 
 
 def test_steps_end_where_pulses_do_and_are_short_beside_periods():
-    pulse, sine = rows_of(PULSE), rows_of(SINE)
+    pulse = rows_of(PULSE)
+    sine = rows_of(SINE)
     for time, longest in ((0.0, 0.1), (0.1, 0.05), (0.12, 0.03), (0.15, 1.0), (9.0, 1.0)):
         assert longest_at(limit_disturbance_step, pulse, time) == pytest.approx(longest)
     assert longest_at(limit_disturbance_step, sine, 0.3) == pytest.approx(TURN / (4.0 * np.pi))

@@ -48,10 +48,8 @@ def test_uniform_bending(uniform, curvature):
 def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
     uniform, workspace_at, slope
 ):
-    model, q = (
-        uniform(ALL, 1, {**LAW, "quadrature.intervals": 4}),
-        0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05]),
-    )
+    model = uniform(ALL, 1, {**LAW, "quadrature.intervals": 4})
+    q = 0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05])
     force = model.terms(q, 0 * q).external_force
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
     np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
@@ -85,8 +83,12 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
 def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, workspace_at):
     """s = a (t - tau (1 - exp(-t / tau))) + b (t^2 - 2 tau t + 2 tau^2 (1 - exp(-t / tau))) for e =
     a t + b t^2, in one step or in many."""
-    model, unit = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
-    a, b, tau, end = 1.0, 3.0, 0.1, 0.3
+    model = uniform(changes={**ONE, "quadrature.intervals": 4})
+    unit = np.array([2.0, 0.0])
+    a = 1.0
+    b = 3.0
+    tau = 0.1
+    end = 0.3
     for steps in (1, 7):
         before = workspace_at(model, 0.0 * unit).strain.xi
         state = np.zeros(model.arm.effects.state.size)
@@ -94,9 +96,12 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
             time = end * (i + 1) / steps
             work = workspace_at(model, (a * time + b * time**2) * unit, (a + 2.0 * b * time) * unit)
             inputs = work.inputs
-            inputs.state[:], inputs.before[:], inputs.since[0] = state, before, end / steps
+            inputs.state[:] = state
+            inputs.before[:] = before
+            inputs.since[0] = end / steps
             remember(model.arm, inputs, work.strain, work.loads)
-            before, state = work.strain.xi, inputs.state.copy()
+            before = work.strain.xi
+            state = inputs.state.copy()
         settled = 1.0 - np.exp(-end / tau)
         expected = a * (end - tau * settled) + b * (
             end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled
@@ -111,9 +116,11 @@ def test_lags_after_a_time_are_integrals(x):
     = a t + b t^2 / 2 the lag is what exponentials leave of each rate."""
     kept, changed, rated = lag_weights(x)
     assert kept == pytest.approx(np.exp(-x))
-    a, b = 1.3, -0.7
+    a = 1.3
+    b = -0.7
     left, _ = quad(lambda t: (a + b * t) * np.exp(t - x), 0.0, x, epsabs=1e-14)
-    change, rate = a * x + 0.5 * b * x**2, a + b * x
+    change = a * x + 0.5 * b * x**2
+    rate = a + b * x
     assert changed * change + rated * x * rate == pytest.approx(left, rel=1e-6, abs=1e-12)
     assert lag_weights(np.inf) == (0.0, 0.0, 0.0)
 
@@ -121,12 +128,16 @@ def test_lags_after_a_time_are_integrals(x):
 @pytest.mark.no_jit
 def test_springs_of_the_branches_store_their_share_of_the_elastic_energy(uniform):
     """m_k of it where all dampers stand still, less where they have followed."""
-    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    model = uniform(changes={**TWO, "quadrature.intervals": 4})
+    q = np.array([3.0, -1.0])
     states = np.zeros(model.arm.effects.state.size)
     energy = model.energy(q, 0 * q, states)
     assert energy.load == pytest.approx(2.5 * energy.elastic)
     first, second = np.split(states, 2)
-    first[:] = 0.5 * (model.packed_strain(q) - model.arm.rod.reference_strain)
-    second[:] = 2.0 * first
-    assert model.energy(q, 0 * q, states).load == pytest.approx(0.5 * 0.25 * energy.elastic)
-    assert model.energy(q, 0 * q).load == pytest.approx(0.0, abs=1e-15)
+    strain = model.packed_strain(q) - model.arm.rod.reference_strain
+    first[:] = 0.5 * strain
+    second[:] = strain
+    followed = model.energy(q, 0 * q, states)
+    assert followed.load == pytest.approx(0.5 * 0.25 * energy.elastic)
+    at_rest = model.energy(q, 0 * q)
+    assert at_rest.load == pytest.approx(0.0, abs=1e-15)

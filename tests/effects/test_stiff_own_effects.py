@@ -35,7 +35,8 @@ def drag(parameters, nodes):
 def spring(parameters, nodes):
     """stiffness (anchor - r) at the tip, in its frame."""
     last = nodes.packs - 1
-    pose, at = last * 12 * LANES + LANES - 1, last * 6 * LANES + LANES - 1
+    pose = last * 12 * LANES + LANES - 1
+    at = last * 6 * LANES + LANES - 1
     for k in range(3):
         for i in range(3):
             force = parameters.stiffness[i] * (

@@ -85,9 +85,13 @@ def random_scene(seed, strain, coefficient=None, elastic=False):
 def stored(command, model, q, stiffness, strength):
     """Energy [J] of elastic tendons under displacements (n_a,)."""
     slack_length = model.tendon_lengths(0.0 * q)
-    stretched = np.maximum(command - (slack_length - model.tendon_lengths(q)), 0.0)
+    shortening = slack_length - model.tendon_lengths(q)
+    stretched = np.maximum(command - shortening, 0.0)
+    # beyond its strength a drive gives way
     within = np.minimum(stretched, strength / stiffness)
-    return float(np.sum(0.5 * stiffness * within**2 + strength * (stretched - within)))
+    given_way = stretched - within
+    energies = 0.5 * stiffness * within**2 + strength * given_way
+    return float(np.sum(energies))
 
 
 def energies(scene, command, stiffness, strength, duration):
@@ -99,7 +103,8 @@ def energies(scene, command, stiffness, strength, duration):
     is_elastic = model.command_unit == "m"
     simulation = Simulation(model)
     simulation.reset(np.zeros(model.coordinate_count))
-    totals, kinetic = [], []
+    totals = []
+    kinetic = []
     for _ in range(round(duration / 0.01)):
         simulation.step(command, 0.01)
         q = simulation.state.q
@@ -221,7 +226,8 @@ def coulomb_angles(coefficient, turn, pulls):
     tension = np.zeros(1000)
     angles = []
     for pull in pulls:
-        least, most = pull * np.exp(-coefficient * angle), pull * np.exp(coefficient * angle)
+        least = pull * np.exp(-coefficient * angle)
+        most = pull * np.exp(coefficient * angle)
         tension = np.clip(tension, least, most)
         bending = MODULUS * np.pi * RADIUS**4 / 4.0
         angles.append(tension.mean() * LENGTH * OFFSET / bending)
@@ -242,7 +248,9 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
         pose = simulation.tip_pose
         return np.unwrap([turn, np.arctan2(pose[1, 0], pose[0, 0])])[1]
 
-    start, before, angles = angle(), 0.0, []
+    start = angle()
+    before = 0.0
+    angles = []
     for pull in pulls:
         for i in range(40):
             simulation.step([before + (pull - before) * (i + 1) / 40], 0.05)

@@ -82,7 +82,8 @@ def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
     assert tension.min() == 0.0, "one is slack"
 
 
-LEAST, GREATEST = np.array([-1.0, 0.0, 2.0]), np.array([3.0, 5.0, 4.0])
+LEAST = np.array([-1.0, 0.0, 2.0])  # [N]
+GREATEST = np.array([3.0, 5.0, 4.0])  # [N]
 BEFORE = np.array([0.0, 1.0, 3.0])
 
 
@@ -92,9 +93,12 @@ def test_actions_of_tensions_are_shares_of_their_range_and_back():
     command = scale.command(action, BEFORE)
     np.testing.assert_allclose(command, [-1.0, 3.75, 3.0])
     np.testing.assert_allclose(scale.action(command, BEFORE), action, atol=1e-15)
-    np.testing.assert_array_equal(scale.action(np.array([-9.0, 9.0, 3.5]), BEFORE), [-1, 1, 0.5])
-    np.testing.assert_allclose(scale.wanted(np.array([-2.0, 2.0, 0.0]), BEFORE), [-3.0, 7.5, 3.0])
-    np.testing.assert_allclose(scale.command(np.array([-2.0, 2.0, 0.0]), BEFORE), [-1.0, 5.0, 3.0])
+    beyond_range = scale.action(np.array([-9.0, 9.0, 3.5]), BEFORE)
+    np.testing.assert_array_equal(beyond_range, [-1, 1, 0.5])
+    # actions beyond [-1, 1] ask for more than commands that are sent
+    beyond = np.array([-2.0, 2.0, 0.0])
+    np.testing.assert_allclose(scale.wanted(beyond, BEFORE), [-3.0, 7.5, 3.0])
+    np.testing.assert_allclose(scale.command(beyond, BEFORE), [-1.0, 5.0, 3.0])
 
 
 def test_actions_of_increments_are_changes_within_the_limits_and_back():
@@ -107,6 +111,21 @@ def test_actions_of_increments_are_changes_within_the_limits_and_back():
     beyond = np.array([-3.0, 0.0, 1.5])
     np.testing.assert_allclose(scale.wanted(beyond, BEFORE), [-1.5, 1.0, 4.5])
     np.testing.assert_allclose(scale.command(beyond, BEFORE), [-1.0, 1.0, 4.0])
+
+
+def test_commands_change_no_faster_than_the_actuators_let_them():
+    """Whatever is asked for, within the limits too; increments within the rate are as they were."""
+    most = np.array([0.25, 0.5, 3.0])
+    scale = ActionScale(LEAST, GREATEST, None, most)
+    np.testing.assert_allclose(scale.command(np.ones(3), BEFORE), [0.25, 1.5, 4.0])
+    np.testing.assert_allclose(scale.command(-np.ones(3), BEFORE), [-0.25, 0.5, 2.0])
+    near = scale.action(np.array([0.1, 0.8, 3.5]), BEFORE)
+    np.testing.assert_allclose(scale.command(near, BEFORE), [0.1, 0.8, 3.5])
+    increment = np.array([0.25, 0.3, 0.1])
+    limited = ActionScale(LEAST, GREATEST, increment, most)
+    free = ActionScale(LEAST, GREATEST, increment)
+    for action in (np.ones(3), -np.ones(3), np.array([0.3, -0.7, 0.1])):
+        np.testing.assert_array_equal(limited.command(action, BEFORE), free.command(action, BEFORE))
 
 
 def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):

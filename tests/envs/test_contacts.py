@@ -36,7 +36,8 @@ def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles():
     env = ShapeEnv(
         scene="paper_among_obstacles", fidelity="fast", target={"type": "random", "fraction": 0.5}
     )
-    free, nearest = env.episodes.starts.setting.free, np.inf
+    free = env.episodes.starts.setting.free
+    nearest = np.inf
     for seed in range(5):
         env.reset(seed=seed)
         q, _ = env.episodes.trajectories._course[0].coordinates(
@@ -75,10 +76,8 @@ def test_the_scenes_that_ship_are_lived_in(id, scene):
         assert not terminated.any()
     episodes = envs.unwrapped.episodes
     if scene == "paper_among_obstacles":
-        contact, found = (
-            episodes.model.scene.effects.contact,
-            [contact_forces(episodes.model, episodes.state(row)) for row in range(32)],
-        )
+        contact = episodes.model.scene.effects.contact
+        found = [contact_forces(episodes.model, episodes.state(row)) for row in range(32)]
         assert any(forces.sample_force.any() for forces in found)
         assert max(forces.penetration.max() for forces in found) < 0.01
         assert (

@@ -26,7 +26,8 @@ POINTS = np.random.default_rng(0).uniform(0.0, 5.0, (6, 3))
 
 
 def rates_by_differences(tensions, times):
-    later, earlier = tensions(times + H)[0], tensions(times - H)[0]
+    later = tensions(times + H)[0]
+    earlier = tensions(times - H)[0]
     return (later - earlier) / (2.0 * H)
 
 
@@ -47,7 +48,8 @@ def test_the_closed_spline_is_the_uniform_cubic_b_spline_of_its_points():
 
 def test_a_ramp_rises_smoothly_from_start_to_end_and_stays():
     """10 x^3 - 15 x^4 + 6 x^5: rates and their rates vanish at both ends."""
-    start, end = np.array([1.0, 0.0]), np.array([3.0, -4.0])
+    start = np.array([1.0, 0.0])
+    end = np.array([3.0, -4.0])
     rise = Rise(start, end, duration=2.0)
     times = np.array([-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0])
     x = np.clip(times / 2.0, 0.0, 1.0)[:, None]
@@ -81,17 +83,21 @@ def test_circles_are_about_the_axis_of_the_base(moved, tilt):
     samples = course.sample(times)
     in_base = np.linalg.inv(base) @ samples.tip_pose
     angle = 2.0 * np.pi * times / 3.0
-    circle = np.stack([0.38 + 0 * angle, 0.1 * np.cos(angle), 0.1 * np.sin(angle)], axis=1)
+    zero = 0 * angle
+    outward = np.stack([zero, np.cos(angle), np.sin(angle)], axis=1)
+    along = np.array([1.0, 0.0, 0.0])
+    circle = 0.38 * along + 0.1 * outward
     np.testing.assert_allclose(in_base[:, :3, 3], circle, atol=1e-12)
-    outward = np.stack([0 * angle, np.cos(angle), np.sin(angle)], axis=1)
     lean = np.radians(tilt)
-    leaning = np.cos(lean) * np.array([1.0, 0.0, 0.0]) + np.sin(lean) * outward
+    leaning = np.cos(lean) * along + np.sin(lean) * outward
     np.testing.assert_allclose(in_base[:, :3, 0], leaning, atol=1e-12)
-    later, earlier = (course.sample(times + sign * H).tip_pose for sign in (1.0, -1.0))
+    later = course.sample(times + H).tip_pose
+    earlier = course.sample(times - H).tip_pose
     for k in range(times.size):
         twist = pose_error(earlier[k], later[k]) / (2.0 * H)
         np.testing.assert_allclose(samples.tip_twist[k], twist, atol=1e-7)
-    np.testing.assert_allclose(course.sample(times + 3.0).tip_pose, samples.tip_pose, atol=1e-12)
+    next_round = course.sample(times + 3.0).tip_pose
+    np.testing.assert_allclose(next_round, samples.tip_pose, atol=1e-12)
 
 
 def test_circles_have_the_radius_and_centre_that_are_given():
@@ -130,7 +136,8 @@ def test_targets_out_of_reach_are_as_far_from_the_base_as_is_said(beyond):
     far, near = (pose[0] for pose in poses)
     np.testing.assert_array_equal(poses[0][0], poses[0][1])
     np.testing.assert_allclose(far[:3, :3], near[:3, :3], atol=1e-9)
-    far_way, near_way = far[:3, 3] - [0.5, 0.0, -0.2], near[:3, 3] - [0.5, 0.0, -0.2]
+    far_way = far[:3, 3] - [0.5, 0.0, -0.2]
+    near_way = near[:3, 3] - [0.5, 0.0, -0.2]
     assert np.linalg.norm(far_way) == pytest.approx(0.3 * beyond)
     assert far_way @ near_way == pytest.approx(0.3 * beyond * np.linalg.norm(near_way))
 

@@ -71,7 +71,9 @@ def test_numbers_are_drawn_one_without_the_other(drawn_rows):
 
 def test_drawn_numbers_of_some_rows_have_masks():
     """As Gymnasium has infos of many rows; nothing where nothing is drawn."""
-    infos = [{"drawn": {"a": 1.0, "b": np.array([2.0, 3.0])}}, {"drawn": {"a": 4.0}}]
+    first = {"a": 1.0, "b": np.array([2.0, 3.0])}
+    second = {"a": 4.0}
+    infos = [{"drawn": first}, {"drawn": second}]
     table = drawn_in_rows(infos, np.array([2, 0]), 4)
     np.testing.assert_array_equal(table["_drawn"], [True, False, True, False])
     drawn = table["drawn"]
@@ -100,7 +102,9 @@ def test_noise_goes_on_from_chunk_to_chunk_and_follows_from_its_seed():
         sensors = Sensors(noise, rows, 3, 2, omit=0.0)
         for each in range(rows):
             sensors.begin(each, 7 if each == row else each)
-        step_count, members, seen = np.zeros(rows, dtype=np.int64), np.arange(rows), []
+        step_count = np.zeros(rows, dtype=np.int64)
+        members = np.arange(rows)
+        seen = []
         for step in range(CHUNK + 40):
             step_count[:] = step
             seen.append(sensors.measured(reading_of(rows), step_count, members).tendon_length[row])
@@ -119,7 +123,8 @@ def test_rows_that_stand_keep_their_noise():
     sensors = Sensors(SensorNoise(position=0.1), 2, 3, 2, omit=0.0)
     for row in range(2):
         sensors.begin(row, row)
-    counts, members = np.zeros(2, dtype=np.int64), np.arange(2)
+    counts = np.zeros(2, dtype=np.int64)
+    members = np.arange(2)
     first = sensors.measured(reading_of(2), counts, members).tip_pose
     counts[1] = 1
     second = sensors.measured(reading_of(2), counts, np.array([1])).tip_pose

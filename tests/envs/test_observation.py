@@ -61,13 +61,20 @@ def test_groups_are_what_they_say(arm):
         observation, *_ = env.step(action)
     assert env.observation_space.contains(observation)
     episodes = env.episodes
-    model, rows, L = episodes.model, episodes.arms.rows, episodes.model.length
-    q, q_dot = rows.q[0].copy(), rows.q_dot[0].copy()
-    terms, rest = model.terms(q, q_dot), episodes.starts.q
+    model = episodes.model
+    rows = episodes.arms.rows
+    L = episodes.model.length
+    q = rows.q[0].copy()
+    q_dot = rows.q_dot[0].copy()
+    terms = model.terms(q, q_dot)
+    rest = episodes.starts.q
     wanted = episodes.target
-    target, ahead, target_q = wanted.tip_pose[0, 0], wanted.tip_pose[0, 1], wanted.q[0]
+    target = wanted.tip_pose[0, 0]
+    ahead = wanted.tip_pose[0, 1]
+    target_q = wanted.q[0]
     unit = units(model)
-    error, twist = np.repeat([0.5, 0.1 * L], 3), np.repeat([5.0, 5.0 * L], 3)
+    error = np.repeat([0.5, 0.1 * L], 3)
+    twist = np.repeat([5.0, 5.0 * L], 3)
     expected = {
         "coordinates": q / unit,
         "rates": q_dot / (10.0 * unit),
@@ -119,7 +126,8 @@ def units(model):
 
 def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_always_so(arm):
     env = TipPoseEnv(**arm, **HISTORY, randomize=NOISY)
-    generator, slices = np.random.default_rng(0), env.episodes.layout.slices
+    generator = np.random.default_rng(0)
+    slices = env.episodes.layout.slices
     kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
     assert kept == ["tip_position", "tendon_lengths", "last_action", "command"]
     for seed in (0, 1):
@@ -164,7 +172,8 @@ def test_targets_from_the_tip_are_continuous_over_half_a_turn():
     env = TipPoseEnv(**SMALL, observation=names, preview=[0.1, 0.3])
     seen = {}
     for angle in (3.1, 3.2):  # on both sides of half a turn about z
-        c, s = np.cos(angle), np.sin(angle)
+        c = np.cos(angle)
+        s = np.sin(angle)
         pose = [[c, -s, 0, 0.2], [s, c, 0, 0.1], [0, 0, 1, 0.05], [0, 0, 0, 1]]
         env.set_target({"type": "hold", "pose": pose})
         observation, _ = env.reset(seed=0)
@@ -189,7 +198,15 @@ def test_targets_from_the_tip_are_those_of_the_logarithm():
         observation, *_ = env.step(np.ones(3))
     values = env.episodes.layout.values(observation[None])
     wx, wy, wz, vx, vy, vz = values["target_error"][0]
-    twist = np.array([[0, -wz, wy, vx], [wz, 0, -wx, vy], [-wy, wx, 0, vz], [0, 0, 0, 0]])
+    twist = np.array(
+        [
+            [0, -wz, wy, vx],
+            [wz, 0, -wx, vy],
+            [-wy, wx, 0, vz],
+            [0, 0, 0, 0],
+        ]
+    )
     pose = expm(twist)
-    expected = [*pose[:3, 3], *pose[:3, 0], *pose[:3, 1]]
+    position = pose[:3, 3]
+    expected = [*position, *pose[:3, 0], *pose[:3, 1]]
     np.testing.assert_allclose(values["target_pose"][0], expected, atol=1e-5)

@@ -140,6 +140,7 @@ BAD = [
     (TipPoseEnv, {"preview": 0.1}, r"preview is 0.1: it should be a list of times .*: \[0.1\]"),
     (TipPoseEnv, {"preview": 2}, r"preview is 2: it should be a list of times ahead .*: \[2\]"),
     (TipPoseEnv, {"threshold": 1e-300}, "threshold is 1e-300"),
+    (TipPoseEnv, {"rate_limit": 0.0}, "rate_limit is 0.0"),
     (
         TipPoseEnv,
         {"randomize": {"stifness": 1.0}},

@@ -37,7 +37,8 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
         scene={"scene": "three_tendon", **changes}, target=target, randomize={"stiffness": 1.3}
     )
     env.reset(seed=0)
-    episodes, one = env.episodes, np.arange(1)
+    episodes = env.episodes
+    one = np.arange(1)
     wanted = episodes.target.q[:, 0].copy()
     for q, vanishes in ((wanted, factor == 1.0), (factor * wanted, True)):
         episodes.arms.place(one, q)
@@ -49,7 +50,8 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
 def acting_tensions(env, actions, seed=0):
     """The tensions (20 steps, n_a) that acted in every millisecond of control periods of 20 ms, and
     the observations."""
-    episodes, tensions = env.episodes, []
+    episodes = env.episodes
+    tensions = []
     apply = episodes.actuation.apply
 
     def noted(action, members):
@@ -78,10 +80,8 @@ def test_latency_delays_the_tensions_by_any_time(milliseconds):
         "scene": {"scene": "three_tendon", "integrator.step": 0.01},
         "fidelity": "scene",
     }
-    prompt, late = (
-        TipPoseEnv(**options),
-        TipPoseEnv(**options, randomize={"latency": 0.001 * milliseconds}),
-    )
+    prompt = TipPoseEnv(**options)
+    late = TipPoseEnv(**options, randomize={"latency": 0.001 * milliseconds})
     actions, tensions = commands(prompt)
     fine = np.repeat(tensions, 20, axis=0)
     np.testing.assert_array_equal(acting_tensions(prompt, actions)[0], fine)
@@ -93,10 +93,8 @@ def test_latency_delays_the_tensions_by_any_time(milliseconds):
 
 
 def test_gains_and_offsets_act_on_tensions():
-    plain, wrong = (
-        TipPoseEnv(**SMALL),
-        TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5}),
-    )
+    plain = TipPoseEnv(**SMALL)
+    wrong = TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5})
     actions, tensions = commands(plain)
     np.testing.assert_allclose(
         acting_tensions(wrong, actions)[0][::20], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15
@@ -122,16 +120,21 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
         "target_error",
     ]
     options = {**SMALL, "observation": groups, "sensors": [0.1, 0.2]}
-    plain, noisy = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"noise": noise})
-    seen, infos = {}, {}
+    plain = TipPoseEnv(**options)
+    noisy = TipPoseEnv(**options, randomize={"noise": noise})
+    seen = {}
+    infos = {}
     for env in (plain, noisy):
-        rows, told = [env.reset(seed=0)[0]], []
+        rows = [env.reset(seed=0)[0]]
+        told = []
         for _ in range(400):
             observation, reward, _, _, info = env.step(np.zeros(3))
             rows.append(observation)
             told.append((reward, info))
-        seen[env], infos[env] = np.array(rows, dtype=float), told
-    difference, slices = seen[noisy] - seen[plain], plain.episodes.layout.slices
+        seen[env] = np.array(rows, dtype=float)
+        infos[env] = told
+    difference = seen[noisy] - seen[plain]
+    slices = plain.episodes.layout.slices
     assert infos[plain] == infos[noisy]  # the target is drawn before the sensors' seed
     assert not difference[:, slices["coordinates"]].any()
     length = plain.episodes.model.length
@@ -182,7 +185,8 @@ def test_what_is_omitted_is_as_the_scene_says():
     }
     env = TipPoseVectorEnv(64, threads=1, **SMALL, randomize={**drawn, "omit": 0.5})
     env.reset(seed=0)
-    episodes, none = env.episodes, np.zeros((64, 3))
+    episodes = env.episodes
+    none = np.zeros((64, 3))
     modulus = np.array(
         [episodes.arms.model_of(row).scene.segments[0].young_modulus for row in range(64)]
     )

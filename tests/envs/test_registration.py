@@ -25,7 +25,8 @@ def test_every_task_has_its_classes_and_its_id(name):
     task = TASKS[name]
     assert task.id == IDS[name]
     assert gym.spec(task.id).max_episode_steps == 500
-    one, many = getattr(environments, f"{name}Env"), getattr(environments, f"{name}VectorEnv")
+    one = getattr(environments, f"{name}Env")
+    many = getattr(environments, f"{name}VectorEnv")
     assert one.task is many.task is task
     assert one.__doc__ == task.description
     assert hasattr(one, "compute_reward") == hasattr(many, "compute_reward") == (name == "Reach")
@@ -48,15 +49,14 @@ def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
 def test_a_task_from_outside_is_an_environment(forgotten):
     hover = replace(TIP_POSE, target="hold", description="Stay.")
     register("task", "Hover", hover, max_episode_steps=7)
-    env, envs = (
-        gym.make("TendonRod-Hover-v0", **SMALL),
-        gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL),
-    )
+    env = gym.make("TendonRod-Hover-v0", **SMALL)
+    envs = gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL)
     like = TipPoseEnv(**SMALL, target="hold")
     assert type(env.unwrapped).__name__ == "HoverEnv"
     assert type(env.unwrapped).__doc__ == "Stay."
     assert env.spec.max_episode_steps == 7
-    first, expected = env.reset(seed=3)[0], like.reset(seed=3)[0]
+    first = env.reset(seed=3)[0]
+    expected = like.reset(seed=3)[0]
     np.testing.assert_array_equal(first, expected)
     np.testing.assert_array_equal(envs.reset(seed=3)[0][0], expected)
     again = pickle.loads(pickle.dumps(env.unwrapped))

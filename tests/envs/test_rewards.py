@@ -95,7 +95,8 @@ def test_terms_are_what_they_say():
     assert info["reward_smoothness"] == pytest.approx(
         1 - (1 + 0.25) / 3
     )  # from -1, -1, -1; a change of 2 counts as 1
-    pose, target = env.episodes.arms.reading.tip_pose[0], env.episodes.target_pose[0]
+    pose = env.episodes.arms.reading.tip_pose[0]
+    target = env.episodes.target_pose[0]
     assert info["position_error"] == pytest.approx(
         np.linalg.norm(pose[:3, 3] - target[:3, 3]), rel=1e-12
     )
@@ -112,7 +113,10 @@ def test_compute_reward_gives_the_rewards_of_the_steps(kind):
         "threshold": 0.06,
         "randomize": {"noise": {"position": 0.01}},
     }
-    env, achieved, desired, rewards = ReachEnv(**options), [], [], []
+    env = ReachEnv(**options)
+    achieved = []
+    desired = []
+    rewards = []
     for observation, reward, _, _, info in steps(env, 60, seed=1):
         one = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
         assert type(one) is float
@@ -147,11 +151,9 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
         return 1.0 / (1.0 + np.abs(tracking.reading.strain[..., :3]).max(axis=(1, 2)))
 
     options = {**SMALL, "sensors": 3, "reward": {"straightness": 3.0, "position": 1.0}}
-    env, rows, alone = (
-        TipPoseEnv(**options),
-        TipPoseVectorEnv(2, **options),
-        TipPoseEnv(**{**options, "reward": {"straightness": 0.1}}),
-    )
+    env = TipPoseEnv(**options)
+    rows = TipPoseVectorEnv(2, **options)
+    alone = TipPoseEnv(**{**options, "reward": {"straightness": 0.1}})
     for each in (env, rows, alone):
         each.reset(seed=0)
     for _ in range(3):
@@ -194,7 +196,8 @@ def test_a_term_of_a_users_own_knows_the_time(forgotten):
         return (tracking.time > 0.05).astype(float)
 
     options = {**SMALL, "reward": {"late": 1.0}}
-    env, rows = TipPoseEnv(**options), TipPoseVectorEnv(2, **options)
+    env = TipPoseEnv(**options)
+    rows = TipPoseVectorEnv(2, **options)
     for _ in range(2):
         rows.reset(seed=0)
         found = [
@@ -240,7 +243,8 @@ def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, show
 )
 def test_no_drawn_goal_is_reached_before_the_first_action(options):
     """The same goals for one row and for many."""
-    env, rows = ReachEnv(fidelity="fast", **options), ReachVectorEnv(40, fidelity="fast", **options)
+    env = ReachEnv(fidelity="fast", **options)
+    rows = ReachVectorEnv(40, fidelity="fast", **options)
     begun = [env.reset(seed=seed) for seed in range(40)]
     assert not any(info["is_success"] for _, info in begun)
     observation, info = rows.reset(seed=0)

@@ -61,10 +61,8 @@ def saturate(vector, steps, seed=0):
             if key != "drawn" and values.dtype.kind == "f"
         )
         assert (info["diverged"] == terminated).all()
-        ended, diverged = (
-            ended + int((terminated | truncated).sum()),
-            diverged + int(terminated.sum()),
-        )
+        ended = ended + int((terminated | truncated).sum())
+        diverged = diverged + int(terminated.sum())
     return ended, diverged
 
 
@@ -175,7 +173,10 @@ def live_among(steps, **options):
         name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")
     }
     vector.reset(seed=0)
-    rng, deepest, fastest, touched = np.random.default_rng(0), 0.0, 0.0, 0.0
+    rng = np.random.default_rng(0)
+    deepest = 0.0
+    fastest = 0.0
+    touched = 0.0
     action = rng.choice([-1.0, 1.0], vector.action_space.shape)
     for step in range(steps):
         action = np.where(rng.random(action.shape) < 0.3, -action, action)
@@ -190,10 +191,8 @@ def live_among(steps, **options):
         assert (tip.tip_pose[:, 2, 3] < 0.1).all(), "on this side of plate and wall"
         fastest = max(fastest, np.linalg.norm(tip.tip_twist[:, 3:], axis=1).max())
         found = contact_forces(vector.model, vector.episodes.state(step % 64))
-        deepest, touched = (
-            max(deepest, found.penetration.max()),
-            touched + float(found.sample_force.any()),
-        )
+        deepest = max(deepest, found.penetration.max())
+        touched = touched + float(found.sample_force.any())
     assert touched > 0.05 * steps
     vector.close()
     return deepest, fastest
@@ -210,7 +209,10 @@ def test_every_effect_at_once():
 def test_a_divergence_ends_the_episode():
     env = TipPoseEnv(**SATURATED)
     env.reset(seed=0)
-    rng, steps, terminated, truncated = np.random.default_rng(0), 0, False, False
+    rng = np.random.default_rng(0)
+    steps = 0
+    terminated = False
+    truncated = False
     while not (terminated or truncated):
         observation, reward, terminated, truncated, info = env.step(
             rng.choice([-1.0, 1.0], env.action_space.shape)
@@ -233,10 +235,12 @@ def test_a_divergence_ends_the_episode():
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
 def test_other_rows_go_on(mode, same):
     """Rows 0 and 2 are gentle, row 1 is not: the gentle ones are as alone."""
-    vector, alone = TipPoseVectorEnv(3, None, mode, **SATURATED), TipPoseEnv(**SATURATED)
+    vector = TipPoseVectorEnv(3, None, mode, **SATURATED)
+    alone = TipPoseEnv(**SATURATED)
     vector.reset(seed=3)
     alone.reset(seed=5)
-    rng, ends = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    ends = 0
     for _ in range(60):
         action = 0.001 * rng.uniform(-1, 1, (3, 3))
         action[1] = rng.choice([-1.0, 1.0], 3)

@@ -59,7 +59,8 @@ def test_episodes_begin_in_a_state_and_go_on_as_a_simulation_does(scene, same):
 
 
 def test_goals_and_targets_are_of_one_episode(same):
-    env, rows = ReachEnv(**SMALL), ReachVectorEnv(3, 2, "same_step", **SMALL)
+    env = ReachEnv(**SMALL)
+    rows = ReachVectorEnv(3, 2, "same_step", **SMALL)
     usual = [ReachEnv(**SMALL).reset(seed=2 + row)[0]["desired_goal"] for row in range(3)]
     for goal in (
         [0.2, 0.1, 0],
@@ -130,13 +131,12 @@ def test_the_state_can_be_set_in_mid_episode(scene, same):
         each.reset(seed=1)
         for action in actions[:4]:
             each.step(action)
-    elsewhere, before = bent(env), env.state
+    elsewhere = bent(env)
+    before = env.state
     env.state = elsewhere
     assert same([*vars(env.state).values()], [*vars(elsewhere).values()])
-    reading, observed = (
-        env.episodes.arms.reading,
-        env.episodes.layout.values(env.episodes.observation()),
-    )
+    reading = env.episodes.arms.reading
+    observed = env.episodes.layout.values(env.episodes.observation())
     np.testing.assert_allclose(
         reading.tip_pose[0], Simulation(env.model, elsewhere).tip_pose, atol=1e-12
     )
@@ -157,7 +157,8 @@ def test_another_target_is_followed_from_now_on(same):
     """In rows as in single environments: from its beginning, in later episodes too; the other rows
     go on."""
     options = {**SMALL, "preview": [0.1], "history": 1}
-    rows, single = TipPoseVectorEnv(2, 12, **options), [TipPoseEnv(**options) for _ in range(2)]
+    rows = TipPoseVectorEnv(2, 12, **options)
+    single = [TipPoseEnv(**options) for _ in range(2)]
     rows.reset(seed=0)
     for seed, env in enumerate(single):
         env.reset(seed=seed)
@@ -190,7 +191,9 @@ def test_another_target_is_followed_from_now_on(same):
     ],
 )
 def test_another_target_is_refused_as_one_of_the_start(kind, target, same):
-    env, twin, said = kind(**SMALL), kind(**SMALL), []
+    env = kind(**SMALL)
+    twin = kind(**SMALL)
+    said = []
     for each in (env, twin):
         each.reset(seed=0)
     for refuse in (lambda: env.set_target(target), lambda: kind(**SMALL, target=target)):
@@ -288,11 +291,9 @@ def test_bad_options_are_refused_before_anything_changes(made, options, message,
 
 
 def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):
-    env, twin, late = (
-        TipPoseEnv(**SMALL),
-        TipPoseEnv(**SMALL),
-        TipPoseEnv(**{**SMALL, "scene": LATE}),
-    )
+    env = TipPoseEnv(**SMALL)
+    twin = TipPoseEnv(**SMALL)
+    late = TipPoseEnv(**{**SMALL, "scene": LATE})
     start = bent(env)
     bad = {
         "state.q should have shape": Simulation(build_model(load_scene("helical"))).state,

@@ -95,7 +95,9 @@ def test_what_the_environment_shows_is_the_target_now(target, same):
     previews come true."""
     env = TipPoseEnv(**SMALL, target=target, preview=[0.1])
     course, _ = course_of(env, 2)
-    times, shown, ahead = 0.02 * np.arange(301), [], []
+    times = 0.02 * np.arange(301)
+    shown = []
+    ahead = []
     for _ in times:
         shown.append(env.episodes.target.tip_pose[0, 0].copy())
         ahead.append(env.episodes.target.tip_pose[0, 1].copy())
@@ -239,7 +241,8 @@ hangs down."""
 )
 def test_targets_are_static_shapes_at_knots_and_nearly_so_between(target, kind, arms):
     """Between knots at most 1e-4 of the length."""
-    env, worst = TipPoseEnv(**{**arms, **LOADED}[kind], target=target), 0.0
+    env = TipPoseEnv(**{**arms, **LOADED}[kind], target=target)
+    worst = 0.0
     for seed in range(3):
         course, tension = course_of(env, seed)
         knots = course.tension.knots
@@ -325,7 +328,8 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
         make(scene=HANGING, fidelity="fast", target=target)
         for make in (TipPoseEnv, TipPoseEnv, TipPoseVectorEnv)
     )
-    times, seen = 0.02 * np.arange(100), {}
+    times = 0.02 * np.arange(100)
+    seen = {}
     for seed in (3, 8, 1):
         env.reset(seed=seed)
         seen[seed] = env.target_at(times).tip_pose
@@ -356,7 +360,8 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
     env = TipPoseEnv(**SMALL, target={"type": "file", "path": str(tmp_path / "path.csv")})
     course = course_of(env, 0)[0]
     times = np.array([0.0, 0.5, 1.0, 2.0, 3.0])
-    found, between = course.sample(times), course.sample(np.array([0.6, 1.3, 1.9]))
+    found = course.sample(times)
+    between = course.sample(np.array([0.6, 1.3, 1.9]))
     np.testing.assert_allclose(
         found.tip_pose[[0, 1, 4], :3, 3],
         [[0.28, 0.0, 0.05], [0.28, 0.0, 0.05], [0.2, 0.1, 0.0]],
@@ -383,7 +388,9 @@ def file_of(path, rows):
     return {"type": "file", "path": str(path)}
 
 
-X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+# axes of the world
+X = (1.0, 0.0, 0.0)
+Y = (0.0, 1.0, 0.0)
 STEP = [
     (0.0, (0.29, 0.0, 0.0), 0.0, X),
     (2.0, (0.28, 0.01, 0.0), 0.1, X),
@@ -398,17 +405,24 @@ def test_between_two_rows_a_target_stays_between_them(tmp_path):
     """Also where a step stands beside long ways, between which a spline would overshoot."""
     course = FileCourse(file_of(tmp_path / "step.csv", STEP)["path"])
     for before, after in itertools.pairwise(STEP):
-        times = np.linspace(before[0], after[0], 200)
-        samples = course.sample(times)
-        places = np.array([before[1], after[1]])
-        assert (samples.tip_pose[:, :3, 3] >= places.min(axis=0) - 1e-12).all()
-        assert (samples.tip_pose[:, :3, 3] <= places.max(axis=0) + 1e-12).all()
-        turn = np.arctan2(samples.tip_pose[:, 2, 1], samples.tip_pose[:, 1, 1])
-        np.testing.assert_allclose(samples.tip_pose[:, 0, 0], 1.0, atol=1e-12)
-        least, greatest = sorted([before[2], after[2]])
-        assert ((turn >= least - 1e-9) & (turn <= greatest + 1e-9)).all()
+        time_before, position_before, angle_before, _ = before
+        time_after, position_after, angle_after, _ = after
+        times = np.linspace(time_before, time_after, 200)
+        pose = course.sample(times).tip_pose
+        position = pose[:, :3, 3]
+        least = np.minimum(position_before, position_after)
+        greatest = np.maximum(position_before, position_after)
+        assert (position >= least - 1e-12).all()
+        assert (position <= greatest + 1e-12).all()
+        # about the x axis alone
+        turn = np.arctan2(pose[:, 2, 1], pose[:, 1, 1])
+        np.testing.assert_allclose(pose[:, 0, 0], 1.0, atol=1e-12)
+        least_turn, greatest_turn = sorted([angle_before, angle_after])
+        assert (turn >= least_turn - 1e-9).all()
+        assert (turn <= greatest_turn + 1e-9).all()
         # on the shortest way: never back
-        assert (np.diff(turn) * np.sign(after[2] - before[2]) >= -1e-12).all()
+        direction = np.sign(angle_after - angle_before)
+        assert (np.diff(turn) * direction >= -1e-12).all()
 
 
 def test_a_path_is_smooth_and_goes_through_its_rows(tmp_path):
@@ -495,7 +509,9 @@ EITHER = {
 
 def test_every_episode_draws_one_of_several_targets():
     """As often as another; circles within their ranges, at every seed the same."""
-    env, kinds, found = TipPoseEnv(**SMALL, target=EITHER), [], []
+    env = TipPoseEnv(**SMALL, target=EITHER)
+    kinds = []
+    found = []
     for seed in range(40):
         course, _ = course_of(env, seed)
         kinds.append(isinstance(course, CircleCourse))

@@ -142,7 +142,9 @@ def test_shapes_are_compared_along_the_backbone():
     env.reset(seed=1)
     _, _, _, _, info = env.step(np.array([0.5, -0.5, 1.0]))
     episodes = env.episodes
-    model, q, target = env.model, episodes.arms.rows.q[0], episodes.target.q[0, 0]
+    model = env.model
+    q = episodes.arms.rows.q[0]
+    target = episodes.target.q[0, 0]
     places = model.length * np.arange(1, 21) / 20
     backbone = model.backbone_at(q, places)
     target_backbone = model.backbone_at(target, places)
@@ -156,7 +158,8 @@ def test_shapes_are_compared_along_the_backbone():
 @pytest.mark.no_jit
 def test_targets_are_read_at_their_steps_in_a_table_that_is_written_round():
     rng = np.random.default_rng(0)
-    rows, room = 2, 5
+    rows = 2
+    room = 5
     twists = rng.uniform(-1.0, 1.0, (rows * (room + 1), 6))
     every_pose = np.stack([moved_pose(np.eye(4), twist) for twist in twists])
     tips = every_pose[:rows]
@@ -165,8 +168,10 @@ def test_targets_are_read_at_their_steps_in_a_table_that_is_written_round():
     ahead = np.array([0, 1, 3])
     table = TargetTable(pose=poses, other=others, ahead=ahead)
     steps = np.array([4, 11])
-    pose, other = np.empty((rows, 3, 4, 4)), np.empty((rows, 3, 7))
-    error, offset = np.empty((rows, 3, 6)), np.empty((2, rows))
+    pose = np.empty((rows, 3, 4, 4))
+    other = np.empty((rows, 3, 7))
+    error = np.empty((rows, 3, 6))
+    offset = np.empty((2, rows))
     targets_ahead(table, steps, tips, pose, other, error, offset)
     for row in range(rows):
         places = (steps[row] + ahead) % room

@@ -61,12 +61,14 @@ def info_of(info, row):
 def single_steps(env, seed, actions, mode):
     """What one row gives: (observation, reward, terminated, truncated, info, final observation,
     final info) by step."""
-    count, over = 0, False
+    count = 0
+    over = False
     yield (*env.reset(seed=seed),)
     for action in actions:
         if over and mode == "next_step":
             observation, info = env.reset()
-            count, over = 0, False
+            count = 0
+            over = False
             yield observation, 0.0, False, False, info, None, None
             continue
         observation, reward, terminated, _, info = env.step(action)
@@ -74,9 +76,11 @@ def single_steps(env, seed, actions, mode):
         truncated = count == LONGEST
         over = terminated or truncated
         if over and mode == "same_step":
-            final, final_info = observation, info
+            final = observation
+            final_info = info
             observation, info = env.reset()
-            count, over = 0, False
+            count = 0
+            over = False
             yield observation, reward, terminated, truncated, info, final, final_info
         else:
             yield observation, reward, terminated, truncated, info, None, None

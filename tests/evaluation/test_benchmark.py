@@ -66,6 +66,18 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
         )
 
 
+@pytest.mark.parametrize("limit", [{}, {"rate_limit": 2.0}])
+def test_all_entrants_have_the_same_actuators(limit):
+    """Whatever an entrant observes and asks for, in every setting; the output says which."""
+    played = benchmark(STILL, "filtered:tracking", "agent", scene="paper", **limit)
+    cells, _ = played.cells()
+    assert {label.policy for label in cells} == {STILL, "filtered:tracking", "agent"}
+    rates = {cell.options["rate_limit"] for cell in cells.values()}
+    assert rates == {limit.get("rate_limit")}
+    said = "at most 2 N/s" if limit else "no rate limit"
+    assert said in played.actuators
+
+
 def test_agents_of_one_training_share_its_episodes(tmp_path):
     """Beside the files of an agent, or of a folder of runs."""
     shipped = find_agent("dagger", "Reach")
@@ -201,16 +213,27 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
         f'[[entrants]]\npolicy = "{policy}"\n' for policy in ("filtered:tracking@fast", STILL)
     )
     config.write_text(f'{table}regimes = ["tip"]\n{entrants}')
-    command = ["arena", "--config", str(config), "--out", str(out)]
+    command = ["arena", "--config", str(config), "--out", str(out), "--rate-limit", "20"]
     main([*command, "--settings", "nominal"])
     assert "2 cells, 2 of them to be played" in capsys.readouterr().out
     main(command)
     said = capsys.readouterr().out
     assert "4 cells, 2 of them to be played" in said
-    assert re.search(
-        r"\| filtered:tracking@fast +\| controller, kalman estimator \| [0-9.]+ / ", said
-    )
-    assert re.search(r"\| best learned minus best controller \| - +\| -?[0-9.]+ \(", said)
+    for heading, number in (
+        ("position [mm] RMS", r"[0-9.]+ \([0-9.]+\)"),
+        ("angle [deg] RMS", r"[0-9.]+ \([0-9.]+\)"),
+        ("return", r"[0-9.]+ \([0-9.]+\)"),
+        ("bad episodes [%]", "[0-9]+"),
+    ):
+        assert f"| {heading} " in said
+        table = said[said.index(f"| {heading} ") :]
+        assert table.split("\n")[0].split("|")[2].strip() == "filtered:tracking@fast"
+        assert re.search(rf"\| latency +\| {number} +\| {number} +\|", table)
+    assert "### Noisy sensors without strains" in said
+    # Still is a user's own: nobody knows whether it has learned.
+    assert "| best other policy minus best controller | position [mm]" in said
+    assert re.search(r"\| latency +\| -?[0-9.]+ \(-?[0-9.]+ to -?[0-9.]+\)", said)
+    assert "best learned" not in said
     assert (
         len(
             re.findall(
@@ -224,7 +247,10 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     main(command)
     assert "4 cells, 0 of them to be played" in capsys.readouterr().out
     assert (out / "arena.png").stat().st_size > 10_000
-    assert "(arena.png)" in (out / "arena.md").read_text()
+    page = (out / "arena.md").read_text()
+    assert "(arena.png)" in page
+    assert "change by at most 20 N/s" in page
+    assert "change by at most 20 N/s" in said
     rows = list(csv.DictReader((out / "arena.csv").open()))
     assert {row["policy"] for row in rows} == {"filtered:tracking@fast", STILL}
     assert all(float(row["position_error_rms"]) > 0 for row in rows)
@@ -238,4 +264,5 @@ def test_the_published_comparison_can_be_played(monkeypatch):
     assert notes == []
     assert {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
     assert published.episodes == 100
+    assert published.rate_limit == 150.0
     assert {cell.seconds for cell in cells.values()} == {4.0}

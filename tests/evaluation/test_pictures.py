@@ -1,5 +1,5 @@
-"""Pictures of errors by condition: points are interquartile means, lines their intervals, side by
-side."""
+"""Pictures of errors by condition: points are interquartile means, lines their intervals, one
+below the other."""
 
 import matplotlib
 
@@ -30,7 +30,7 @@ def axes():
     plt.close(figure)
 
 
-def test_policies_stand_side_by_side_in_every_condition(axes):
+def test_policies_stand_below_one_another_in_every_condition(axes):
     """In millimetres, on a logarithmic scale; where one did not play there is nothing."""
     panel = {
         ("a", "x"): standing(0.001, 0.002, 0.003, 0.050),
@@ -40,14 +40,14 @@ def test_policies_stand_side_by_side_in_every_condition(axes):
     _draw_panel(axes, panel, styles(["a", "b"]))
     points = {line.get_label(): line.get_xydata() for line in axes.lines}
     aside = SPREAD / 4.0
-    np.testing.assert_allclose(points["a"], [[-aside, 2.5], [1.0 - aside, 5.0]])
-    np.testing.assert_allclose(points["b"], [[aside, 4.0]])
+    np.testing.assert_allclose(points["a"], [[2.5, -aside], [5.0, 1.0 - aside]])
+    np.testing.assert_allclose(points["b"], [[4.0, aside]])
     intervals = [path.vertices for lines in axes.collections for path in lines.get_paths()]
     mean = panel["a", "x"].mean("position_error_rms")
-    expected = [[-aside, 1e3 * mean.low], [-aside, 1e3 * mean.high]]
+    expected = [[1e3 * mean.low, -aside], [1e3 * mean.high, -aside]]
     np.testing.assert_allclose(intervals[0], expected)
-    borders = [line.get_xdata()[0] for line in axes.lines if line.get_label().startswith("_")]
+    borders = [line.get_ydata()[0] for line in axes.lines if line.get_label().startswith("_")]
     assert borders == [0.5]
-    assert axes.get_xlim() == (-0.5, 1.5)
-    assert axes.get_yscale() == "log"
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["x", "y"]
+    assert axes.get_ylim() == (1.5, -0.5)
+    assert axes.get_xscale() == "log"
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["x", "y"]

@@ -12,6 +12,7 @@ from soft_tendon_env.evaluation.tables import (
     error_text,
     markdown_table,
     number,
+    number_tables,
     record_table,
     records,
     summary_cells,
@@ -130,16 +131,40 @@ def test_errors_are_interquartile_mean_and_mean_with_the_share_of_bad_episodes()
     assert error_text(standing(0.02, 0.02)) == "20.0 / 20.0"
 
 
+def cells_of(table):
+    """Cells of a Markdown table by rows, the heading first."""
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.split("\n")]
+    return [rows[0], *rows[2:]]
+
+
 def test_the_table_of_errors_has_policies_in_rows_and_conditions_in_columns():
     many = Standing([[score_of(0, 0.002)], [score_of(0, 0.004)]])
     standings = {("a", "x"): standing(0.001), ("b", "x"): many, ("a", "y"): standing(0.005)}
-    models = {"a": "none", "b": "own"}
-    table = error_table(standings, models, [{"": "gap", "y": "7"}])
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.split("\n")]
-    assert rows[0] == ["position [mm] RMS", "model in the loop", "x", "y"]
-    assert rows[2] == ["a", "none", "1.00 / 1.00", "5.00 / 5.00"]
-    assert rows[3] == ["b (2 seeds)", "own", "3.00 / 3.00", "-"]
-    assert rows[4] == ["gap", "-", "-", "7"]
+    assert cells_of(error_table(standings)) == [
+        ["position [mm] RMS", "x", "y"],
+        ["a", "1.00 / 1.00", "5.00 / 5.00"],
+        ["b (2 seeds)", "3.00 / 3.00", "-"],
+    ]
+
+
+def test_narrow_tables_have_errors_returns_and_shares_of_bad_episodes():
+    errors = (0.001, 0.002, 0.003, 0.030)
+    scores = [score_of(seed, error, 100.0 * error) for seed, error in enumerate(errors)]
+    position, returns, bad = number_tables({("a", "x"): Standing([scores])})
+    assert cells_of(position) == [["position [mm] RMS", "a"], ["x", "2.5 (9.0)"]]
+    assert cells_of(returns) == [["return", "a"], ["x", "0.25 (0.90)"]]
+    assert cells_of(bad) == [["bad episodes [%]", "a"], ["x", "25"]]
+
+
+def test_narrow_tables_have_conditions_in_rows_and_policies_in_columns():
+    many = Standing([[score_of(0, 0.002)], [score_of(0, 0.004)]])
+    standings = {("a", "x"): standing(0.001), ("b", "x"): many, ("a", "y"): standing(0.005)}
+    bad = number_tables(standings)[-1]
+    assert cells_of(bad) == [
+        ["bad episodes [%]", "a", "b (2 seeds)"],
+        ["x", "0", "0"],
+        ["y", "0", "-"],
+    ]
 
 
 def test_records_are_in_si_units_with_counts():
@@ -186,3 +211,4 @@ def test_verdicts_say_where_intervals_leave_out_zero():
     assert text.endswith(" By position: ahead in x; behind in y; not separated in z, w.")
     assert verdict({"return": {"x": behind, "y": behind}}).endswith(" By return: behind in all.")
     assert verdict({"position": {}}) == ""
+    assert verdict({"return": {"x": behind}}, "other policy").startswith(" The best other policy")

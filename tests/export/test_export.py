@@ -133,7 +133,8 @@ def test_commands_are_those_of_the_original(exported, given):
 )
 def test_agents_that_ship(folder, tmp_path):
     env = gym.make(IDS[folder.name], **policy_options(folder.parent.name, folder.name, {}))
-    agent, path = load_agent(folder.parent.name, env), tmp_path / "agent.onnx"
+    agent = load_agent(folder.parent.name, env)
+    path = tmp_path / "agent.onnx"
     path.write_bytes(export_agent(agent, env).SerializeToString())
     assert compare(path, agent, env, steps=15)[2] < 3e-6
 
@@ -149,10 +150,8 @@ def test_another_policy_is_told_apart(exported):
 def test_it_remembers_and_says_what_goes_in(exported):
     env, _, path = exported(observation=["tip_position", "command"], action="increment")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    names, given = (
-        [of.name for of in session.get_outputs()],
-        {"tip_pose": np.eye(4), "started": np.zeros(1), "command": np.zeros(3)},
-    )
+    names = [of.name for of in session.get_outputs()]
+    given = {"tip_pose": np.eye(4), "started": np.zeros(1), "command": np.zeros(3)}
     first = dict(zip(names, session.run(None, given), strict=True))
     second = dict(
         zip(
@@ -163,10 +162,8 @@ def test_it_remembers_and_says_what_goes_in(exported):
     )
     assert first["next_started"] == 1.0
     assert not np.array_equal(first["next_command"], second["next_command"])
-    said, limits = (
-        json.loads(session.get_modelmeta().custom_metadata_map["soft_tendon_env"]),
-        env.unwrapped.episodes.limits,
-    )
+    said = json.loads(session.get_modelmeta().custom_metadata_map["soft_tendon_env"])
+    limits = env.unwrapped.episodes.limits
     assert (said["task"], said["control_period_s"], said["of"]) == ("TipPose", 0.02, "nobody")
     assert said["inputs"] == {"tip_pose": {"shape": [4, 4], "unit": "1, last column m"}}
     assert said["command"] == {"unit": "N", "limits": limits.tolist()}
@@ -195,7 +192,8 @@ def test_pose_logarithms_are_those_of_the_package():
         ]
     )
     twists = np.concatenate([rotations, draw.normal(size=rotations.shape)], axis=1)
-    pose, wanted = np.empty((1, 4, 4)), np.empty((1, len(twists), 4, 4))
+    pose = np.empty((1, 4, 4))
+    wanted = np.empty((1, len(twists), 4, 4))
     kernels.move_poses(
         np.eye(4)[None], np.array([[[0.3, -0.5, 0.2, 0.1, 0.2, -0.3]]]), wanted[:, :1]
     )

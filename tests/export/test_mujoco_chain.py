@@ -54,13 +54,16 @@ def numbers(element, name):
 
 @pytest.mark.parametrize(("name", "changes"), ARMS)
 def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name, changes):
-    scene, model = load_scene(name).replace(changes), build(name, changes)
+    scene = load_scene(name).replace(changes)
+    model = build(name, changes)
     chain.mujoco_chain(scene, 15).write(tmp_path / "arm.xml")
     root = ElementTree.parse(tmp_path / "arm.xml").getroot()
-    line_mass, borders = (
-        lambda s: screw_matrices(scene, np.array([s]))[2][0, 3],
-        segment_borders(scene),
-    )
+
+    def line_mass(s):
+        _, _, inertia = screw_matrices(scene, np.array([s]))
+        return inertia[0, 3]
+
+    borders = segment_borders(scene)
     mass = quad(line_mass, 0.0, borders[-1], points=borders[1:-1])[0] + scene.effects.payload[3]
     mass += disc_rows(scene)[:, 1].sum()
     assert sum(float(part.attrib["mass"]) for part in root.iter("inertial")) == pytest.approx(
@@ -73,7 +76,9 @@ def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name
         atol=1e-4 * rod_length(scene),
     )
     for path, length in zip(root.iter("spatial"), model.discretisation.tendon_length, strict=True):
-        divisor, at, total = 1.0, [], 0.0
+        divisor = 1.0
+        at = []
+        total = 0.0
         for part in path:
             divisor = float(part.attrib.get("divisor", divisor))
             at += [sites[part.attrib["site"]]] if part.tag == "site" else []
@@ -110,7 +115,8 @@ def test_what_a_chain_cannot_have_is_named_and_rigid_strains_have_no_joint():
 def test_tips_converge_with_the_square_of_the_number_of_links(tmp_path, monkeypatch, name, changes):
     pytest.importorskip("mujoco")
     monkeypatch.setattr(chain, "SETS", 6)
-    scene, found = load_scene(name).replace(changes), []
+    scene = load_scene(name).replace(changes)
+    found = []
     for links in (10, 20):
         chain.mujoco_chain(scene, links).write(tmp_path / "arm.xml")
         rest, motion, _ = chain.compare(tmp_path / "arm.xml", scene)

@@ -72,7 +72,9 @@ def loaded(scene: str, changes: Mapping, preset: str) -> ste.Scene:
     changed = ste.load_scene(scene).replace(changes)
     if preset == "scene":
         return changed
-    asked, fields, length = PARTS_OF[preset], known_fields(changed), rod_length(changed)
+    asked = PARTS_OF[preset]
+    fields = known_fields(changed)
+    length = rod_length(changed)
     count = fields.needed(asked.fields * length, USUAL_MOTIONS) or len(fields.coefficients)
     quadrature = {"tolerance": asked.quadrature, "least": asked.least}
     numbers = {
@@ -121,7 +123,8 @@ def equilibria() -> Numbers:
     of the arm that stands buckle."""
     found = {}
     for name, (scene, changes) in RESTS.items():
-        model, generator = arm(scene, changes, "fast"), np.random.default_rng(3)
+        model = arm(scene, changes, "fast")
+        generator = np.random.default_rng(3)
         pulls = generator.uniform(0.0, LIMIT[scene], (10, model.tendon_count))
         pulls[5:] = pulls[5:, :1] * 1e-3
         rests = [ste.static_equilibrium(model, pull) for pull in pulls]
@@ -144,10 +147,8 @@ def jacobians() -> Numbers:
             table = tensions(scene, 20)
             simulation.step(table[0], 0.2)
             plan = simulation.rollout(table[10:12], PERIOD)
-            found[f"{scene} {load} state"], found[f"{scene} {load} tension"] = (
-                plan.by_state,
-                plan.by_tension,
-            )
+            found[f"{scene} {load} state"] = plan.by_state
+            found[f"{scene} {load} tension"] = plan.by_tension
             found[f"{scene} {load} tip"] = plan.tip_jacobian
     return found
 
@@ -167,7 +168,8 @@ def gradients() -> Numbers:
         }
         envs = gym.make_vec(IDS[task], num_envs=2, threads=1, max_episode_steps=None, **options)
         envs.reset(seed=0)
-        steps, played = 8, []
+        steps = 8
+        played = []
         actions = torch.tensor(
             np.random.default_rng(1).uniform(-1.0, -0.6, (steps, *envs.action_space.shape)),
             requires_grad=True,
@@ -201,7 +203,8 @@ def controllers() -> Numbers:
         policy = load_policy(name, env)
         for seed in SEEDS:
             observation, _ = env.reset(seed=seed)
-            state, tips = None, []
+            state = None
+            tips = []
             for step in range(EPISODE):
                 action, state = policy.predict(
                     observation, state, np.array([step == 0]), deterministic=True

@@ -42,10 +42,8 @@ def test_numbers_are_those_of_before(part, scene):
         wanted = {
             name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(beginning)
         }
-    found, tolerance = (
-        golden_numbers.PARTS[part](*scene.split()),
-        max(TOLERANCE, REWRITTEN.get(part, 0.0)),
-    )
+    found = golden_numbers.PARTS[part](*scene.split())
+    tolerance = max(TOLERANCE, REWRITTEN.get(part, 0.0))
     assert found.keys() == wanted.keys()
     for name, array in wanted.items():
         largest = max(tolerance, ARBITRARY.get(name.rpartition(" ")[0], 0.0)) * max(

@@ -47,7 +47,8 @@ def drawn_segments(dice):
     young = 10 ** dice.uniform(4, 8)
     segments = []
     for _ in range(dice.integers(1, 4)):
-        length, radius = dice.uniform(0.05, 0.4), dice.uniform(0.004, 0.02)
+        length = dice.uniform(0.05, 0.4)
+        radius = dice.uniform(0.004, 0.02)
         profile = radius
         if dice.random() < 0.3:
             profile = {"type": "linear", "base": radius, "tip": radius * dice.uniform(0.4, 1.0)}
@@ -139,7 +140,8 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
         else s["radius"]
         for s in segments
     ]
-    radius, young = min(radii), min(segment["young_modulus"] for segment in segments)
+    radius = min(radii)
+    young = min(segment["young_modulus"] for segment in segments)
     bending = young * np.pi * radius**4 / 4
     greatest = (
         10 ** dice.uniform(-1, 0.7) * bending / (length * 0.6 * radius)
@@ -194,19 +196,25 @@ def slow_loading(model, tension, move=MOVES[0]):
     end is stable.
     """
     path = LoadPath(Balance(model, tension, make_workspace(model.arm)))
-    here, part = path.balance.unloaded(), FIRST_PART
-    while here.at.part < 1.0:
-        aim = min(here.at.part + part, 1.0)
-        ahead = path.equilibrium(here.at.q + (aim - here.at.part) * here.tangent, aim)
-        if (
-            ahead is not None
-            and ahead.stability.stable
-            and (moved := path.balance.angle(ahead.at.q - here.at.q)) <= move
-        ):
-            here, part = ahead, 1.5 * part if moved < 0.5 * move else part
-        elif (part := 0.5 * part) < SMALLEST_PART * aim:
+    reached = path.balance.unloaded()
+    part = FIRST_PART
+    while reached.evaluation.part < 1.0:
+        q = reached.evaluation.q
+        aim = min(reached.evaluation.part + part, 1.0)
+        along_tangent = q + (aim - reached.evaluation.part) * reached.tangent
+        ahead = path.equilibrium(along_tangent, aim)
+        moved = np.inf
+        if ahead is not None and ahead.stability.stable:
+            moved = path.balance.angle(ahead.evaluation.q - q)
+        if moved <= move:
+            reached = ahead
+            if moved < 0.5 * move:
+                part *= 1.5
+            continue
+        part *= 0.5
+        if part < SMALLEST_PART * aim:
             break
-    return here.at.q, here.at.part
+    return reached.evaluation.q, reached.evaluation.part
 
 
 def verdict(number: int) -> Verdict:
@@ -215,7 +223,8 @@ def verdict(number: int) -> Verdict:
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         model = ste.build_model(scene)
-    found, length = ste.static_equilibrium(model, tension), rod_length(scene)
+    found = ste.static_equilibrium(model, tension)
+    length = rod_length(scene)
     problems = []
     if not (np.isfinite(found.q).all() and np.isfinite(found.tip_pose).all()):
         problems.append("not finite")

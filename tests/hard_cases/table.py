@@ -95,7 +95,8 @@ class Measurements:
 
 
 def _span(values: list[float]) -> str:
-    least, greatest = f"{min(values):.2g}", f"{max(values):.2g}"
+    least = f"{min(values):.2g}"
+    greatest = f"{max(values):.2g}"
     return least if least == greatest else f"{least}…{greatest}"
 
 

@@ -32,7 +32,8 @@ def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis
         return one_segment(curvature=curvature, changes={"quadrature.intervals": intervals})
 
     rest = np.zeros(3)
-    at, finer = model(0, INTERVALS), model(0, 2 * INTERVALS)
+    at = model(0, INTERVALS)
+    finer = model(0, 2 * INTERVALS)
     misfit = np.abs(at.tip_pose(rest) - finer.tip_pose(rest)).max()
     measured("against twice the intervals", misfit)
     assert misfit < 1e-13
@@ -40,7 +41,8 @@ def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis
     for relative in (-1e-6, -1e-9, 1e-9, 1e-6):
         near = model(relative, INTERVALS).terms([1.0, 0.5, -0.2], [1.0, -2.0, 3.0])
         for name in ("mass", "bias", "tip_pose", "tip_jacobian", "tip_bias"):
-            here_value, near_value = getattr(here, name), getattr(near, name)
+            here_value = getattr(here, name)
+            near_value = getattr(near, name)
             jump = np.abs(here_value - near_value).max() / np.abs(here_value).max()
             assert jump < 1e3 * abs(relative) + 1e-11, (name, relative, jump)
 
@@ -71,7 +73,8 @@ def test_arm_that_curls_by_more_than_a_turn(build, measured, one_pulled, tension
     """The soft three-tendon arm is pulled by up to eight times its limit, until it lies in several
     turns. Expected: statics converge, the motion ends there, and the tip is where a rod with four
     times the intervals has it."""
-    model, finer = build("three_tendon"), build("three_tendon", {"quadrature.intervals": 24})
+    model = build("three_tendon")
+    finer = build("three_tendon", {"quadrature.intervals": 24})
     u = one_pulled(model, 0, tension)
     rest = static_equilibrium(model, u)
     arc_length, xi = model.strain(rest.q)

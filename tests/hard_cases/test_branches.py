@@ -32,7 +32,8 @@ def test_payloads_that_fold_the_arm(build, measured, tip_distance, name, payload
     """A payload that the arm can hardly carry, slack and under 12 random tensions: Newton at the
     full load lands on other equilibria, unstable or stable, up to half a metre away. Expected: the
     stable equilibrium that loading in moves of 0.02 rad reaches, to 1e-6 of the length."""
-    model, dice = build(name, payload_of(payload, acceleration)), np.random.default_rng(0)
+    model = build(name, payload_of(payload, acceleration))
+    dice = np.random.default_rng(0)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
     for u in [
         np.zeros(greatest.size),
@@ -53,7 +54,9 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
     """A slender column stands on its base under a weight that grows: the straight column is an
     equilibrium at any weight. Expected: told as a bifurcation at Greenhill's load, 7.837 EI / L^3,
     to 1 %; the bent arm, hanging, where it may settle."""
-    radius, density, young = 0.01, 1000.0, 1e6
+    radius = 0.01
+    density = 1000.0
+    young = 1e6
     critical = 7.837 * young * radius**2 / 4 / density  # g at a length of 1 m
     strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
     for factor, stands in ((0.98, True), (1.02, False), (3.0, False)):
@@ -82,7 +85,8 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
 def test_follower_force_on_a_column(measured, one_segment):
     """A force that stays tangential to the tip (Beck's column): no other equilibrium exists, and
     the straight one begins to flutter. Expected: flutter is told at 20.05 EI / L^2, to 1 %."""
-    radius, young = 0.01, 1e6
+    radius = 0.01
+    young = 1e6
     critical = 20.05 * young * np.pi * radius**4 / 4
     strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
     for factor, stands in ((0.98, True), (1.02, False), (2.0, False)):
@@ -109,7 +113,8 @@ def test_statics_end_where_slow_motion_ends(build, measured, tip_distance, name)
     the equilibrium without tension. Expected: after a rest the simulated tip is at the equilibrium
     that the statics find, to 1e-5 of the length."""
     payload = {"four_tendon": 0.5, "three_tendon": 0.3, "paper": 0.5}[name]
-    model, dice = build(name, payload_of(payload)), np.random.default_rng(1)
+    model = build(name, payload_of(payload))
+    dice = np.random.default_rng(1)
     u = dice.uniform(0.0, 4.0, model.tendon_count)
     rest = ste.static_equilibrium(model, np.zeros(model.tendon_count))
     initial = ste.Simulation(model).reset(rest.q)

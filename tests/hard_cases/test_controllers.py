@@ -19,10 +19,12 @@ def test_target_with_a_twist_of_its_own(build, random_state, monkeypatch, measur
     which turns too: -ad_eta(Ad eta_bar) + ... Expected: the law at the control period becomes (39)
     as the period vanishes, the faster the target the more of it is that term."""
     monkeypatch.setattr(tip_tracking, "FREE", 1e-6)
-    model, rng = build("paper"), np.random.default_rng(3)
+    model = build("paper")
+    rng = np.random.default_rng(3)
     for seed in range(3):
         q, q_dot = random_state(model, seed)
-        terms, twist = model.terms(q, q_dot), speed * rng.normal(size=6)
+        terms = model.terms(q, q_dot)
+        twist = speed * rng.normal(size=6)
         pose = moved_pose(terms.tip_pose, 0.1 * rng.normal(size=6))
         expected = tip_pose_tension(terms, q_dot, TipPoseTarget(pose, twist, np.zeros(6)), GAINS)
         off = []

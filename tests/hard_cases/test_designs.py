@@ -56,7 +56,8 @@ def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
     }
     full = build("four_tendon", {"strain": {"type": "explicit", "modes": [modes]}})
     for tension in ([3, 3, 3, 3], [10, 0, 0, 0], [10, 3, 2, 7], [10, 10, 0, 0]):
-        few, many = static_equilibrium(model, tension), static_equilibrium(full, tension)
+        few = static_equilibrium(model, tension)
+        many = static_equilibrium(full, tension)
         assert few.converged
         assert many.converged
         measured("tip distance [mm]", 1e3 * tip_distance(few.tip_pose, many.tip_pose))
@@ -212,7 +213,8 @@ def test_ends_of_tendons_within_round_off(
     """Ends of tendons, computed in different ways, lie within a few billionths of the length; a
     tendon may lie between two of them. Expected: every one of 100 random arms can be built, and
     their statics do not feel it."""
-    rng, off = np.random.default_rng(2), []
+    rng = np.random.default_rng(2)
+    off = []
     first, up, down = (
         {"base": 0.0, "middle": 0.5, "tip": 1.0 - 10e-9}[place],
         *(StraightRouting(offset=(0.0, y)) for y in (0.016, -0.016)),
@@ -263,7 +265,9 @@ def column(one_segment):
     carry it (8 E I / L^2 = weight)."""
 
     def build(part):
-        length, radius, density = 0.5, 0.01, 1000.0
+        length = 0.5
+        radius = 0.01
+        density = 1000.0
         critical = density * np.pi * radius**2 * 9.81 * length**3 / (7.837 * np.pi * radius**4 / 4)
         passive = {"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}
         return one_segment(
@@ -291,10 +295,8 @@ def test_column_under_its_own_weight(column, measured, part):
     settle, to 1 %."""
     model = column(part)
     slack = np.zeros(3)
-    loaded, settled = (
-        static_equilibrium(model, slack),
-        static_equilibrium(model, slack, settle=True),
-    )
+    loaded = static_equilibrium(model, slack)
+    settled = static_equilibrium(model, slack, settle=True)
     measured("load reached / Greenhill's", loaded.load / min(part, 1.0))
     assert loaded.converged == (part > 1)
     assert loaded.load == pytest.approx(min(part, 1.0), rel=0.01)

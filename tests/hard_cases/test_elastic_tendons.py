@@ -56,14 +56,12 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is
     pulled with what it has at neither. Expected: after 40 s at rest to 1e-6 mm, with some tendons
     slack, within 1e-6 of the length of where `commanded_equilibrium` says."""
-    slack, arms = (
-        0,
-        (
-            ("two_segment_six", 2e6, 0.025),
-            ("helical", 8e5, 0.02),
-            ("three_tendon", 1e7, 0.04),
-            ("paper", 1e7, 0.02),
-        ),
+    slack = 0
+    arms = (
+        ("two_segment_six", 2e6, 0.025),
+        ("helical", 8e5, 0.02),
+        ("three_tendon", 1e7, 0.04),
+        ("paper", 1e7, 0.02),
     )
     for name, stiffness, step in arms:
         model = ste.build_model(with_elastic_tendons(name, stiffness, **{"integrator.step": step}))

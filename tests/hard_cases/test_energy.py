@@ -54,7 +54,8 @@ def growths(model, seed, step, count):
         potential(model, before, u),
         speed_and_acceleration(model, before, u),
     )
-    start, out = energy, []
+    start = energy
+    out = []
     for _ in range(count):
         report = simulation.step(u, step)
         after = simulation.state
@@ -69,7 +70,9 @@ def growths(model, seed, step, count):
             + 0.5 * mass * w**2
         )
         out.append((new_energy - energy, allowance))
-        energy, speed, acceleration = new_energy, new_speed, new_acceleration
+        energy = new_energy
+        speed = new_speed
+        acceleration = new_acceleration
     return np.array(out), start - energy
 
 

@@ -32,7 +32,8 @@ def refused(call, kinds=(ValueError, OSError)):
     built = time.process_time()
     with pytest.raises(kinds) as caught:
         call()
-    told, message = time.process_time(), str(caught.value)
+    told = time.process_time()
+    message = str(caught.value)
     assert told - built < MOST * (built - begun)
     assert "\n" not in message
     assert len(message) < 600
@@ -129,7 +130,8 @@ def test_numbers_that_no_arm_has(measured):
     one line that names the key, or a scene all of whose numbers are 0, tiny parts of a vector, or
     between 1e-20 and 1e20."""
     scene = ste.load_scene("three_tendon").replace(BASE)
-    keys, count = list(numbers_in(json.loads(scene.model_dump_json(exclude_none=True)))), 0
+    keys = list(numbers_in(json.loads(scene.model_dump_json(exclude_none=True))))
+    count = 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for key in keys:
@@ -271,10 +273,8 @@ def test_friction_of_any_angle(measured):
             angle = coefficient * turning_angles(
                 model, q, model.grid.points[model.grid.real].ravel()
             )
-            pulled, let_out = (
-                shares(model, q, 1.0),
-                shares(model, q, -1.0),
-            )
+            pulled = shares(model, q, 1.0)
+            let_out = shares(model, q, -1.0)
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = (
                 np.abs(pulled - np.exp(-angle)).max(),

@@ -42,12 +42,10 @@ class Case:
         beside="",
         **contact,
     ):
-        self.scene, self.fidelity, self.speed, self.shot = (
-            ste.load_scene(scene),
-            fidelity,
-            speed,
-            shot,
-        )
+        self.scene = ste.load_scene(scene)
+        self.fidelity = fidelity
+        self.speed = speed
+        self.shot = shot
         self.length = sum(segment.length for segment in self.scene.segments)
         bare = straight(scene, fidelity)
         axis = bare.backbone(np.zeros(bare.coordinate_count), 60)[15:, :3, 3]
@@ -124,7 +122,9 @@ class Case:
             terms = model.terms(q, rate)
             rate = np.linalg.pinv(terms.mass, 1e-10) @ terms.tip_jacobian[3:].T @ self.towards
             rate *= self.speed / np.linalg.norm(terms.tip_jacobian[3:] @ rate)
-        simulation, states, places = ste.Simulation(model), [], []
+        simulation = ste.Simulation(model)
+        states = []
+        places = []
         states.append(simulation.reset(q, rate))
         for _ in range(round(DURATION / period)):
             simulation.step(np.zeros(model.tendon_count), period)
@@ -144,7 +144,8 @@ class Case:
 
     def depth(self, places, period):
         """How deep [m] the axis came to be in the obstacle, on straight ways between its places."""
-        contact, deepest = Contact(obstacles=[self.obstacle]), 0.0
+        contact = Contact(obstacles=[self.obstacle])
+        deepest = 0.0
         for i, (a, b) in enumerate(zip(places[:-1], places[1:], strict=True)):
             for t in np.linspace(0.0, 1.0, 5, endpoint=False):
                 deepest = max(deepest, -contact.distances(a + t * (b - a), (i + t) * period).min())
@@ -154,10 +155,8 @@ class Case:
 def random_case(seed):
     """Speeds of 0.5 to 20 m/s, each tenth 30; radii from 1 to 30 mm, plates of 0.5 to 10 mm."""
     rng = np.random.default_rng(seed)
-    kind, speed = (
-        str(rng.choice(["floor", "wire", "plate", "sphere"])),
-        30.0 if seed % 10 == 9 else 10.0 ** rng.uniform(-0.3, 1.3),
-    )
+    kind = str(rng.choice(["floor", "wire", "plate", "sphere"]))
+    speed = 30.0 if seed % 10 == 9 else 10.0 ** rng.uniform(-0.3, 1.3)
     shot = kind != "floor" and rng.random() < 0.5
     size = 10.0 ** (rng.uniform(-3.3, -2.0) if kind == "plate" else rng.uniform(-3.0, -1.5))
     ahead = rng.uniform(0.1, 1.3) * STEP * speed if shot else 10.0 ** rng.uniform(-2.5, -1.3)
@@ -165,11 +164,9 @@ def random_case(seed):
         "friction": float(rng.choice([0.0, 0.5])),
         "dissipation": float(rng.choice([0.0, 0.3, 1.0])),
     }
-    scene, fidelity, angle = (
-        str(rng.choice(SCENES)),
-        str(rng.choice(FIDELITIES)),
-        rng.uniform(0.0, 2.0 * np.pi),
-    )
+    scene = str(rng.choice(SCENES))
+    fidelity = str(rng.choice(FIDELITIES))
+    angle = rng.uniform(0.0, 2.0 * np.pi)
     return Case(
         scene,
         fidelity,
@@ -189,11 +186,9 @@ def other_case(seed):
     pinned against a wall, the tip's cap."""
     rng = np.random.default_rng(1000 + seed)
     kind = str(rng.choice(["wire", "plate", "sphere", "rod"]))
-    shot, speed, beside = (
-        rng.random() < 0.5,
-        10.0 ** rng.uniform(-0.3, 1.3),
-        str(rng.choice(["", "wall", "corner"])),
-    )
+    shot = rng.random() < 0.5
+    speed = 10.0 ** rng.uniform(-0.3, 1.3)
+    beside = str(rng.choice(["", "wall", "corner"]))
     size = 10.0 ** (rng.uniform(-3.3, -2.0) if kind == "plate" else rng.uniform(-3.0, -1.5))
     ahead = (
         rng.uniform(0.1, 1.3) * STEP * speed
@@ -293,7 +288,8 @@ def test_two_hundred_throws_and_shots(measured):
     without friction and dissipation. Expected: as above, but that where an arm is dragged along, a
     few in a hundred end elsewhere, and one may be told that no strain holds.
     """
-    apart, torn = [], 0
+    apart = []
+    torn = 0
     for seed in range(200):
         try:
             apart.append(check_flight(random_case(seed), measured))
@@ -360,10 +356,8 @@ def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, sp
         case.fly(STEP),
         case.fly(STEP, **{"integrator.step": 2.5e-5}),
     )
-    apart, faster = (
-        np.linalg.norm(places[-1] - exact[-1], axis=1).max(),
-        abs(np.sqrt(energy / exact_energy) - 1.0),
-    )
+    apart = np.linalg.norm(places[-1] - exact[-1], axis=1).max()
+    faster = abs(np.sqrt(energy / exact_energy) - 1.0)
     measured("distance [mm]", 1e3 * apart)
     measured("speed off by [%]", 100.0 * faster)
     assert apart < 2e-3

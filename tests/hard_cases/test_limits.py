@@ -20,7 +20,8 @@ NAMES_THE_PLACE = re.compile(r"tendon \d+ at arc length [\d.]+ m, with [-\d.e+]+
 def pull_limit(build, one_pulled):
     """Greatest tension [N] of tendon 0 of the paper's arm that has an equilibrium, to 1e-3."""
     model = build("paper")
-    below, above = 200.0, 400.0
+    below = 200.0
+    above = 400.0
     while above - below > 1e-3:
         middle = 0.5 * (below + above)
         if static_equilibrium(model, one_pulled(model, 0, middle)).converged:
@@ -85,7 +86,8 @@ def test_coordinates_beyond_the_limit(build, measured, pull_limit):
     """Coordinates from outside (a saved state, an optimiser) may lie where no strain exists.
     Expected: every method of the model raises StrainLimitError that names tendon and arc length."""
     model = build("paper")
-    q, rest = np.zeros(10), np.zeros(10)
+    q = np.zeros(10)
+    rest = np.zeros(10)
     q[0] = 1.05 * pull_limit
     methods = {
         "terms": lambda: model.terms(q, rest),
@@ -220,7 +222,8 @@ def test_tolerances_that_steps_do_not_meet(build, scene):
 def test_absurd_but_finite_tensions(build, value):
     """Finite, but its square overflows. Expected: a clear error or `converged` false, with finite
     numbers in what comes back, and no warning of overflow."""
-    model, u = build("paper"), np.where(np.arange(10) == 0, value, 0.0)
+    model = build("paper")
+    u = np.where(np.arange(10) == 0, value, 0.0)
     rest = static_equilibrium(model, u)
     assert not rest.converged
     assert rest.reason

@@ -27,7 +27,8 @@ def test_abrupt_tension(build, measured, scene, step):
     way) or on all ten. Expected: no step fails for good; no coordinate exceeds 1.5 times the
     tension."""
     model = build(scene, {"integrator.step": step})
-    greatest, rejected = 0.0, 0
+    greatest = 0.0
+    rejected = 0
     for value in (80.0, 100.0, 120.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
@@ -39,10 +40,8 @@ def test_abrupt_tension(build, measured, scene, step):
                 which,
                 value,
             )
-            greatest, rejected = (
-                max(greatest, np.abs(motion.q[:, :10]).max() / value),
-                rejected + motion.rejected,
-            )
+            greatest = max(greatest, np.abs(motion.q[:, :10]).max() / value)
+            rejected = rejected + motion.rejected
     measured("q_a / tension", greatest)
     measured("rejected steps", rejected)
     assert greatest < BOUND
@@ -81,7 +80,8 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
             build(scene, {"integrator.step": step, "integrator.columns": columns}), u, 0.5, 0.01
         ).tip_pose
 
-    exact, full = tip("paper moments 0-2", 5e-4, 4), tip("paper_48dof", 1e-3, 3)
+    exact = tip("paper moments 0-2", 5e-4, 4)
+    full = tip("paper_48dof", 1e-3, 3)
     errors = [tip_distance(tip("paper moments 0-2", 0.01, columns), exact) for columns in (2, 3, 4)]
     measured("10 ms, 2 columns [mm]", 1e3 * errors[0])
     measured("10 ms, 4 columns [mm]", 1e3 * errors[2])
@@ -188,7 +188,8 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
     say nothing, the most may not do. Expected: no step fails for good, no coordinate exceeds 1.5
     times the tension, and two columns are enough once the arm is still."""
     model = build(scene, {"integrator.tolerance": tolerance})
-    greatest, evaluations = 0.0, 0
+    greatest = 0.0
+    evaluations = 0
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             motion = ste.simulate(model, pull(which, value), 0.5, 0.02)
@@ -200,10 +201,8 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
                 which,
                 value,
             )
-            greatest, evaluations = (
-                max(greatest, np.abs(motion.q[:, :10]).max() / value),
-                evaluations + motion.evaluations,
-            )
+            greatest = max(greatest, np.abs(motion.q[:, :10]).max() / value)
+            evaluations = evaluations + motion.evaluations
     still = ste.simulate(
         model,
         pull("all", 150.0),

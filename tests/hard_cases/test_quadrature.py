@@ -147,10 +147,8 @@ def test_fields_of_order_twelve(measured, tip_distance, kind):
     modes = [{"strains": ANGULAR, "order": 12, "span": "rod"}]
     strain = {"type": kind, **({"modes": modes} if kind == "explicit" else {"passive": modes})}
     scene = ste.load_scene("three_tendon").replace({"strain": strain, **helices(2)})
-    model, fine = (
-        ste.build_model(scene),
-        ste.build_model(scene.replace({"quadrature.intervals": 96})),
-    )
+    model = ste.build_model(scene)
+    fine = ste.build_model(scene.replace({"quadrature.intervals": 96}))
     exact = ste.static_equilibrium(fine, [5.0, 2.0, 0.0])
     found = ste.static_equilibrium(model, [5.0, 2.0, 0.0], exact.q)
     measured("intervals", model.grid.per_piece)

@@ -24,7 +24,9 @@ def test_statics_of_random_scenes(measured, numbers):
     a slow loading to 1e-6 of the length, or is not converged, with the load and a reason; the tip
     is where a quadrature of three times as many intervals puts it, to the scene's tolerance, or a
     warning was given."""
-    kinds, distances, quadratures = collections.Counter(), [], []
+    kinds = collections.Counter()
+    distances = []
+    quadratures = []
     for number in numbers:
         verdict = random_scenes.verdict(number)
         assert not verdict.problems, (number, verdict.problems)
@@ -47,7 +49,8 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers)
     """Random scenes, released at 3 degrees from their equilibrium in a random direction, with five
     times their damping. Expected: where the arm converged, it comes back within ten minutes, to
     1e-5 of the length."""
-    farthest, count = 0.0, 0
+    farthest = 0.0
+    count = 0
     for number in numbers:
         scene, tension = random_scenes.drawn_scene(number)
         if (
@@ -70,7 +73,8 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers)
         distance = np.linalg.norm(motion.tip_pose[-1, :3, 3] - rest.tip_pose[:3, 3]) / rod_length(
             scene
         )
-        farthest, count = max(farthest, float(distance)), count + 1
+        farthest = max(farthest, float(distance))
+        count = count + 1
     measured("scenes", count)
     measured("tip to equilibrium [lengths]", farthest)
     assert count > 0.2 * len(numbers)

@@ -55,11 +55,9 @@ def test_rows_of_an_environment(build, measured, setting):
     that adapt to each. Expected: what Simulation does to round-off, from period to period, whatever
     the step was that the last one ended with."""
     model = build(*SETTINGS[setting])
-    simulation, arms, one = (
-        ste.Simulation(model),
-        Arms(model, 2, 0.0137, np.empty(0), np.empty(0)),
-        np.arange(1, 2),
-    )
+    simulation = ste.Simulation(model)
+    arms = Arms(model, 2, 0.0137, np.empty(0), np.empty(0))
+    one = np.arange(1, 2)
     arms.place(one, np.zeros((1, model.coordinate_count)))
     for row in random_tensions(model, 20):
         arms.step(np.tile(row, (2, arms.substeps, 1)), one)
@@ -84,7 +82,9 @@ def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
     whole = ste.simulate(model, tensions, period * len(tensions), period)
     with pytest.raises((ste.SimulationDiverged, ste.StrainLimitError)):
         ste.simulate(build("paper", {"integrator.columns": 4}), np.full(10, 5e3), 1.0, 0.01)
-    simulation, steps, samples = ste.Simulation(model), 0, []
+    simulation = ste.Simulation(model)
+    steps = 0
+    samples = []
     for row in tensions:
         steps += simulation.step(row, period).steps
         samples.append(simulation.state.q)

@@ -64,7 +64,8 @@ def record_of(folder, placed):
 
     def write(arm, name, truth, tensions, period=0.0, noise=NOISE, seed=0):
         scene = arm.replace(truth)
-        model, tensions = build_model(scene), np.asarray(tensions, dtype=float)
+        model = build_model(scene)
+        tensions = np.asarray(tensions, dtype=float)
         measurement = Plants(scene, model, placed, ()).measurement(np.zeros(0))
         if period:
             start = Simulation(model).reset_at_rest(tensions[0])

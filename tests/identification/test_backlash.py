@@ -26,7 +26,8 @@ def test_a_play_is_taken_up_before_anything_arrives():
 
 def test_a_cycle_encloses_the_area_of_a_rectangle_with_slanted_sides():
     """Of amplitude a and half-width w a play loses 4 w (a - w) in a whole cycle."""
-    half_width, amplitude = 0.2, 1.5
+    half_width = 0.2
+    amplitude = 1.5
     cycle = amplitude * np.sin(np.linspace(0.0, 4.0 * np.pi, 4001))
     arriving = after_play(cycle[:, None], np.array([half_width]))[:, 0]
     second = slice(2000, 4001)

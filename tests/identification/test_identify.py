@@ -87,7 +87,8 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
     readings = Readings(
         Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), holds
     )
-    x, d = np.full(4, 0.02), 1e-4
+    x = np.full(4, 0.02)
+    d = 1e-4
     other = np.stack(
         [
             (readings.residual(x + step) - readings.residual(x - step)) / (2 * d)
@@ -119,10 +120,8 @@ def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_to
         "effects.tendon_elasticity.stiffness",
         *(f"effects.tendon_elasticity.slack.{i}=-0.002..0.002" for i in range(3)),
     ]
-    plants, random = (
-        Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)),
-        np.random.default_rng(0),
-    )
+    plants = Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed))
+    random = np.random.default_rng(0)
     holds = [
         Recording(f"{i}", "test", random.uniform(-2e-3, 3e-3, (1, 3)), np.zeros((1, 1, 3)), 0.0, {})
         for i in range(10)
@@ -263,7 +262,8 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
         out,
     ]
     main([str(argument) for argument in ["identify", tmp_path / "arm.toml", holds, *options]])
-    printed, numbers = capsys.readouterr().out, json.loads((out / "estimate.json").read_text())
+    printed = capsys.readouterr().out
+    numbers = json.loads((out / "estimate.json").read_text())
     modulus = numbers["parameters"][E]
     assert modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"]
     assert modulus["low"] <= modulus["value"] <= modulus["high"]

@@ -26,10 +26,8 @@ def holds_of(name):
         f"segments.{i}.young_modulus": 0.8 * segment.young_modulus
         for i, segment in enumerate(scene.segments)
     }
-    length, model = (
-        sum(segment.length for segment in scene.segments),
-        build_model(scene.replace(softer)),
-    )
+    length = sum(segment.length for segment in scene.segments)
+    model = build_model(scene.replace(softer))
     most = 0.4 * np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     tensions = np.random.default_rng(5).uniform(0.0, 1.0, (10, len(scene.tendons))) * most
     places = np.array([0.6, 1.0]) * length

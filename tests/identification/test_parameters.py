@@ -97,12 +97,11 @@ def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
         0.0,
         0.0,
     ]  # 6 degrees about z, 5 mm along x
-    x[6], x[-1] = np.log(1.1), 0.0
-    measurement, scene, R = (
-        plants.measurement(x),
-        plants.scene_at(x, arm),
-        Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix(),
-    )
+    x[6] = np.log(1.1)
+    x[-1] = 0.0
+    measurement = plants.measurement(x)
+    scene = plants.scene_at(x, arm)
+    R = Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix()
     straight = plants.model.with_scene(scene).backbone_at(
         np.zeros(plants.model.coordinate_count), placed.arc_lengths
     )
@@ -153,7 +152,8 @@ def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environmen
     elastic = {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}
     scene = load_scene("three_tendon").replace({"effects.tendon_elasticity": elastic})
     parameters = read_parameters(["commands.*.offset", "commands.0.gain"], scene, placed)
-    low, high = np.array([-2e-3, -1e-3, -1e-3, 0.9]), np.array([1e-3, 1e-3, 4e-3, 1.2])
+    low = np.array([-2e-3, -1e-3, -1e-3, 0.9])
+    high = np.array([1e-3, 1e-3, 4e-3, 1.2])
     spread = Intervals(low, high, np.ones(4, dtype=bool), [])
     table = randomize(
         SimpleNamespace(

@@ -35,8 +35,10 @@ def check_derivatives(workspace_at, at_points):
     xi_bias = (d/dt Phi) q_dot, by central differences; and the rate alone."""
 
     def check(model, q, q_dot, rounding=0.0):
-        unit, work = model.coordinate_scale(), workspace_at(model, q, q_dot)
-        Phi, xi_dot = at_points(model, work.strain.Phi), at_points(model, work.strain.xi_dot)[0]
+        unit = model.coordinate_scale()
+        work = workspace_at(model, q, q_dot)
+        Phi = at_points(model, work.strain.Phi)
+        xi_dot = at_points(model, work.strain.xi_dot)[0]
         for j in range(0, q.size, 1 if q.size < 20 else 7):
             step = 1e-4 * unit[j] * np.eye(q.size)[j]
             difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])

@@ -71,15 +71,19 @@ def end(model, start, *inputs):
 def differences(evaluate, step):
     """Derivatives of all that is evaluated so many steps off, that of the tip pose as a body
     twist."""
-    values, pose = (
-        [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()],
-        evaluate(0.0)[1],
-    )
-    found = [
-        sum(weight * reached[i] for weight, reached in values) for i in range(len(values[0][1]))
-    ]
-    moved = np.linalg.inv(pose) @ found[1]
-    return [found[0], np.array([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:3, 3]]), *found[2:]]
+    values = [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()]
+    middle = evaluate(0.0)
+    slopes = []
+    for i in range(len(middle)):
+        terms = [weight * reached[i] for weight, reached in values]
+        slopes.append(sum(terms))
+    _, pose, *_ = middle
+    by_state, by_pose, *others = slopes
+    # R^T dR is antisymmetric
+    moved = np.linalg.inv(pose) @ by_pose
+    angular = [moved[2, 1], moved[0, 2], moved[1, 0]]
+    twist = np.array([*angular, *moved[:3, 3]])
+    return [by_state, twist, *others]
 
 
 def assert_close(found, expected, tolerance=1e-5):
@@ -105,12 +109,16 @@ def assert_close(found, expected, tolerance=1e-5):
 def test_linearization_is_as_differences_of_plain_steps(name, changes):
     model = build_quietly(changes, name)
     simulation, command = in_motion(model)
-    start, found = simulation.state, simulation.linearize(command, PERIOD)
-    here, scale = [start.q, start.q_dot, start.effects, command], model.coordinate_scale()
+    start = simulation.state
+    found = simulation.linearize(command, PERIOD)
+    here = [start.q, start.q_dot, start.effects, command]
+    scale = model.coordinate_scale()
     unit = np.concatenate(
         [scale, 10.0 * scale, np.maximum(np.abs(start.effects), 1e-3), np.full(command.size, 10.0)]
     )
-    inputs, borders, slopes = np.concatenate(here), np.cumsum([part.size for part in here]), []
+    inputs = np.concatenate(here)
+    borders = np.cumsum([part.size for part in here])
+    slopes = []
     for i, size in enumerate(unit):
 
         def evaluate(change, i=i):

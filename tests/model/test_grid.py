@@ -36,7 +36,8 @@ def grid_of(name, intervals):
 @pytest.mark.parametrize("name", scene_names())
 def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     scene, grid = grid_of(name, intervals)
-    start, end = grid.start[grid.real], (grid.start + grid.length)[grid.real]
+    start = grid.start[grid.real]
+    end = (grid.start + grid.length)[grid.real]
     assert start[0] == 0
     assert grid.start.size % LANES == 0
     np.testing.assert_allclose(start[1:], end[:-1], rtol=1e-15)
@@ -210,7 +211,8 @@ def test_every_coordinate_is_counted(changes, count):
 @pytest.mark.parametrize("intervals", [1, 2, 5, 7, 8, 13, 15])
 def test_weights_of_the_nodes_are_positive_and_integrate_the_powers_of_their_panels(intervals):
     """Of the smallest panel all powers, and one more where that is even."""
-    weights, nodes = newton_cotes(intervals), np.linspace(0.0, 1.0, intervals + 1)
+    weights = newton_cotes(intervals)
+    nodes = np.linspace(0.0, 1.0, intervals + 1)
     panels = int(np.ceil(intervals / LARGEST_PANEL))
     smallest = intervals // panels
     assert weights.min() > 0.0
@@ -259,7 +261,8 @@ def test_ranges_of_packs_hold_all_parts_of_a_field():
 
 def test_discs_have_the_inertia_of_cylinders():
     rows = np.array([[0.1, 2.0, 0.3, 0.4]])
-    about_axis, across = 2.0 * 0.3**2 / 2, 2.0 * (3 * 0.3**2 + 0.4**2) / 12
+    about_axis = 2.0 * 0.3**2 / 2
+    across = 2.0 * (3 * 0.3**2 + 0.4**2) / 12
     np.testing.assert_allclose(disc_inertia(rows), [[about_axis, across, across, 2.0, 2.0, 2.0]])
 
 
@@ -279,12 +282,14 @@ def test_independent_tensions_span_those_that_strain_the_rod():
     """Orthonormal combinations, the same whatever the eigenvectors; all where all are
     independent."""
     columns = np.random.default_rng(0).normal(size=(4, 9))
-    np.testing.assert_array_equal(independent_tensions(columns @ columns.T, 1e-3), np.eye(4))
+    independent = independent_tensions(columns @ columns.T, 1e-3)
+    np.testing.assert_array_equal(independent, np.eye(4))
     columns[3] = columns[0] + columns[1] - columns[2]
     mixing = independent_tensions(columns @ columns.T, 1e-3)
     assert mixing.shape == (4, 3)
     np.testing.assert_allclose(mixing.T @ mixing, np.eye(3), atol=1e-12)
-    opposite = np.diag([1.0, 1.0, 2.0])  # two tendons that strain alike and one beside them
-    opposite[0, 1] = opposite[1, 0] = 1.0
+    # two tendons that strain alike and one beside them
+    opposite = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     mixing = independent_tensions(opposite, 1e-3)
-    np.testing.assert_allclose(np.abs(mixing), [[np.sqrt(0.5), 0], [np.sqrt(0.5), 0], [0, 1]])
+    share = np.sqrt(0.5)
+    np.testing.assert_allclose(np.abs(mixing), [[share, 0], [share, 0], [0, 1]])

@@ -33,7 +33,8 @@ def circle(angle):
 
 @pytest.mark.parametrize("angle", [0.0, 2.0])
 def test_the_circle_needs_pushes(paper, angle):
-    pose, pushing = circle(angle), paper.scene.replace({"tendons.*.tension_limits": [-20.0, 20.0]})
+    pose = circle(angle)
+    pushing = paper.scene.replace({"tendons.*.tension_limits": [-20.0, 20.0]})
     either = tension_for_tip_pose(paper.with_scene(pushing), pose)
     assert either.reachable
     assert either.reason == ""
@@ -84,7 +85,8 @@ def test_a_start_next_to_the_strain_limit_is_answered():
     model = build_model(
         load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 90.0]})
     )
-    below, above = 44.0, 45.0
+    below = 44.0
+    above = 45.0
     while below < (middle := 0.5 * (below + above)) < above:
         below, above = (
             (middle, above)
@@ -116,15 +118,20 @@ def test_derivatives_of_the_error_are_differences(angle_weight, changes):
     """Of the weighted rotation vector and displacement from the tip to the desired pose."""
     model = build_model(load_scene("three_tendon").replace(changes))
     search = _TipSearch(model, circle(0.7), angle_weight)
-    u, h = np.array([2.0, 0.5, 1.0]), 1e-5
-    slopes = [(search.error(u + way) - search.error(u - way)) / (2 * h) for way in h * np.eye(3)]
-    np.testing.assert_allclose(
-        search.derivative(u), np.transpose(slopes), atol=1e-6 * np.abs(slopes).max()
-    )
+    u = np.array([2.0, 0.5, 1.0])
+    h = 1e-5
+    slopes = []
+    for way in h * np.eye(3):
+        change = search.error(u + way) - search.error(u - way)
+        slopes.append(change / (2 * h))
+    atol = 1e-6 * np.abs(slopes).max()
+    np.testing.assert_allclose(search.derivative(u), np.transpose(slopes), atol=atol)
     tip = static_equilibrium(model, u).tip_pose
+    goal = search.pose
     error = search.error(u)
-    np.testing.assert_allclose(error[3:], search.pose[:3, 3] - tip[:3, 3], atol=1e-14)
-    turn = Rotation.from_matrix(tip[:3, :3].T @ search.pose[:3, :3]).as_rotvec()
+    np.testing.assert_allclose(error[3:], goal[:3, 3] - tip[:3, 3], atol=1e-14)
+    relative = tip[:3, :3].T @ goal[:3, :3]
+    turn = Rotation.from_matrix(relative).as_rotvec()
     np.testing.assert_allclose(error[:3], angle_weight * turn, atol=1e-12)
 
 

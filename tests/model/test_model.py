@@ -40,13 +40,13 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     q, q_dot = random_state(model, 2)
     points, strain = model.strain(q)
     np.testing.assert_allclose(model.strain_at(q, points)[0], strain, atol=1e-12)
-    start, end = model.grid.start[1], model.grid.start[2]
-    ends, middle = (
-        model.strain_at(q, [start, np.nextafter(end, 0.0)])[0],
-        model.strain_at(q, [(start + end) / 2])[0],
-    )
+    start = model.grid.start[1]
+    end = model.grid.start[2]
+    ends = model.strain_at(q, [start, np.nextafter(end, 0.0)])[0]
+    middle = model.strain_at(q, [(start + end) / 2])[0]
     np.testing.assert_allclose(ends.mean(axis=0), middle[0], atol=1e-12)  # linear in between
-    places, h = [0.0, 0.4 * model.length, model.length], 1e-6
+    places = [0.0, 0.4 * model.length, model.length]
+    h = 1e-6
     found, Phi = model.strain_at(q, places)
     difference = (
         model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]
@@ -77,7 +77,9 @@ def test_a_singular_mass_matrix_is_warned_of():
     assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
 
 
-LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
+LENGTH = 0.3  # [m]
+RADIUS = 0.01  # [m]
+YOUNG = 5e5  # [Pa]
 BENDING = YOUNG * np.pi * RADIUS**4 / 4
 
 
@@ -92,15 +94,19 @@ def bent():
 
 def test_energies_are_those_of_a_bent_rod(bent):
     """1/2 EI k^2 L stored, 1/2 q_dot M q_dot in motion, and the weight's."""
-    q, q_dot = np.array([1.0, -2.0]), np.array([3.0, 0.5])
+    q = np.array([1.0, -2.0])
+    q_dot = np.array([3.0, 0.5])
     energy = bent.energy(q, q_dot)
-    assert energy.elastic == pytest.approx(0.5 * BENDING * LENGTH * (q @ q))
+    stored = 0.5 * BENDING * LENGTH * (q @ q)
+    assert energy.elastic == pytest.approx(stored)
     mass = bent.terms(q, q_dot).mass
-    assert energy.kinetic == pytest.approx(0.5 * q_dot @ mass @ q_dot)
+    moving = 0.5 * q_dot @ mass @ q_dot
+    assert energy.kinetic == pytest.approx(moving)
     assert energy.total == pytest.approx(energy.kinetic + energy.elastic + energy.load)
     nodes = bent.grid.start + bent.grid.length
     heights = bent.backbone_at(q, nodes)[:, 2, 3]
-    assert energy.load == pytest.approx(9.81 * bent.arm.rod.node_mass @ heights)
+    weight = 9.81 * bent.arm.rod.node_mass
+    assert energy.load == pytest.approx(weight @ heights)
 
 
 def test_units_of_coordinates_bend_the_arm_by_a_radian(bent):

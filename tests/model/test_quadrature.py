@@ -90,10 +90,8 @@ KINDS = {
 @pytest.mark.parametrize("intervals", [4, 8])
 @pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
-    estimate, true = (
-        QuadratureTest(scene).error_estimate(intervals).error,
-        true_error(scene, intervals),
-    )
+    estimate = QuadratureTest(scene).error_estimate(intervals).error
+    true = true_error(scene, intervals)
     assert true < estimate < 2.0 * true
 
 
@@ -119,10 +117,8 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     with pytest.warns(QuadratureWarning) as caught:
         build_model(scene)
-    enough, estimate = (
-        QuadratureTest(scene).search(6).intervals,
-        QuadratureTest(scene).error_estimate(6),
-    )
+    enough = QuadratureTest(scene).search(6).intervals
+    estimate = QuadratureTest(scene).error_estimate(6)
     off = (
         f"the tip is off by about {100 * estimate.error:.2g} % of the length,"
         f" {300 * estimate.error:.2g} mm"
@@ -188,7 +184,8 @@ def test_the_least_inertia_is_that_of_the_worst_combination():
     """Of two constant curvatures on one interval, whose node at the tip alone has mass; against
     that on many."""
     test = QuadratureTest(three_tendon(strain={"type": "explicit", "modes": modes(0)}))
-    coarse, fine = test.model(1), test.model(12)
+    coarse = test.model(1)
+    fine = test.model(12)
     still = np.zeros(3)
     M, M_fine = (model.terms(still, still).mass for model in (coarse, fine))
     ratios = np.linalg.eigvals(np.linalg.solve(M_fine, M)).real
@@ -200,7 +197,8 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
     """Of all that are tried, as a share of the length."""
     scene = helices(3).replace({"tendons.1.tension_limits": [0.0, 8.0]})
     test = QuadratureTest(scene)
-    coarse, fine = test.model(5), test.model(24)
+    coarse = test.model(5)
+    fine = test.model(24)
     worst = test.displacement(coarse, fine)
     shares = []
     for tension in test.tensions:

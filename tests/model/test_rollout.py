@@ -41,11 +41,10 @@ def after(simulation, q, q_dot, tension):
 
 def differences(model, q, q_dot, tension):
     """Jacobians (2 n, 2 n), (2 n, n_a) of `after` by central differences."""
-    simulation, n = Simulation(model), q.size
-    x, scale = (
-        np.concatenate([q, q_dot, tension]),
-        np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)]),
-    )
+    simulation = Simulation(model)
+    n = q.size
+    x = np.concatenate([q, q_dot, tension])
+    scale = np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)])
     steps = 1e-4 * np.diag(scale)
     columns = [
         after(simulation, *np.split(x + s, [n, 2 * n]))
@@ -59,14 +58,18 @@ def off(model, found, wanted, inputs=None):
     """Relative error of a Jacobian of coordinates and rates in `coordinate_scale`s, by these or by
     inputs in units of their own."""
     scale = np.tile(model.coordinate_scale(), 2)
-    by = scale if inputs is None else inputs
-    found, wanted = (matrix * by / scale[:, None] for matrix in (found, wanted))
-    return np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+    unit = scale if inputs is None else inputs
+    # both in units of outputs and inputs
+    ratio = unit / scale[:, None]
+    difference = (found - wanted) * ratio
+    return np.linalg.norm(difference) / np.linalg.norm(wanted * ratio)
 
 
 def test_the_motion_is_the_simulation_s_which_stays_where_it_is(moving):
-    before, rng = moving.state, np.random.default_rng(0)
-    commands, parts = rng.uniform(0.0, 1.0, (3, 2, 3)), np.array([0.005, 0.015])
+    before = moving.state
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(0.0, 1.0, (3, 2, 3))
+    parts = np.array([0.005, 0.015])
     found = moving.rollout(commands, parts)
     np.testing.assert_array_equal(moving.state.q, before.q)
     for k in range(4):
@@ -83,7 +86,8 @@ def test_the_motion_is_the_simulation_s_which_stays_where_it_is(moving):
 
 
 def test_the_jacobians_are_near_those_of_the_simulation(moving):
-    state, tension = moving.state, np.array([0.5, 0.3, 0.8])
+    state = moving.state
+    tension = np.array([0.5, 0.3, 0.8])
     found = moving.rollout(tension[None], PERIOD, steps=2)
     by_state, by_tension = differences(moving.model, state.q, state.q_dot, tension)
     assert off(moving.model, found.by_state[0], by_state) < 0.1

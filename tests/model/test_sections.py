@@ -163,7 +163,8 @@ def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
 def test_a_short_tube_bends_and_shears_as_timoshenko_says(correction):
     """At L / d = 6: F L^3 / (3 E I) + F L / (k G A)."""
     area, bending, *_ = tube(0.006, 0.005)
-    length, force = 12 * 0.006, 0.01
+    length = 12 * 0.006
+    force = 0.01
     pose = tip_under(
         {**TUBE, "shear_correction": correction},
         force=(0.0, force, 0.0),
@@ -208,7 +209,9 @@ def test_what_is_a_circle_too_equals_the_circle():
 def test_sizes_follow_tapers(section):
     """The outer radius' slope is its derivative, and a scene survives as a table, with the old key
     of tabled radii too."""
-    scene, x, h = arm(section).scene, np.linspace(0.011, 0.289, 15), 1e-6
+    scene = arm(section).scene
+    x = np.linspace(0.011, 0.289, 15)
+    h = 1e-6
     np.testing.assert_allclose(
         rod_radius(scene, x)[1],
         (rod_radius(scene, x + h)[0] - rod_radius(scene, x - h)[0]) / (2 * h),
@@ -220,7 +223,8 @@ def test_sizes_follow_tapers(section):
 def beam_with_masses(places, mass, rotary, bending, line_mass, line_rotary):
     """Natural frequencies [rad/s] of a clamped Rayleigh beam with masses at places, by 300 cubic
     elements."""
-    count, h = 300, L / 300
+    count = 300
+    h = L / 300
     scale = np.diag([1.0, h, 1.0, h])
     stiff = (
         np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
@@ -347,10 +351,8 @@ def test_mistakes_are_refused_by_name(changes, message):
 def test_numbers_of_sections_are_parameters():
     """A model with another number is as one that is built with it; what is short for the whole rod
     changes stiffnesses too."""
-    model, still = (
-        arm(TUBE, **{"segments.0.discs": {**DISCS, "number": 5}, "quadrature.intervals": 6}),
-        np.zeros(15),
-    )
+    model = arm(TUBE, **{"segments.0.discs": {**DISCS, "number": 5}, "quadrature.intervals": 6})
+    still = np.zeros(15)
     for key in (
         "segments.0.section.inner_radius",
         "segments.0.discs.mass",

@@ -84,13 +84,12 @@ def test_what_redundant_tendons_leave_out_is_told():
             "span": "rod",
         }
     ]
-    model, explicit = (
-        build_model(helices),
-        build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}})),
-    )
+    model = build_model(helices)
+    explicit = build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}}))
     assert model.coordinate_count == 3
     for u in ([30.0, 0.0, 0.0, 0.0], [20.0, 0.0, 5.0, 0.0]):
-        found, exact = static_equilibrium(model, u), static_equilibrium(explicit, u)
+        found = static_equilibrium(model, u)
+        exact = static_equilibrium(explicit, u)
         assert found.converged
         assert exact.converged
         assert exact.tip_error < 0.02 * found.tip_error
@@ -125,7 +124,8 @@ def test_stability_is_the_part_of_the_stiffness_that_a_push_leaves():
     of 1."""
     modes = [{"strains": ["bend_y", "bend_z"], "order": 4, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
-    length, bending = 0.3, 5e5 * np.pi * 0.01**4 / 4
+    length = 0.3
+    bending = 5e5 * np.pi * 0.01**4 / 4
     critical = np.pi**2 * bending / (4.0 * length**2)
     for part in (-0.5, 0.5, 0.95, 1.05):
         push = [-part * critical, 0.0, 0.0]

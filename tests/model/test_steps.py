@@ -112,13 +112,16 @@ def table_of(model, command, samples=4, per_sample=3, step=0.01):
 def test_commands_are_held_over_steps(model_with):
     """Constants always, rows over their samples, functions at the middle of each step."""
     model = model_with()
-    constant = table_of(model, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(constant, np.broadcast_to([1.0, 2.0, 3.0], (4, 3, 3)))
+    values = [1.0, 2.0, 3.0]
+    constant = table_of(model, values)
+    np.testing.assert_array_equal(constant, np.broadcast_to(values, (4, 3, 3)))
     rows = np.random.default_rng(0).uniform(size=(4, 3))
-    np.testing.assert_array_equal(table_of(model, rows), np.repeat(rows[:, None], 3, axis=1))
+    held = np.repeat(rows[:, None], 3, axis=1)
+    np.testing.assert_array_equal(table_of(model, rows), held)
     table = table_of(model, lambda time: [time, 2.0 * time, 0.0])
-    middles = (1.0 + 0.01 * (np.arange(12) + 0.5)).reshape(4, 3)
-    np.testing.assert_allclose(table, middles[..., None] * [1.0, 2.0, 0.0], rtol=1e-14)
+    middles = 1.0 + 0.01 * (np.arange(12) + 0.5)
+    expected = middles.reshape(4, 3, 1) * [1.0, 2.0, 0.0]
+    np.testing.assert_allclose(table, expected, rtol=1e-14)
     single = table_of(model, lambda time: [time, 0.0, 0.0], samples=1, per_sample=1)
     np.testing.assert_allclose(single[0, 0], [1.005, 0.0, 0.0])
 

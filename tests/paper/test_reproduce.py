@@ -19,7 +19,8 @@ ACTUATED = ("fully actuated", "underactuated")
 @pytest.fixture(scope="module")
 def reproduced(tmp_path_factory):
     """Of two seconds: the folder, the numbers that were written, and what was printed."""
-    out, printed = tmp_path_factory.mktemp("paper"), io.StringIO()
+    out = tmp_path_factory.mktemp("paper")
+    printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         main(["reproduce-paper", "--seconds", "2", "--out", str(out)])
     return out, json.loads((out / "numbers.json").read_text()), printed.getvalue()
@@ -33,7 +34,8 @@ def is_picture(path):
 @pytest.mark.slow
 def test_models_and_shapes(reproduced):
     out, numbers, printed = reproduced
-    full, under = numbers["tip_mismatch_mm"]["paper"], numbers["tip_mismatch_mm"]["paper_16dof"]
+    full = numbers["tip_mismatch_mm"]["paper"]
+    under = numbers["tip_mismatch_mm"]["paper_16dof"]
     assert 0.0 < under["largest"] < 0.2 * full["largest"], "mm; six passive coordinates more"
     for name in ("paper", "paper_16dof"):
         laws = numbers["shape_error"][name]
@@ -58,7 +60,8 @@ def test_tip_converges_to_the_circle(reproduced):
         "underactuated, as printed",
         *(f"{of}, sampled" for of in ACTUATED),
     ):
-        own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
+        own = numbers["tip_error"][name]
+        figure = "5(c)" if name.startswith("fully") else "6(c)"
         assert own["start_mm"] == pytest.approx(255.0, abs=0.1), (
             "mm from the straight arm to the circle"
         )

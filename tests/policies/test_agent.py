@@ -13,11 +13,12 @@ import stable_baselines3
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent import OF_TRAINING, AgentConfig, read_config
 from soft_tendon_env.policies.names import load_policy, policy_options
 from soft_tendon_env.policies.normalization import STATISTICS, normalization_of
+from soft_tendon_env.policies.trained_arm import numbers_outside
 from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, read_weights
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.files import digest
@@ -338,6 +339,75 @@ def test_another_control_period_is_refused_by_its_name(ppo, period):
     with pytest.raises(ValueError, match=rf"trained with control_period = 0.02, .* is {period}"):
         policy_options(ppo, "TipPose", {"control_period": period})
     assert policy_options(ppo, "TipPose", {"control_period": 0.02})["control_period"] == 0.02
+
+
+DRAWN_ARMS = {
+    "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]},
+    "randomize": {
+        "stiffness": [0.8, 1.2],
+        "payload": [0.0, 0.02],
+        "effects.gravity.acceleration": [[-2.0, 2.0]] * 3,
+    },
+}
+"""A training on arms of 0.4 to 0.6 MPa, with gravity and payloads."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "own", "loads"),
+    [
+        ({}, [], []),
+        ({"segments.0.young_modulus": 6e5}, [], []),
+        (
+            {"segments.0.young_modulus": 6.1e5},
+            ["segments.0.young_modulus is 610000, in its training 400000 to 600000"],
+            [],
+        ),
+        ({"segments.0.damping": 8.1e3}, ["segments.0.damping is 8100, in its training 8000"], []),
+        ({"effects.tip_load.mass": 0.02}, [], []),
+        (
+            {"effects.tip_load.mass": 0.03},
+            [],
+            ["effects.tip_load.mass is 0.03, in its training 0 to 0.02"],
+        ),
+        (
+            {"effects.tip_load.force": [0.0, 0.1, 0.0]},
+            [],
+            ["effects.tip_load.force.1 is 0.1, in its training 0"],
+        ),
+        (
+            {"effects.gravity.acceleration": [0.0, 0.0, -9.81]},
+            [],
+            ["effects.gravity.acceleration.2 is -9.81, in its training -2 to 2"],
+        ),
+        (
+            {"effects.fluid.density": 1000.0},
+            ["effects.fluid.density is 1000, in its training absent"],
+            [],
+        ),
+    ],
+)
+def test_numbers_of_an_arm_outside_of_a_training_are_named(changes, own, loads):
+    trained = Options(**SMALL | DRAWN_ARMS)
+    outside = numbers_outside(trained, load_scene("three_tendon").replace(changes))
+    found = {str(number) for number in outside if not number.is_load}
+    assert {*own} <= found
+    assert bool(own) == bool(found)
+    assert [str(number) for number in outside if number.is_load] == loads
+
+
+def test_an_agent_acts_beyond_its_training_if_it_is_told_to(tmp_path):
+    options = {"action": "increment", **LOOKS}
+    folder = untrained_agent(tmp_path / "own", options=options)
+    softer = make(**options, scene={"scene": "three_tendon", "segments.0.young_modulus": 1e5})
+    with pytest.raises(
+        ValueError, match=r"young_modulus is 100000, in its training 500000\. Train"
+    ):
+        agent.load_agent(folder, softer)
+    with pytest.warns(agent.TrainingWarning, match="young_modulus is 100000, in its training"):
+        agent.load_agent(folder, softer, beyond_training=True)
+    longer = {"scene": "three_tendon", "tendons.0.tension_limits": [0.0, 9.0]}
+    with pytest.raises(ValueError, match=r"other tendons .*: tendons.0.tension_limits.1 is 9, in"):
+        agent.load_agent(folder, make(**options, scene=longer))
 
 
 LOOKS = {"observation": ["target_error"]}

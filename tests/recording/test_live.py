@@ -52,7 +52,8 @@ def port():
 def test_an_episode_is_streamed_as_it_happens(sent):
     env = gym.make(IDS["TipPose"], render_mode="human", **SMALL)
     assert not isinstance(env, gym.wrappers.HumanRendering), "which needs pygame"
-    tensions, errors = [], []
+    tensions = []
+    errors = []
     for seed in (0, 1):
         _, info = env.reset(seed=seed)
         for step in range(6):

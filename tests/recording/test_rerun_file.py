@@ -126,7 +126,8 @@ def test_an_episode_in_parts_is_the_episode(path, rollout, tmp_path):
             part = {name: getattr(whole, name)[first:last] for name in arrays}
             scalars = {name: values[first:last] for name, values in whole.scalars.items()}
             file.write(dataclasses.replace(whole, scalars=scalars, **part), continues=first > 0)
-    expected, found = Read(path), Read(other)
+    expected = Read(path)
+    found = Read(other)
     assert found.times == expected.times
     assert found.written() == expected.written()
 
@@ -183,7 +184,8 @@ def test_a_recording_shows_a_moving_base_and_the_obstacles_of_each_episode(path,
     with RerunFile(path) as file:
         for scene in (None, None, larger):
             file.write(Rollout(model, 0.1, strain, np.zeros((3, 3)), tip, scene=scene))
-    read, moved = Read(path), np.tile([[0.0, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.1, 0.0]], (3, 1))
+    read = Read(path)
+    moved = np.tile([[0.0, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.1, 0.0]], (3, 1))
     np.testing.assert_allclose(
         np.squeeze(read.array("/world/arm/mount", "Transform3D:translation")), moved, atol=1e-6
     )

@@ -17,7 +17,10 @@ class MemoryFile:
     path = "shared.rrd"
 
     def __init__(self):
-        self.arms, self.places, self.written, self.closed = [], [], [], False
+        self.arms = []
+        self.places = []
+        self.written = []
+        self.closed = False
 
     def add_arm(self, arm, model, place=None):
         self.arms.append(arm)
@@ -59,7 +62,8 @@ def play(env, episodes):
     """Tensions and errors of every sample."""
     seen = []
     for seed in range(episodes):
-        info, truncated = env.reset(seed=seed)[1], False
+        info = env.reset(seed=seed)[1]
+        truncated = False
         seen.append((env.unwrapped.episodes.tension[0].copy(), info["position_error"]))
         while not truncated:
             *_, truncated, info = env.step(ACTION)
@@ -140,7 +144,8 @@ def test_an_episode_is_collected_as_it_happened(env):
     rollout = collect(env, lambda observation: next(given), seed=3)
     assert rollout.samples == STEPS + 1
     assert rollout.title == "seed 3"
-    again, given = env.unwrapped, actions()
+    again = env.unwrapped
+    given = actions()
     _, info = env.reset(seed=3)
     for sample in range(STEPS + 1):
         if sample:

@@ -57,16 +57,15 @@ class Arm:
     raises. is_watched: whether the watchdog looks at the time.
     """
 
-    command_unit, senses = "N", ("tip_pose", "tendon_length")
+    command_unit = "N"
+    senses = ("tip_pose", "tendon_length")
 
     def __init__(self, is_watched=False, **faults):
         self.clock = WatchedClock() if is_watched else Clock(real=False)
-        self.faults, self.counts, self.sent, self.closed = (
-            faults,
-            {"read": 0, "write": 0},
-            [],
-            False,
-        )
+        self.faults = faults
+        self.counts = {"read": 0, "write": 0}
+        self.sent = []
+        self.closed = False
 
     def _fault(self, name):
         self.counts[name] += 1
@@ -107,7 +106,8 @@ class Pulling:
     """A policy that pulls, and does `then(count)` before it."""
 
     def __init__(self, then=lambda count: None):
-        self.count, self.then = 0, then
+        self.count = 0
+        self.then = then
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         self.count += 1

@@ -50,7 +50,9 @@ class Motor:
     """A motor that is at once where it should be."""
 
     def __init__(self, position, clock):
-        self.table, self.heard, self._clock = bytearray(256), 0.0, clock
+        self.table = bytearray(256)
+        self.heard = 0.0
+        self._clock = clock
         self.table[OPERATING_MODE] = 3  # of positions, as motors are delivered
         self.table[TORQUE] = 1  # as somebody may have left it
         struct.pack_into("<H", self.table, 38, 1193)  # current limit
@@ -88,7 +90,8 @@ class Bus:
         self.motors = {
             number: Motor(position, self.clock) for number, position in positions.items()
         }
-        self.silent, self.is_unplugged = set(), False
+        self.silent = set()
+        self.is_unplugged = False
         self.taken, self.answered = 0, 0  # bytes of commands that were carried out, and of answers
         self._master, slave = pty.openpty()
         tty.setraw(self._master)
@@ -118,7 +121,9 @@ class Bus:
 
     def _take(self, frame):
         assert crc(frame[:-2]) == struct.unpack("<H", frame[-2:])[0]
-        number, instruction, body = frame[4], frame[7], frame[8:-2]
+        number = frame[4]
+        instruction = frame[7]
+        body = frame[8:-2]
         for motor in self.motors.values():
             if not motor.has_stopped:
                 motor.heard = self.clock()
@@ -157,7 +162,9 @@ class Port(PortHandler):
 
     def __init__(self, name, bus):
         super().__init__(name)
-        self._bus, self._sent, self._heard = bus, bus.taken, bus.answered
+        self._bus = bus
+        self._sent = bus.taken
+        self._heard = bus.answered
 
     def writePort(self, packet):
         count = super().writePort(packet)

@@ -132,7 +132,8 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
     assert (robot.command_unit, robot.senses) == ("N", ("tip_pose",))
     robot.watch(SLACK, 30.0)  # longer than a busy machine takes for what follows
     np.testing.assert_array_equal(robot.write(PULL), PULL)
-    first, second = robot.read(), robot.read()
+    first = robot.read()
+    second = robot.read()
     assert second.time > first.time
     np.testing.assert_array_equal(first.tip_pose, file_arm.POSE)
     assert file_arm.tensions(path) == [2.0]

@@ -30,7 +30,8 @@ TIP = MarkerSet(markers={"tip": Marker(arc_length=0.3)})
 class Deaf:
     """A robot that cannot be reached, in stepped time."""
 
-    command_unit, senses = "N", ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+    command_unit = "N"
+    senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
     def __init__(self):
         self.clock = Clock(real=False)
@@ -110,7 +111,8 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
 
 
 def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
-    out, robot = tmp_path / "run.csv", ["--robot", f"{__name__}:Interrupted", "--robot-options"]
+    out = tmp_path / "run.csv"
+    robot = ["--robot", f"{__name__}:Interrupted", "--robot-options"]
     options = ["scene=three_tendon", "fidelity=fast", "sensors=3", "real_time=false"]
     with pytest.raises(SystemExit) as exit:
         main(
@@ -170,7 +172,8 @@ def test_robots_that_there_are_not_are_refused(name, options, message):
 
 
 def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
-    options, path = policy_options("filtered:tracking", "TipPose", SMALL), tmp_path / "first.csv"
+    options = policy_options("filtered:tracking", "TipPose", SMALL)
+    path = tmp_path / "first.csv"
     env = gym.make("TendonRod-TipPose-v0", **options, randomize={"noise": NOISE})
     policy = load_policy("filtered:tracking", env)
     rehearse(policy, env)
@@ -197,7 +200,8 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
 
 
 def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_out(tmp_path):
-    path, random = tmp_path / "new" / "run.csv", np.random.default_rng(0)
+    path = tmp_path / "new" / "run.csv"
+    random = np.random.default_rng(0)
     env = gym.make("TendonRod-Reach-v0", **SMALL, observation=["tip_position", "tendon_lengths"])
     env = RobotEnv(
         env, SimulatedRobot(**SMALL, real_time=False, randomize={"noise": NOISE}), log=path
@@ -248,7 +252,8 @@ def test_no_log_is_overwritten(arm_of_test, drawing, tmp_path):
 def test_a_full_disk_stops_the_run_and_keeps_the_rows(
     arm_of_test, drawing, pulling, tmp_path, monkeypatch
 ):
-    arm, path = arm_of_test(), tmp_path / "run.csv"
+    arm = arm_of_test()
+    path = tmp_path / "run.csv"
     env = RobotEnv(drawing(), arm, log=path)
     write = env._log._writer.writerows
 

@@ -80,10 +80,8 @@ def out_of_reach():
 def test_every_end_lets_the_tendons_go(
     faults, then, raised, cause, sent, arm_of_test, drawing, pulling, columns_of_log, tmp_path
 ):
-    arm, before = (
-        arm_of_test(**faults),
-        [signal.signal(number, signal.SIG_DFL) for number in (signal.SIGTERM, signal.SIGHUP)],
-    )
+    arm = arm_of_test(**faults)
+    before = [signal.signal(number, signal.SIG_DFL) for number in (signal.SIGTERM, signal.SIGHUP)]
     env = RobotEnv(drawing(), arm, settle=0.0, log=tmp_path / "run.csv")
     if raised is None:
         assert run_policy(pulling(then), env, 0.6).stop is env.stopped
@@ -387,7 +385,8 @@ def test_tendons_are_slack_before_another_episode_begins(arm_of_test, drawing):
 
 def test_real_time_is_slept_through_and_met(monkeypatch):
     """Sleeping ends a little before the deadline, since a process wakes late."""
-    now, slept = [5.0], []
+    now = [5.0]
+    slept = []
 
     def sleep(seconds):
         slept.append(seconds)
@@ -442,7 +441,8 @@ def test_readings_of_two_sensors_are_joined(arm_of_test, drawing):
     """Each of them is as new as its own time says."""
     clock = Clock(real=False)
     readings = Freshness(clock)
-    near, far = np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])
+    near = np.eye(4)
+    far = np.diag([1.0, -1.0, -1.0, 1.0])
     readings.take(Measurement(5.0, near, tendon_length=np.zeros(3), tip_time=90.0), True)
     clock.wait_until(0.25)
     old_pose = Measurement(5.1, far, tendon_length=np.ones(3), tip_time=90.0)
@@ -574,7 +574,8 @@ def test_a_driver_with_a_watchdog_of_its_own_is_told(arm_of_test, drawing):
 
 def test_a_late_period_does_not_move_the_next_deadlines():
     clock = Clock(real=False)
-    pacer, begun = Pacer(clock, 0.02), []
+    pacer = Pacer(clock, 0.02)
+    begun = []
     for busy in (0.005, 0.05, 0.001, 0.001, 0.001):  # the second one takes two and a half periods
         clock.wait_until(clock.now() + busy)
         pacer.wait()

@@ -22,7 +22,8 @@ class Held:
     """An arm that keeps the causes of its stops."""
 
     def __init__(self):
-        self.causes, self.is_letting_go = [], False
+        self.causes = []
+        self.is_letting_go = False
 
     def order_stop(self, cause):
         self.causes.append(cause)
@@ -41,7 +42,8 @@ def holders():
 
 @pytest.mark.parametrize("number", ending_signals())
 def test_every_signal_that_can_be_caught_lets_all_arms_go(number, holders):
-    first, second = Held(), Held()
+    first = Held()
+    second = Held()
     before = signal.getsignal(number)
     if before not in (signal.SIG_DFL, signal.default_int_handler):
         pytest.skip("Python ignores it, or somebody handles it")
@@ -95,7 +97,8 @@ def test_what_somebody_else_handles_is_theirs(holders):
 
 
 def test_signals_are_given_back_also_after_another_thread_has_closed_the_last_arm(holders):
-    arm, taken = Held(), []
+    arm = Held()
+    taken = []
     holders.add(arm)
     thread = threading.Thread(target=holders.remove, args=(arm,))
     thread.start()

@@ -37,7 +37,8 @@ def test_a_hollow_rectangle_is_its_outline_less_its_hole(example):
 def test_torsion_of_a_thin_square_wall_is_that_of_bredt(example):
     """J = a^3 t of a square of side a between the middles of its walls t."""
     hollow = example("own_section")["HollowRectangle"]
-    a, wall = 0.02, 1e-5
+    a = 0.02
+    wall = 1e-5
     sizes = np.array([[a + wall], [a + wall], [wall]])
     section = hollow(width=a + wall, height=a + wall, wall=wall)
     np.testing.assert_allclose(section.integrals(sizes)[3], a**3 * wall, rtol=1e-9)
@@ -58,7 +59,8 @@ def test_a_scene_with_a_section_of_ones_own_is_saved_and_checked(example):
 def test_the_slope_of_a_routing_of_ones_own_is_the_derivative_of_its_offset(example):
     scene = example("own_routing")["SCENE"]
     routing = scene.tendons[0].routing
-    places, h = np.linspace(0.01, 0.29, 41), 1e-6
+    places = np.linspace(0.01, 0.29, 41)
+    h = 1e-6
     ends = (0.0, 0.3)
 
     def at(arc_length):

@@ -13,8 +13,11 @@ from soft_tendon_env.envs.options import Options
 from soft_tendon_env.scene.plausibility import implausible, scales_of
 from soft_tendon_env.scene.units import UnitsWarning, warn_of_units
 
-LENGTH, RADIUS, OFFSET = 0.4, 0.012, 0.009
-MODULUS, DENSITY = 4e5, 1100.0
+LENGTH = 0.4  # [m]
+RADIUS = 0.012  # [m]
+OFFSET = 0.009  # [m] of the tendons from the axis
+MODULUS = 4e5  # [Pa]
+DENSITY = 1100.0  # [kg/m^3]
 AREA = math.pi * RADIUS**2
 BENDING = MODULUS * AREA * RADIUS**2 / 4.0
 STIFFNESS = {
@@ -195,7 +198,8 @@ def drawn_arm(family, seed):
         return float(np.exp(random.uniform(*np.log(ends))))
 
     length, share, E, density, outside = map(between, FAMILIES[family])
-    radius, count = share * length, int(random.integers(1, 13))
+    radius = share * length
+    count = int(random.integers(1, 13))
     bending = E * math.pi * radius**4 / 4.0
     rate = 3.516 * math.sqrt(bending / (density * math.pi * radius**2 * length**4))
     damping = 2.0 * between((0.003, 2.0)) / rate * E / 3.0

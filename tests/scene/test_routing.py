@@ -39,7 +39,8 @@ def evaluate(routing, arc_length):
 
 @pytest.mark.parametrize("routing", ROUTINGS.values(), ids=ROUTINGS)
 def test_slope_is_the_derivative_of_the_offset(routing):
-    x, h = np.linspace(0.11, 0.49, 41), 1e-6
+    x = np.linspace(0.11, 0.49, 41)
+    h = 1e-6
     offset, slope = evaluate(routing, x)
     assert offset.shape == slope.shape == (41, 2)
     np.testing.assert_allclose(
@@ -55,7 +56,8 @@ def test_a_tendon_on_the_surface_of_a_flat_section_lies_on_its_outline(shape, an
         width=LinearTaper(base=0.03, tip=0.02),
         height=TaperTable(arc_length=(0, 0.4), size=(0.008, 0.006)),
     )
-    x, h = np.linspace(0.01, 0.39, 21), 1e-6
+    x = np.linspace(0.01, 0.39, 21)
+    h = 1e-6
     routing = SurfaceRouting(angle=angle)
 
     def offset_and_slope(places):
@@ -75,7 +77,8 @@ def test_a_tendon_on_the_surface_of_a_flat_section_lies_on_its_outline(shape, an
 
 @pytest.mark.parametrize("profile", [LinearTaper(base=0.03, tip=0.02), RADII])
 def test_slope_is_the_derivative_of_the_radius(profile):
-    s, h = np.linspace(0.011, 0.389, 50), 1e-6
+    s = np.linspace(0.011, 0.389, 50)
+    h = 1e-6
     ahead, behind = (profile.size_and_slope(s + d, LENGTH)[0] for d in (h, -h))
     np.testing.assert_allclose(
         profile.size_and_slope(s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7

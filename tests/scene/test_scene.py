@@ -265,14 +265,12 @@ def test_shipped_scene_loads_and_round_trips(name, tmp_path):
 def test_paper_tendons_follow_the_papers_table():
     scene = load_scene("paper")
     x = np.linspace(0.0, 0.5, 31)
-    r, r_t, r_m, turn, s, c = (
-        0.03 - 0.01 * x,
-        0.02,
-        0.025,
-        4 * np.pi * x,
-        np.sin(np.pi / 6),
-        np.cos(np.pi / 6),
-    )
+    r = 0.03 - 0.01 * x
+    r_t = 0.02
+    r_m = 0.025
+    turn = 4 * np.pi * x
+    s = np.sin(np.pi / 6)
+    c = np.cos(np.pi / 6)
     table = [
         (r, 0 * x),
         (-r * s, r * c),

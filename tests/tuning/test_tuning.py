@@ -89,7 +89,8 @@ def done(search, folder):
 
 def test_the_search_finds_the_least_cost(tmp_path):
     search = Bowl(trials=40)
-    best, trials = tune(search, tmp_path, workers=1), done(search, tmp_path)
+    best = tune(search, tmp_path, workers=1)
+    trials = done(search, tmp_path)
     found = best.user_attrs["values"]
     assert len(trials) == 40
     assert any(trial.state.name == "PRUNED" for trial in trials)
@@ -175,7 +176,8 @@ def test_mistakes_of_a_search_are_one_line(kind, changes, message):
 @pytest.mark.parametrize("table", [CONTROLLER, TRAINING], ids=["controller", "training"])
 def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(summaries, "WORST", 10.0)  # it is far at the beginning
-    file, out = tmp_path / "search.toml", tmp_path / "out"
+    file = tmp_path / "search.toml"
+    out = tmp_path / "out"
     file.write_text(tomli_w.dumps(table))
     main(["tune", str(file), "--trials", "3", "--out", str(out)])
     printed = capsys.readouterr().out

@@ -30,9 +30,9 @@ from soft_tendon_env.effects.contact.obstacles import (
     AnyObstacle,
     body_at,
     distance,
+    in_frame_of,
     place_in,
     read_distances,
-    triple,
 )
 from soft_tendon_env.effects.contact.outline import ROUND, nearest
 from soft_tendon_env.effects.contact.samples import (
@@ -48,6 +48,7 @@ from soft_tendon_env.effects.contact.samples import (
 )
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import (
+    columns_of,
     cross,
     dot,
     minus,
@@ -57,6 +58,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
 )
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import YES, adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.terms.kinematics import matrix_pose, triple
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, index_of_node
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.registry import register
@@ -216,12 +218,16 @@ def normal_law(body, sample, depth, approach):
     # penalty p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond, and its energy
     smooth = min(depth, e)
     linear = depth - smooth
-    penalty = k * (0.5 * smooth * smooth / e + linear)
-    penalty_energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear)
+    squared = smooth * smooth
+    penalty = k * (0.5 * squared / e + linear)
+    energy_of_smooth = squared * smooth / (6.0 * e)
+    energy_of_linear = 0.5 * depth * linear
+    penalty_energy = k * (energy_of_smooth + energy_of_linear)
     # wall S x^3 / width, with energy S x^4 / 4
     thick = 0.5 * min(sample.radius, body.thickness)
+    free = FREE * sample.radius
     width = (WALL - FREE) * sample.radius + thick
-    x = max(depth - FREE * sample.radius - thick, 0.0) / width
+    x = max(depth - free - thick, 0.0) / width
     scale = sample.wall * x * x
     wall = scale * x / width
     energy = penalty_energy + 0.25 * scale * x * x
@@ -232,7 +238,9 @@ def normal_law(body, sample, depth, approach):
     stop = max(1.0 + c_wall * approach, 0.0)
     force = penalty * factor + wall * stop
     # derivatives by d and by d_dot
-    stiffness = k * smooth / e * factor + 3.0 * scale / (width * width) * stop
+    penalty_stiffness = k * smooth / e
+    wall_stiffness = 3.0 * scale / (width * width)
+    stiffness = penalty_stiffness * factor + wall_stiffness * stop
     penalty_damping = c * penalty if factor > 0.0 else 0.0
     wall_damping = c_wall * wall if stop > 0.0 else 0.0
     return force, stiffness, penalty_damping + wall_damping, energy
@@ -259,7 +267,8 @@ def touch_of(body, sample, ends, nodes):
     # pressure and friction
     depth = max(-point.gap, 0.0)
     pressure, stiffness, damping, energy = normal_law(body, sample, depth, approach)
-    speed = math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
+    squared_speed = dot(slip, slip) + STICTION_SPEED * STICTION_SPEED
+    speed = math.sqrt(squared_speed)
     drag = body.friction * pressure / speed
     force = minus(times(pressure, normal), times(drag, slip))
     return Touch(
@@ -289,19 +298,15 @@ def add_along(field, node, lever, share, n, k):
 
     It is that of what resists motion along n.
     """
-    begin = (node // LANES) * 21 * LANES + node % LANES
     w = cross(lever, n) + times(share, n)
-    for i in range(6):
-        for j in range(i + 1):
-            entry = i * (i + 1) // 2 + j
-            field[begin + entry * LANES] += k * w[i] * w[j]
+    add_square(field, node, w, k)
 
 
 @kernel(inline=True)
-def add_turning(field, node, w, k):
-    """Adds k w w^T of a rotation w to the block of a node."""
+def add_square(field, node, w, k):
+    """Adds k w w^T to the block of a node, of a twist w (6 numbers) or of a rotation (3)."""
     begin = (node // LANES) * 21 * LANES + node % LANES
-    for i in range(3):
+    for i in range(len(w)):
         for j in range(i + 1):
             entry = i * (i + 1) // 2 + j
             field[begin + entry * LANES] += k * w[i] * w[j]
@@ -332,9 +337,10 @@ def add_to_node(nodes, node, R, weights, touch):
         move = touch.moves[i]
         if move > 0.0 and pressure > 0.0:
             turned = times(turn, cross(AXES[1 + i], n))
-            add_turning(nodes.stiffness, node, turned, pressure * move / part)
+            add_square(nodes.stiffness, node, turned, pressure * move / part)
     # friction resists motion along all axes, and so the normal one is counted less it
-    add_along(nodes.damping, node, lever, share, n, (touch.damping - touch.drag) / part)
+    along_normal = touch.damping - touch.drag
+    add_along(nodes.damping, node, lever, share, n, along_normal / part)
     if touch.drag > 0.0:
         for axis in AXES:
             add_along(nodes.damping, node, lever, share, axis, touch.drag / part)
@@ -394,7 +400,8 @@ def read_contacts(contact, nodes, gap, position, force):
         for i in range(contact.intervals.shape[0]):
             ends = ends_of(nodes, i)
             for m in samples_of(contact.intervals, i):
-                touch = touch_of(body, sample_at(contact, m), ends, nodes)
+                sample = sample_at(contact, m)
+                touch = touch_of(body, sample, ends, nodes)
                 energy += touch.energy
                 gap[j, m] = touch.gap
                 for k in range(3):
@@ -409,11 +416,11 @@ def read_gaps(contact, poses, time, out):
     for j in range(out.shape[0]):
         body = body_at(contact.obstacles, j, time)
         for m in range(out.shape[1]):
-            pose = poses[m]
-            r = (pose[0, 3], pose[1, 3], pose[2, 3])
-            y_axis = (pose[0, 1], pose[1, 1], pose[2, 1])
-            z_axis = (pose[0, 2], pose[1, 2], pose[2, 2])
-            out[j, m] = nearest(body, sample_at(contact, m), r, y_axis, z_axis).gap
+            sample = sample_at(contact, m)
+            R, r = matrix_pose(poses, m)
+            _, y_axis, z_axis = columns_of(R)
+            point = nearest(body, sample, r, y_axis, z_axis)
+            out[j, m] = point.gap
 
 
 @limits_step(ContactParameters)
@@ -431,13 +438,16 @@ def limit_contact(contact, nodes, longest):
     for j in range(obstacles.shape[0]):
         velocity = body_at(obstacles, j, nodes.time).velocity
         fastest = max(fastest, size(velocity))
-        if size(triple(obstacles, j, AMPLITUDE)) > 0.0:
+        amplitude = triple(obstacles, j, AMPLITUDE)
+        if size(amplitude) > 0.0:
             allow_turning(obstacles[j, OMEGA], longest)
     energy = landing_energy(nodes, intervals, fastest)
     landed = 0.0
+    time_before = nodes.before_step.time[0]
     for j in range(obstacles.shape[0]):
-        body_before = body_at(obstacles, j, nodes.before_step.time[0])
-        bodies = (body_before, body_at(obstacles, j, nodes.time))
+        body_before = body_at(obstacles, j, time_before)
+        body = body_at(obstacles, j, nodes.time)
+        bodies = (body_before, body)
         for i in range(intervals.shape[0]):
             ends = (ends_of(nodes.before_step, i), ends_of(nodes, i))
             if not is_far(bodies, ends, intervals, nodes, longest):
@@ -460,11 +470,14 @@ def landing_energy(nodes, intervals, fastest):
     for i in range(intervals.shape[0]):
         R, r = pose_of(nodes, i)
         _, v = motion_of(nodes, i, R, r)
-        kinetic += 0.5 * nodes.mass[i] * dot(v, v)
-        mass += nodes.mass[i]
+        node_mass = nodes.mass[i]
+        kinetic += 0.5 * node_mass * dot(v, v)
+        mass += node_mass
         length += intervals[i, 0]
+    # the arm counts as moving at least so fast
     speed = max(IDLE * length, fastest)
-    return LANDED * (kinetic + 0.5 * mass * speed**2)
+    counted = 0.5 * mass * speed**2
+    return LANDED * (kinetic + counted)
 
 
 @kernel(inline=True)
@@ -480,12 +493,14 @@ def is_far(bodies, ends, intervals, nodes, longest):
     w_a, v_a = motion_of(nodes, now.interval - 1, now.R_a, now.r_a)
     w_b, v_b = motion_of(nodes, now.interval, now.R_b, now.r_b)
     length = intervals[now.interval, 0]
-    turning = MOST_HERMITE * length * (size(w_b) + size(w_a))
-    speed = max(size(v_b), size(v_a)) + turning + size(body.velocity)
+    rates = size(w_b) + size(w_a)
+    turning = MOST_HERMITE * length * rates
+    fastest_end = max(size(v_b), size(v_a))
+    speed = fastest_end + turning + size(body.velocity)
     ahead = reach_of(intervals, now) + speed * longest[0]
     # and that by which the interval's end has moved in the last one
     place, away, _ = place_in(body, now.r_b)
-    place_before = rotate_back(body_before.R, minus(before.r_b, body_before.r))
+    place_before = in_frame_of(body_before, before.r_b)
     moved = size(minus(place_before, place))
     behind = reach_of(intervals, before) + moved
     return away >= max(behind, ahead)
@@ -508,7 +523,7 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
     point_before = nearest(body_before, sample, axis_before, y_before, z_before)
     point = nearest(body, sample, axis, y_axis, z_axis)
     gap = point.gap
-    start, _, _ = place_in(body_before, axis_before)
+    start = in_frame_of(body_before, axis_before)
     end, away, _ = place_in(body, axis)
     velocity, turning = motion_at(sample, now, nodes)
     surface = plus(velocity, cross(turning, point.offset))
@@ -516,12 +531,14 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
     approach = -dot(relative, point.normal)
     # in the last step: the axis comes no nearer than the surface may be deep
     thickness = away - gap
-    allowed = min(point_before.gap, 0.0) + thickness - THROUGH * sample.radius
-    if goes_through(body, start, end, allowed):
+    deep = THROUGH * sample.radius
+    allowed = min(point_before.gap, 0.0) + thickness - deep
+    if away < allowed or goes_through(body, start, end, allowed):
         flags.tunnelled[0] = YES
     # in the next one: up to where the energy k d^3 / 6 e is stored
     smoothing = sample.smoothing
-    landing = min(smoothing, (6.0 * smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
+    cubed = 6.0 * smoothing * energy / sample.stiffness
+    landing = min(smoothing, cubed ** (1.0 / 3.0))
     room = gap + landing if gap > 0.0 else OVERRUN * sample.radius
     is_met = approach * longest[0] > room
     if gap < 0.0 or is_met:
@@ -539,16 +556,15 @@ def check_sample(sample, bodies, ends, nodes, energy, longest):
 def goes_through(body, start, end, allowed):
     """Tells whether the distance from a body falls below `allowed` [m] on the straight way.
 
-    The way lies between two points in its frame; the distance falls no faster than the way goes on.
+    The way lies between two points in its frame, the latter of which is not looked at; the distance
+    falls no faster than the way goes on.
     """
     way = minus(end, start)
     length = size(way)
-    away_at_end, _ = distance(body, end)
-    if away_at_end < allowed:
-        return True
     s = 0.0  # share of the way
     for _ in range(CUTS):
-        away, _ = distance(body, plus(start, times(s, way)))
+        point = plus(start, times(s, way))
+        away, _ = distance(body, point)
         room = away - allowed
         if room > length * (1.0 - s):
             return False

@@ -21,6 +21,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     rotate_back,
     times,
 )
+from soft_tendon_env.mechanics.terms.kinematics import triple
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array, Direction, Frequency, Length, Number, Triple
 
@@ -80,8 +81,9 @@ def from_cylinder(sizes, x):
     if radius > 0.0:
         out_x = x[0] / radius
         out_y = x[1] / radius
-    away, n = from_box(sizes, (radius, 0.0, x[2]))
-    return away, (out_x * n[0], out_y * n[0], n[2])
+    away, normal = from_box(sizes, (radius, 0.0, x[2]))
+    out, _, out_z = normal
+    return away, (out_x * out, out_y * out, out_z)
 
 
 class Body(NamedTuple):
@@ -95,12 +97,6 @@ class Body(NamedTuple):
     R: tuple[float, ...]
     r: Triple
     velocity: Triple
-
-
-@kernel(inline=True)
-def triple(rows, i, first):
-    """Three numbers of a row as a vector."""
-    return rows[i, first], rows[i, first + 1], rows[i, first + 2]
 
 
 @kernel
@@ -117,14 +113,15 @@ def body_at(obstacles, j, time):
     angle = omega * time + row[PHASE]
     amplitude = triple(obstacles, j, AMPLITUDE)
     constant = triple(obstacles, j, VELOCITY)
-    carried = plus(triple(obstacles, j, POSITION), times(time, constant))
+    start = triple(obstacles, j, POSITION)
+    carried = plus(start, times(time, constant))
     r = plus(carried, times(math.sin(angle), amplitude))
-    velocity = plus(constant, times(omega * math.cos(angle), amplitude))
-    R = (
-        triple(obstacles, j, ORIENTATION)
-        + triple(obstacles, j, ORIENTATION + 3)
-        + triple(obstacles, j, ORIENTATION + 6)
-    )
+    swing_rate = omega * math.cos(angle)
+    velocity = plus(constant, times(swing_rate, amplitude))
+    first = triple(obstacles, j, ORIENTATION)
+    second = triple(obstacles, j, ORIENTATION + 3)
+    third = triple(obstacles, j, ORIENTATION + 6)
+    R = first + second + third
     return Body(shape, thickness, friction, dissipation, sizes, R, r, velocity)
 
 
@@ -142,9 +139,15 @@ def distance(body, x):
 
 
 @kernel(inline=True)
+def in_frame_of(body, x):
+    """Position [m] in the frame of a body."""
+    return rotate_back(body.R, minus(x, body.r))
+
+
+@kernel(inline=True)
 def place_in(body, x):
     """Position [m] in the frame of a body, the signed distance [m] from it, and its gradient."""
-    place = rotate_back(body.R, minus(x, body.r))
+    place = in_frame_of(body, x)
     away, out = distance(body, place)
     return place, away, out
 
@@ -159,9 +162,10 @@ def read_distances(obstacles, positions, time, out, nearest):
         body = body_at(obstacles, j, time)
         for m in range(positions.shape[0]):
             x = triple(positions, m, 0)
-            _, away, normal = place_in(body, x)
+            _, away, out_there = place_in(body, x)
             out[j, m] = away
-            surface = minus(x, times(away, rotate(body.R, normal)))
+            normal = rotate(body.R, out_there)
+            surface = minus(x, times(away, normal))
             for k in range(3):
                 nearest[j, m, k] = surface[k]
 
@@ -222,10 +226,11 @@ class Obstacle(Configuration):
 
     def pose(self, time: float) -> Array:
         """Pose (4, 4) of its frame at a time [s]."""
-        rows = np.array([self.row(0.0, 0.0)])
+        row = self.row(0.0, 0.0)
+        body = body_at(np.array([row]), 0, time)
         pose = np.eye(4)
         pose[:3, :3] = self.orientation
-        pose[:3, 3] = body_at(rows, 0, time).r
+        pose[:3, 3] = body.r
         return pose
 
 
@@ -239,9 +244,12 @@ class Directed(Obstacle):
     @property
     def orientation(self) -> Array:
         z = np.array(self.axis) / np.linalg.norm(self.axis)
-        x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+        # across it, from the world axis that is farthest from it
+        farthest = np.argmin(np.abs(z))
+        x = np.cross(np.eye(3)[farthest], z)
         x /= np.linalg.norm(x)
-        return np.stack([x, np.cross(z, x), z], axis=1)
+        y = np.cross(z, x)
+        return np.stack([x, y, z], axis=1)
 
 
 class Plane(Directed):

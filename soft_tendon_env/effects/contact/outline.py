@@ -43,11 +43,48 @@ class Nearest(NamedTuple):
     moves: tuple[float, float]
 
 
+class Bracket(NamedTuple):
+    """Interval in which a function changes its sign, for regula falsi (Illinois)."""
+
+    low: float
+    value_low: float
+    high: float
+    value_high: float
+    last: float  # the end that was moved last: 1 the upper one, -1 the lower one, 0 none
+
+
+@kernel(inline=True)
+def root_of_chord(bracket):
+    """Place at which the chord of a function between both ends is zero."""
+    weighted = bracket.low * bracket.value_high - bracket.high * bracket.value_low
+    return weighted / (bracket.value_high - bracket.value_low)
+
+
+@kernel(inline=True)
+def narrowed(bracket, place, value):
+    """Bracket with an end at a place between, where the function has a value.
+
+    Where the same end is moved twice, the value of the other one counts half: it would stay for
+    ever.
+    """
+    if value * bracket.value_high > 0.0:
+        value_low = bracket.value_low
+        if bracket.last > 0.0:
+            value_low = 0.5 * value_low
+        return Bracket(bracket.low, value_low, place, value, 1.0)
+    value_high = bracket.value_high
+    if bracket.last < 0.0:
+        value_high = 0.5 * value_high
+    return Bracket(place, value, bracket.high, value_high, -1.0)
+
+
 @kernel(inline=True)
 def sloped_distance(body, x, direction, s, half):
     """Slope along a direction of what is least, at a place s [m] from x."""
-    _, _, out = place_in(body, plus(x, times(s, direction)))
-    return dot(rotate(body.R, out), direction) + FLAT * s / half
+    point = plus(x, times(s, direction))
+    _, _, out = place_in(body, point)
+    slope = dot(rotate(body.R, out), direction)
+    return slope + FLAT * s / half
 
 
 @kernel
@@ -65,25 +102,15 @@ def least_along(body, x, direction, half):
     slope_high = sloped_distance(body, x, direction, high, half)
     if slope_high <= 0.0:
         return high, 0.0
+    bracket = Bracket(low, slope_low, high, slope_high, 0.0)
     s = 0.0
     slope = 0.0
-    last = 0.0  # the slope before
     for _ in range(MOST_TRIES):
-        s = (low * slope_high - high * slope_low) / (slope_high - slope_low)
+        s = root_of_chord(bracket)
         slope = sloped_distance(body, x, direction, s, half)
         if abs(slope) < CLOSE:
             break
-        if slope > 0.0:
-            high = s
-            slope_high = slope
-            if last > 0.0:  # the same end twice: the other one counts half
-                slope_low = 0.5 * slope_low
-        else:
-            low = s
-            slope_low = slope
-            if last < 0.0:
-                slope_high = 0.5 * slope_high
-        last = slope
+        bracket = narrowed(bracket, s, slope)
     step = NEAR * half
     growth = sloped_distance(body, x, direction, s + step, half) - slope
     return s, step / growth
@@ -100,8 +127,10 @@ def nearest_of_rectangle(body, sample, r, y_axis, z_axis):
     move_y = 0.0
     move_z = 0.0
     for _ in range(ROUNDS):
-        z, move_z = least_along(body, plus(r, times(y, y_axis)), z_axis, sample.half_z)
-        y, move_y = least_along(body, plus(r, times(z, z_axis)), y_axis, sample.half_y)
+        beside_y = plus(r, times(y, y_axis))
+        z, move_z = least_along(body, beside_y, z_axis, sample.half_z)
+        beside_z = plus(r, times(z, z_axis))
+        y, move_y = least_along(body, beside_z, y_axis, sample.half_y)
     return y, z, move_y, move_z
 
 
@@ -113,9 +142,10 @@ def turned_back(body, sample, r, y_axis, z_axis, angle, share):
     """
     y = share * sample.half_y * math.cos(angle)
     z = share * sample.half_z * math.sin(angle)
-    point = plus(r, plus(times(y, y_axis), times(z, z_axis)))
-    _, _, out = place_in(body, point)
+    offset = plus(times(y, y_axis), times(z, z_axis))
+    _, _, out = place_in(body, plus(r, offset))
     n = rotate(body.R, out)
+    # the eccentric angle of the point that has this normal
     along_y = -sample.half_y * dot(n, y_axis)
     along_z = -sample.half_z * dot(n, z_axis)
     turn = math.atan2(along_z, along_y) - angle
@@ -130,7 +160,9 @@ def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
     """
     _, _, out = place_in(body, r)
     n = rotate(body.R, out)
-    across = math.sqrt(dot(n, y_axis) ** 2 + dot(n, z_axis) ** 2)
+    n_y = dot(n, y_axis)
+    n_z = dot(n, z_axis)
+    across = math.sqrt(n_y**2 + n_z**2)
     # where the rod meets something head on, no point of the outline is nearest
     share = across / math.sqrt(across * across + FLAT * FLAT)
     # the point whose normal is that at the axis: on a plane it is the nearest
@@ -141,26 +173,16 @@ def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
         high = low + turn_low
         turn_high = turned_back(body, sample, r, y_axis, z_axis, high, share)
         angle = high
-        last = 0.0
+        bracket = Bracket(low, turn_low, high, turn_high, 0.0)
         for _ in range(MOST_TRIES):
-            if abs(turn_high) < CLOSE or turn_low * turn_high >= 0.0:
+            has_no_change = bracket.value_low * bracket.value_high >= 0.0
+            if abs(bracket.value_high) < CLOSE or has_no_change:
                 break
-            angle = (low * turn_high - high * turn_low) / (turn_high - turn_low)
+            angle = root_of_chord(bracket)
             turn = turned_back(body, sample, r, y_axis, z_axis, angle, share)
             if abs(turn) < CLOSE:
                 break
-            if turn * turn_high > 0.0:
-                high = angle
-                turn_high = turn
-                if last > 0.0:
-                    turn_low = 0.5 * turn_low
-                last = 1.0
-            else:
-                low = angle
-                turn_low = turn
-                if last < 0.0:
-                    turn_high = 0.5 * turn_high
-                last = -1.0
+            bracket = narrowed(bracket, angle, turn)
     c = math.cos(angle)
     s = math.sin(angle)
     a = sample.half_y
@@ -170,7 +192,9 @@ def nearest_of_ellipse(body, sample, r, y_axis, z_axis):
     radius = height**3 / (a * b)
     normal_y = b * c / height
     normal_z = a * s / height
-    return share * a * c, share * b * s, radius * normal_z**2, radius * normal_y**2
+    move_y = radius * normal_z**2
+    move_z = radius * normal_y**2
+    return share * a * c, share * b * s, move_y, move_z
 
 
 @kernel(inline=True)
@@ -194,5 +218,8 @@ def nearest(body, sample, r, y_axis, z_axis):
     _, away, out = place_in(body, plus(r, offset))
     gap = away - ball
     if sample.shape == RECTANGLE:
-        gap += 0.5 * FLAT * (y * y / sample.half_y + z * z / sample.half_z)
-    return Nearest(gap, rotate(body.R, out), (0.0, y, z), offset, (move_y, move_z))
+        bent_y = y * y / sample.half_y
+        bent_z = z * z / sample.half_z
+        gap += 0.5 * FLAT * (bent_y + bent_z)
+    normal = rotate(body.R, out)
+    return Nearest(gap, normal, (0.0, y, z), offset, (move_y, move_z))

@@ -16,7 +16,14 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.effects.contact.outline import ELLIPSE, RECTANGLE, ROUND
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times, twist_of
+from soft_tendon_env.mechanics.algebra.lie import (
+    columns_of,
+    cross,
+    plus,
+    rotate,
+    times,
+    twist_of,
+)
 from soft_tendon_env.mechanics.effects import BeforeStep, Nodes, make_contact_flags
 from soft_tendon_env.mechanics.terms.kinematics import pose_at, pose_of_base, twist_at
 from soft_tendon_env.mechanics.types import IntVector
@@ -116,21 +123,11 @@ def hermite(sample, a, tangent_a, b, tangent_b):
 
 
 @kernel(inline=True)
-def tangent(R):
-    """R e_x."""
-    return R[0], R[3], R[6]
-
-
-@kernel(inline=True)
-def column(R, i):
-    """Column i of a rotation."""
-    return R[i], R[3 + i], R[6 + i]
-
-
-@kernel(inline=True)
 def position_of(sample, ends):
     """Position of a sample's middle [m]."""
-    return hermite(sample, ends.r_a, tangent(ends.R_a), ends.r_b, tangent(ends.R_b))
+    tangent_a, _, _ = columns_of(ends.R_a)
+    tangent_b, _, _ = columns_of(ends.R_b)
+    return hermite(sample, ends.r_a, tangent_a, ends.r_b, tangent_b)
 
 
 @kernel(inline=True)
@@ -140,8 +137,11 @@ def axes_of(sample, ends):
     They are means of those of both nodes, so that a point of the section moves linearly with them.
     """
     t = sample.t
-    y_axis = plus(times(t, column(ends.R_b, 1)), times(1.0 - t, column(ends.R_a, 1)))
-    z_axis = plus(times(t, column(ends.R_b, 2)), times(1.0 - t, column(ends.R_a, 2)))
+    rest = 1.0 - t
+    _, y_a, z_a = columns_of(ends.R_a)
+    _, y_b, z_b = columns_of(ends.R_b)
+    y_axis = plus(times(t, y_b), times(rest, y_a))
+    z_axis = plus(times(t, z_b), times(rest, z_a))
     return y_axis, z_axis
 
 
@@ -152,8 +152,10 @@ def motion_at(sample, ends, nodes):
     t = sample.t
     w_a, v_a = motion_of(nodes, before, ends.R_a, ends.r_a)
     w_b, v_b = motion_of(nodes, ends.interval, ends.R_b, ends.r_b)
-    turning_a = cross(w_a, tangent(ends.R_a))
-    turning_b = cross(w_b, tangent(ends.R_b))
+    tangent_a, _, _ = columns_of(ends.R_a)
+    tangent_b, _, _ = columns_of(ends.R_b)
+    turning_a = cross(w_a, tangent_a)
+    turning_b = cross(w_b, tangent_b)
     velocity = hermite(sample, v_a, turning_a, v_b, turning_b)
     turning = plus(times(t, w_b), times(1.0 - t, w_a))
     return velocity, turning
@@ -191,41 +193,60 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     h = rod.node - start
     # how many to an interval, and where in it
     middle = 0.5 * (start + rod.node)
-    spacing = np.sqrt(np.prod(rod.half_widths(middle), axis=0))
-    apart = np.maximum(spacing, rod.length / MOST_SAMPLES)
+    half_widths = rod.half_widths(middle)
+    spacing = np.sqrt(np.prod(half_widths, axis=0))
+    least_apart = rod.length / MOST_SAMPLES
+    apart = np.maximum(spacing, least_apart)
     counts = np.ceil(h / apart).astype(int)
-    t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
+    shares = [np.arange(1, count + 1) / count for count in counts if count]
+    t = np.concatenate(shares)
     length = np.repeat(h, counts)
     place = np.repeat(start, counts) + t * length
     outline = sample_outlines(rod, place)
     radius = outline.radius
     # the length of rod that each stands for, the last one for the tip's round cap too
-    share = np.repeat(h / np.maximum(counts, 1), counts)
+    own_length = h / np.maximum(counts, 1)
+    share = np.repeat(own_length, counts)
     share[-1] = 0.5 * share[-1] + radius[-1]
     # E A / (2 r)^2 per length and depth: of a flat section across its larger width, the softer way
     axial = rod.elasticity(place)[:, 3]
     width = 2.0 * rod.half_widths(place).max(axis=0)
     stiffness = axial / width**2 * share
+    smoothing = SMOOTHING * radius
     # energy of the wall: of the rod, and of the discs at the nearest samples
     unit = WALL_MASS * WALL_SPEED**2
     wall = unit * rod.line_mass(place) * share
-    np.add.at(wall, _nearest(rod, place), unit * rod.discs[:, 1])
-    # the Hermite polynomials H00, h H10, H01, h H11
-    h_a = (1 + 2 * t) * (1 - t) ** 2
-    reach_a = length * t * (1 - t) ** 2
-    h_b = t**2 * (3 - 2 * t)
-    reach_b = length * t**2 * (t - 1)
-    smoothing = SMOOTHING * radius
+    disc_mass = rod.discs[:, 1]
+    np.add.at(wall, _nearest(rod, place), unit * disc_mass)
     # in the order of Sample
-    curve = [h_a, reach_a, h_b, reach_b, t]
-    columns = [*curve, radius, stiffness, smoothing, wall, outline.shape, *outline.half_widths]
+    columns = [
+        *_hermite_columns(t, length),
+        t,
+        radius,
+        stiffness,
+        smoothing,
+        wall,
+        outline.shape,
+        *outline.half_widths,
+    ]
     last = np.cumsum(counts)
     first = last - counts
-    largest = [
-        outline.largest[begin:end].max(initial=0.0) for begin, end in zip(first, last, strict=True)
-    ]
+    largest = []
+    for begin, end in zip(first, last, strict=True):
+        of_interval = outline.largest[begin:end]
+        largest.append(of_interval.max(initial=0.0))
     intervals = np.stack([h, first, last, largest], axis=1)
     return intervals, np.stack(columns, axis=1), place
+
+
+def _hermite_columns(t: Array, length: Array) -> list[Array]:
+    """Hermite polynomials H00, h H10, H01, h H11 at shares t (m,) of intervals of lengths (m,)."""
+    rest = 1 - t
+    h_a = (1 + 2 * t) * rest**2
+    reach_a = length * t * rest**2
+    h_b = t**2 * (3 - 2 * t)
+    reach_b = length * t**2 * (t - 1)
+    return [h_a, reach_a, h_b, reach_b]
 
 
 class Outlines(NamedTuple):

@@ -23,8 +23,9 @@ MARGIN = 1.03
 places."""
 
 BETWEEN = 2e-4
-"""How far forces may be off between the places of a spline, see `At.residual`; usual motions have
-1e-6 to 5e-5."""
+"""How far forces may be off between the places of a spline, see `Evaluation.residual`.
+
+Usual motions have 1e-6 to 5e-5."""
 
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four
@@ -288,7 +289,7 @@ class EquilibriumPath:
         return q
 
     def residuals(self, tension: Array, q: Array) -> Array:
-        """How far forces are off at coordinates under tensions, see `At.residual`.
+        """How far forces are off at coordinates under tensions, see `Evaluation.residual`.
 
         Args:
             tension: (m, n_a) [N].
@@ -318,9 +319,9 @@ class EquilibriumPath:
         rest = LoadPath(balance).equilibrium(guess, 1.0)
         angle = np.inf
         if rest is not None:
-            angle = balance.angle(rest.at.q - guess)
+            angle = balance.angle(rest.evaluation.q - guess)
             if angle <= NEAR and rest.stability.stable:
-                self._q = rest.at.q
+                self._q = rest.evaluation.q
                 self._tension = tension
                 return self._q
         if angle <= CLOSE:

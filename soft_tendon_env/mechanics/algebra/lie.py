@@ -310,36 +310,47 @@ def write_twist(x, out):
 @kernel(inline=True)
 def ad_apply(x, y):
     """Lie bracket ad_x y of twists (Appendix A)."""
+    # ad_(k, p) (u, v) = (k x u, p x u + k x v)
     linear = plus(cross(x[1], y[0]), cross(x[0], y[1]))
-    return cross(x[0], y[0]), linear
+    angular = cross(x[0], y[0])
+    return angular, linear
 
 
 @kernel(inline=True)
 def coad_apply(x, w):
     """Coadjoint ad*_x w = -ad_x^T w of a wrench w (Appendix A)."""
-    moment = plus(cross(x[0], w[0]), cross(x[1], w[1]))
-    return moment, cross(x[0], w[1])
+    # ad*_(k, p) (m, f) = (k x m + p x f, k x f)
+    k, p = x
+    own_moment, own_force = w
+    moment = plus(cross(k, own_moment), cross(p, own_force))
+    force = cross(k, own_force)
+    return moment, force
 
 
 @kernel(inline=True)
 def operator_apply(A, C, x):
     """Product [[A, 0], [C, A]] x of a 6x6 operator and a twist."""
-    linear = plus(rotate(C, x[0]), rotate(A, x[1]))
-    return rotate(A, x[0]), linear
+    k, p = x
+    angular = rotate(A, k)
+    linear = plus(rotate(C, k), rotate(A, p))
+    return angular, linear
 
 
 @kernel(inline=True)
 def Ad_apply(R, r, x):
     """Adjoint Ad_g x: a twist x of the frame g seen in the base frame (Appendix A)."""
-    k = rotate(R, x[0])
-    return k, plus(cross(r, k), rotate(R, x[1]))
+    own_angular, own_linear = x
+    angular = rotate(R, own_angular)
+    linear = plus(cross(r, angular), rotate(R, own_linear))
+    return angular, linear
 
 
 @kernel(inline=True)
 def Ad_inverse_apply(R, r, x):
     """Inverse adjoint Ad_g^-1 x: a twist x of the base frame seen in the frame g."""
-    linear = minus(x[1], cross(r, x[0]))
-    return rotate_back(R, x[0]), rotate_back(R, linear)
+    angular, linear = x
+    linear_there = minus(linear, cross(r, angular))
+    return rotate_back(R, angular), rotate_back(R, linear_there)
 
 
 @kernel(inline=True)
@@ -363,8 +374,11 @@ def exp_se3(Omega, c):
 @kernel(inline=True)
 def pose_step(R, r, Omega):
     """Pose g exp(Omega^), of a pose g = (R, r)."""
-    R_step, r_step = exp_se3(Omega, angle_coefficients(Omega))
-    return matmul(R, R_step), plus(r, rotate(R, r_step))
+    c = angle_coefficients(Omega)
+    R_step, r_step = exp_se3(Omega, c)
+    R_next = matmul(R, R_step)
+    r_next = plus(r, rotate(R, r_step))
+    return R_next, r_next
 
 
 @kernel(inline=True)
@@ -419,9 +433,11 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
     turned = ad_apply(Omega_dot, x)
     mixed = twist_sum(ad_apply(Omega_dot, once), ad_apply(Omega, turned))
     # half of d(theta^2)/dt, and its dual part
-    kp = dot(Omega[0], Omega[1])
-    rate = dot(Omega[0], Omega_dot[0])
-    rate_dual = dot(Omega[0], Omega_dot[1]) + dot(Omega[1], Omega_dot[0])
+    k, p = Omega
+    k_dot, p_dot = Omega_dot
+    kp = dot(k, p)
+    rate = dot(k, k_dot)
+    rate_dual = dot(k, p_dot) + dot(p, k_dot)
     a_dot = c.a1 * rate
     b_dot = c.b1 * rate
     a_dual = c.a2 * kp * rate + c.a1 * rate_dual
@@ -446,10 +462,14 @@ def coad_polynomial(Omega, psi, a, b):
     """
     once = coad_apply(Omega, psi)
     twice = coad_apply(Omega, once)
-    powers = twist_sum(scale_twist(a[0], once), scale_twist(b[0], twice))
+    a_real, a_dual = a
+    b_real, b_dual = b
+    powers = twist_sum(scale_twist(a_real, once), scale_twist(b_real, twice))
     moment, force = twist_sum(psi, powers)
     # the dual parts turn forces into moments
-    dual = plus(times(a[1], once[1]), times(b[1], twice[1]))
+    _, force_once = once
+    _, force_twice = twice
+    dual = plus(times(a_dual, force_once), times(b_dual, force_twice))
     return plus(moment, dual), force
 
 
@@ -470,9 +490,10 @@ def dexp_inverse_transposed_apply(Omega, c, sign, psi):
     """
     kp = dot(Omega[0], Omega[1])
     # e = -a1 / (2 a), and its derivative by theta^2 / 2 times the dual part
+    e = inverse_coefficient(c)
     e_slope = 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a
-    e = (inverse_coefficient(c), e_slope * kp)
-    return coad_polynomial(Omega, psi, (0.5 * sign, 0.0), e)
+    half = 0.5 * sign
+    return coad_polynomial(Omega, psi, (half, 0.0), (e, e_slope * kp))
 
 
 @kernel
@@ -534,7 +555,8 @@ def log_se3(R, r):
     once = cross(k, r)
     twice = cross(k, once)
     e = inverse_coefficient(c)
-    return k, plus(minus(r, times(0.5, once)), times(e, twice))
+    without_square = minus(r, times(0.5, once))
+    return k, plus(without_square, times(e, twice))
 
 
 @kernel(inline=True)

@@ -143,18 +143,22 @@ def solve_columns(a, n, wide, columns):
         pivot = a[j * wide + j]
         if not (pivot > 0.0 and pivot < math.inf):
             return False
+        pivot_row = j * wide
         for i in range(j + 1, n):
-            share = -a[i * wide + j] / pivot
+            row = i * wide
+            share = -a[row + j] / pivot
             # whole packs: left of the diagonal too, where nothing is read
             for m in range(j // LANES * LANES, used, LANES):
-                reduced = load(a, i * wide + m) + share * load(a, j * wide + m)
-                store(a, i * wide + m, reduced)
+                reduced = load(a, row + m) + share * load(a, pivot_row + m)
+                store(a, row + m, reduced)
+    # substitution from the last unknown to the first
     for i in range(n - 1, -1, -1):
+        row = i * wide
         for c in range(n, n + columns):
-            x = a[i * wide + c]
+            x = a[row + c]
             for k in range(i + 1, n):
-                x -= a[i * wide + k] * a[k * wide + c]
-            a[i * wide + c] = x / a[i * wide + i]
+                x -= a[row + k] * a[k * wide + c]
+            a[row + c] = x / a[row + i]
     return True
 
 

@@ -117,20 +117,24 @@ def factorise(h, free):
 def solve_lower(f, b, free):
     """Forward substitution, L^-1 b for a twist-shaped b."""
     # x_i = b_i - sum_j<i l_ij x_j, in place
-    (b0, b1, b2), (b3, b4, b5) = b
+    angular, linear = b
+    b0, b1, b2 = angular
+    b3, b4, b5 = linear
     l10, l20, l21 = f[0:3]
     b1 = b1 - l10 * b0
     b2 = b2 - l20 * b0 - l21 * b1
     if len(free) > 3:
         l30, l31, l32 = f[3:6]
-        b3 = b3 - l30 * b0 - l31 * b1 - l32 * b2
+        b3 = b3 - l30 * b0 - l31 * b1
+        b3 = b3 - l32 * b2
     if len(free) > 4:
         l40, l41, l42, l43 = f[6:10]
         b4 = b4 - l40 * b0 - l41 * b1
         b4 = b4 - l42 * b2 - l43 * b3
         l50, l51, l52, l53, l54 = f[10:15]
         b5 = b5 - l50 * b0 - l51 * b1
-        b5 = b5 - l52 * b2 - l53 * b3 - l54 * b4
+        b5 = b5 - l52 * b2 - l53 * b3
+        b5 = b5 - l54 * b4
     return (b0, b1, b2), (b3, b4, b5)
 
 
@@ -179,7 +183,8 @@ def solve(f, b, free):
 @kernel(inline=True)
 def squared_norm(x):
     """Sum of the squares of a twist's or wrench's components."""
-    return dot(x[0], x[0]) + dot(x[1], x[1])
+    angular, linear = x
+    return dot(angular, angular) + dot(linear, linear)
 
 
 @kernel(inline=True)
@@ -204,7 +209,9 @@ def load21(field, block):
 def row_product(row, x):
     """Scalar product of six numbers and a twist."""
     h0, h1, h2, h3, h4, h5 = row
-    (x0, x1, x2), (x3, x4, x5) = x
+    angular, linear = x
+    x0, x1, x2 = angular
+    x3, x4, x5 = linear
     return h0 * x0 + h1 * x1 + h2 * x2 + h3 * x3 + h4 * x4 + h5 * x5
 
 
@@ -218,12 +225,18 @@ def symmetric_product(h, x):
     h30, h31, h32, h33 = h[6:10]
     h40, h41, h42, h43, h44 = h[10:15]
     h50, h51, h52, h53, h54, h55 = h[15:21]
-    y0 = row_product((h00, h10, h20, h30, h40, h50), x)
-    y1 = row_product((h10, h11, h21, h31, h41, h51), x)
-    y2 = row_product((h20, h21, h22, h32, h42, h52), x)
-    y3 = row_product((h30, h31, h32, h33, h43, h53), x)
-    y4 = row_product((h40, h41, h42, h43, h44, h54), x)
-    y5 = row_product((h50, h51, h52, h53, h54, h55), x)
+    row_0 = (h00, h10, h20, h30, h40, h50)
+    row_1 = (h10, h11, h21, h31, h41, h51)
+    row_2 = (h20, h21, h22, h32, h42, h52)
+    row_3 = (h30, h31, h32, h33, h43, h53)
+    row_4 = (h40, h41, h42, h43, h44, h54)
+    row_5 = (h50, h51, h52, h53, h54, h55)
+    y0 = row_product(row_0, x)
+    y1 = row_product(row_1, x)
+    y2 = row_product(row_2, x)
+    y3 = row_product(row_3, x)
+    y4 = row_product(row_4, x)
+    y5 = row_product(row_5, x)
     return (y0, y1, y2), (y3, y4, y5)
 
 
@@ -245,23 +258,34 @@ def zero21():
 @kernel(inline=True)
 def scaled_stiffness(h, c):
     """Scaled section stiffness I + C^1/2 h C^1/2."""
-    (c0, c1, c2), (c3, c4, c5) = c
-    return (
-        1.0 + c0 * c0 * h[0],
+    angular, linear = c
+    c0, c1, c2 = angular
+    c3, c4, c5 = linear
+    # h_ij is scaled by c_i c_j, row by row
+    row_0 = (1.0 + c0 * c0 * h[0],)
+    row_1 = (
         c1 * c0 * h[1],
         1.0 + c1 * c1 * h[2],
+    )
+    row_2 = (
         c2 * c0 * h[3],
         c2 * c1 * h[4],
         1.0 + c2 * c2 * h[5],
+    )
+    row_3 = (
         c3 * c0 * h[6],
         c3 * c1 * h[7],
         c3 * c2 * h[8],
         1.0 + c3 * c3 * h[9],
+    )
+    row_4 = (
         c4 * c0 * h[10],
         c4 * c1 * h[11],
         c4 * c2 * h[12],
         c4 * c3 * h[13],
         1.0 + c4 * c4 * h[14],
+    )
+    row_5 = (
         c5 * c0 * h[15],
         c5 * c1 * h[16],
         c5 * c2 * h[17],
@@ -269,6 +293,7 @@ def scaled_stiffness(h, c):
         c5 * c4 * h[19],
         1.0 + c5 * c5 * h[20],
     )
+    return row_0 + row_1 + row_2 + row_3 + row_4 + row_5
 
 
 @kernel(inline=True)

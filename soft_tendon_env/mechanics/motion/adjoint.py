@@ -188,13 +188,17 @@ def cut_part(arm, scheme, tape, place, count, scratch, memory):
     pieces = memory.tape
     command = tape.command[row, part : part + 1]
     step = scheme.control.step
+    duration_of_piece = tape.duration[row, part] / count
+    begins_with_part = tape.begins[row, part] == 1
     none = Record(tape.q[row, :0], tape.q_dot[row, :0], tape.q[:0])
-    copy_motion(motion_at(tape, row, part), motion_at(pieces, 0, 0))
+    start = motion_at(tape, row, part)
+    copy_motion(start, motion_at(pieces, 0, 0))
     for piece in range(count):
+        before = motion_at(pieces, 0, piece)
         motion = motion_at(pieces, 0, piece + 1)
-        copy_motion(motion_at(pieces, 0, piece), motion)
-        begins = piece == 0 and tape.begins[row, part] == 1
-        tape_part(pieces, 0, piece, command[0], tape.duration[row, part] / count, begins)
+        copy_motion(before, motion)
+        begins = piece == 0 and begins_with_part
+        tape_part(pieces, 0, piece, command[0], duration_of_piece, begins)
         held = Scheme(scheme.method, scheme.control, begins)
         duration = pieces.duration[0, piece : piece + 1]
         progress = advance(arm, held, command, duration, motion, step, scratch, none)
@@ -214,12 +218,14 @@ def motion_within(tape, row, part, share, memory):
     copy_motion(start, motion)
     motion.clock[0] += share * duration
     for i in range(motion.q.size):
+        way = end.q[i] - start.q[i]
         change = end.q_dot[i] - start.q_dot[i]
-        motion.q[i] += share * (end.q[i] - start.q[i])
+        motion.q[i] += share * way
         motion.q_dot[i] += share * change
         memory.gradient.a[i] = change / duration
     for m in range(motion.xi.size):
-        motion.xi[m] += share * (end.xi[m] - start.xi[m])
+        strained = end.xi[m] - start.xi[m]
+        motion.xi[m] += share * strained
     return motion
 
 
@@ -351,9 +357,10 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
 @kernel
 def add_stress_force(arm, Phi, fields, out):
     """Adds the generalised force of the stress fields.field to out (n)."""
-    stress_force(arm.rod, arm.strain, Phi, fields.field, fields.middle)
+    force = fields.middle
+    stress_force(arm.rod, arm.strain, Phi, fields.field, force)
     for i in range(out.size):
-        out[i] += fields.middle[i]
+        out[i] += force[i]
 
 
 @kernel(inline=True)
@@ -370,14 +377,16 @@ def read_force(arm, places, wrench, pull, force, work, fields):
     xi = work.strain.xi
     kinematics = work.kinematics
     length = arm.rod.length
-    fields.wrench[:] = 0.0
-    fields.field[:] = 0.0
-    add_at(fields.wrench, tip_index(fields.wrench), twist_of(wrench))
+    at_nodes = fields.wrench
+    stress = fields.field
+    at_nodes[:] = 0.0
+    stress[:] = 0.0
+    add_at(at_nodes, tip_index(at_nodes), twist_of(wrench))
     if pull.shape[0] > 0:
         stations = (places.station, places.station_distance)
-        add_station_forces(arm.rod, stations, pull, xi, kinematics, fields.wrench, fields.field)
-    add_wrench_stress(arm.rod, fields.wrench, xi, kinematics, fields.field)
-    add_strain_stress(length, places.sensor, places.sensor_distance, force, fields.field)
+        add_station_forces(arm.rod, stations, pull, xi, kinematics, at_nodes, stress)
+    add_wrench_stress(arm.rod, at_nodes, xi, kinematics, stress)
+    add_strain_stress(length, places.sensor, places.sensor_distance, force, stress)
 
 
 @kernel
@@ -403,5 +412,7 @@ def differ_reading(arm, places, tape, cotangents, row, work, memory):
         read_force(arm, places, wrench, no_pull, force, work, fields)
         stress_force(arm.rod, arm.strain, work.strain.Phi, fields.field, fields.sides[i])
     out = cotangents.q[row]
+    after = fields.sides[0]
+    before = fields.sides[1]
     for j in range(q.size):
-        out[j] += (fields.sides[0, j] - fields.sides[1, j]) / (2.0 * time)
+        out[j] += (after[j] - before[j]) / (2.0 * time)

@@ -94,10 +94,12 @@ def next_step(control, most_columns, step, attempt):
     if not control.adaptive:
         return 2.0 * step
     # the error of k columns grows as the k-th power of the step
-    ratio = control.tolerance / max(attempt.error, LEAST_ERROR)
+    error = max(attempt.error, LEAST_ERROR)
+    ratio = control.tolerance / error
     factor = 0.9 * ratio ** (1.0 / attempt.columns)
     least = 2.0 if attempt.columns < most_columns else 0.2
-    return step * min(4.0, max(least, factor))
+    longer = max(least, factor)
+    return step * min(4.0, longer)
 
 
 @kernel
@@ -142,9 +144,10 @@ def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     flags.tunnelled[0] = YES if unforeseen else NO
     flags.active[0] = NO
     for i in range(effects.count):
-        if effects.limit[i] != 0:
+        address = effects.limit[i]
+        if address != 0:
             nodes = nodes_of(arm, inputs, kinematics, work.loads, work.collision)
-            call(effects.limit[i], effects.parameters[i], (nodes, scratch.longest))
+            call(address, effects.parameters[i], (nodes, scratch.longest))
     if flags.tunnelled[0] == NO:  # for the next step
         copy_placement(kinematics, before_step)
 
@@ -202,10 +205,12 @@ class Record(NamedTuple):
 def tip_pose(arm, motion, work, out):
     """Tip pose (4, 4) of a motion; the last row of `out` is there already."""
     kinematics = work.kinematics
-    copy(motion.xi, work.strain.xi)
-    work.inputs.clock[0] = motion.clock[0]
-    place_base(arm, motion.clock[0], kinematics.base)
-    poses(arm.rod, kinematics.base, work.strain.xi, kinematics)
+    xi = work.strain.xi
+    time = motion.clock[0]
+    copy(motion.xi, xi)
+    work.inputs.clock[0] = time
+    place_base(arm, time, kinematics.base)
+    poses(arm.rod, kinematics.base, xi, kinematics)
     R, r = tip_pose_of(kinematics.pose)
     write_pose(R, r, out)
 
@@ -215,12 +220,13 @@ def first_limits(arm, motion, control, scratch):
     """Limits of the first step of a row: none where no effect limits steps."""
     if not any_of(arm.effects.limit):
         return Limits(math.inf, False)
-    strain = scratch.work.strain
+    work = scratch.work
+    strain = work.strain
     copy(motion.xi, strain.xi)
-    strain_from_guess(arm, motion.q, STEP_TOLERANCE, strain, scratch.work.kinematics)
+    strain_from_guess(arm, motion.q, STEP_TOLERANCE, strain, work.kinematics)
     find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
-    flags = scratch.work.collision.flags
-    return Limits(scratch.longest[0], flags.active[0] == YES)
+    active = work.collision.flags.active[0]
+    return Limits(scratch.longest[0], active == YES)
 
 
 @kernel
@@ -317,7 +323,8 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
         error += attempt.error
         # one that an end has cut says nothing against the step that was planned
         kept = step if length < step and not limits.touching else 0.0
-        step = min(control.step, max(next_step(aim, columns, length, attempt), kept))
+        suggested = next_step(aim, columns, length, attempt)
+        step = min(control.step, max(suggested, kept))
     if status == OK:
         row += 1
     return Progress(status, row, step, steps, rejected, error, evaluations)
@@ -336,15 +343,16 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
     arrival = scratch.arrival
     progress = Progress(OK, 0, step, 0, 0, 0.0, 0)
     for row in range(commands.shape[0]):
+        command = commands[row]
+        duration = durations[row]
         start = motion.clock[0]
-        progress = advance_row(
-            arm, scheme, commands[row], durations[row], motion, progress, scratch
-        )
+        progress = advance_row(arm, scheme, command, duration, motion, progress, scratch)
         if progress.status != OK:
             return progress
         # a sum over rows: the same however an input is cut into calls
-        motion.clock[0] = start + durations[row]
-        receive(arm.effects, commands[row], False, motion.clock[0], motion.state, arrival)
+        end = start + duration
+        motion.clock[0] = end
+        receive(arm.effects, command, False, end, motion.state, arrival)
         if samples > 0 and (row + 1) % every == 0:
             sample = row // every
             copy(motion.q, record.q[sample])

@@ -116,10 +116,12 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
 
     step: [s] to try next.
     """
-    fields = {
-        name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()
-    }
-    rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **fields)
+    fields = {}
+    for name, values in motion._asdict().items():
+        fields[name] = aligned_copy(np.tile(values, (count, 1)))
+    arms = np.full(count, arm.address)
+    steps = np.full(count, step)
+    rows = Rows(arm=arms, step=steps, **fields)
     outcome = zeros(Outcome, {"rows": count})
     reading = make_reading(arm, places, count)
     return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=reading)
@@ -162,11 +164,13 @@ def read_tension(arm, command, motion, scratch, tension):
 
     They are under the last command (n_a) that was given.
     """
+    work = scratch.work
     arrival = scratch.arrival
     receive(arm.effects, command, False, motion.clock[0], motion.state, arrival)
-    acting = command_at(arm.effects, arrival.command, motion.state, 0.0, scratch.acting)
-    work = scratch.work
-    copy(actuator_tensions(arm, acting, work.strain.xi, work.tendons), tension)
+    arrived = arrival.command
+    acting = command_at(arm.effects, arrived, motion.state, 0.0, scratch.acting)
+    at_actuators = actuator_tensions(arm, acting, work.strain.xi, work.tendons)
+    copy(at_actuators, tension)
 
 
 @kernel
@@ -243,16 +247,17 @@ def place_rows(batch, members, commands, work):
     strain = work.strain
     for row in members:
         arm = struct_at(batch.arm, rows.arm, row)
+        command = commands[row]
         failed, _ = strain_from_rest(arm, rows.q[row], ROUND_OFF, strain, work.kinematics)
         outcome.status[row] = OK if failed < 0 else NO_STRAIN
         outcome.rejected[row] = 0
         rows.clock[row, 0] = 0.0
         work.inputs.clock[0] = 0.0
         copy(strain.xi, rows.xi[row])
-        tension = actuator_tensions(arm, commands[row], strain.xi, work.tendons)
+        tension = actuator_tensions(arm, command, strain.xi, work.tendons)
         copy(tension, reading.tension[row])
         read(arm, batch.places, rows.q_dot[row], work, row, reading)
-        rest_states(arm, commands[row], work.inputs, strain, work.loads)
+        rest_states(arm, command, work.inputs, strain, work.loads)
         copy(work.inputs.state, rows.state[row])
 
 
@@ -288,6 +293,9 @@ def read_backbones(arm, places, xi, kinematics, out):
     They start from kinematics.base; out holds identities to begin with.
     """
     length = arm.rod.length
+    stations = places.station
+    distances = places.station_distance
     for i in range(xi.shape[0]):
-        poses(arm.rod, kinematics.base, xi[i], kinematics)
-        poses_inside(length, places.station, places.station_distance, xi[i], kinematics, out[i])
+        field = xi[i]
+        poses(arm.rod, kinematics.base, field, kinematics)
+        poses_inside(length, stations, distances, field, kinematics, out[i])

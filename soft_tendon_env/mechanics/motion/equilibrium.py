@@ -65,7 +65,8 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
         if block >= 0:
             return block, 1.0
         for i in range(q.size):
-            out.rate[i] = (out.rate[i] - drive[i]) / (part - other) + load[i]
+            difference = out.rate[i] - drive[i]
+            out.rate[i] = difference / (part - other) + load[i]
     # its slopes, from the strain at q
     for m in range(directions.shape[0]):
         copy(xi, strain.xi)
@@ -74,7 +75,8 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
         if block >= 0:
             return block, 1.0
         for i in range(q.size):
-            out.slopes[i, m] = (out.force[i] - drive[i] - part * load[i]) / DIFFERENCE
+            change = out.force[i] - drive[i] - part * load[i]
+            out.slopes[i, m] = change / DIFFERENCE
     return -1, 1.0
 
 

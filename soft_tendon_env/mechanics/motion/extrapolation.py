@@ -85,7 +85,8 @@ def predict_strain(law, q, q_last, strain, change):
         end = law.pack_end[j] * per_pack
         for m in range(begin, end, LANES):
             phi = load(strain.Phi, j * per_column + m)
-            store(change, m, load(change, m) + step * phi)
+            others = load(change, m)
+            store(change, m, others + step * phi)
     # the time t for which xi_dot t is nearest to that
     along = spread(0.0)
     rates = spread(0.0)
@@ -99,14 +100,16 @@ def predict_strain(law, q, q_last, strain, change):
         rates = rates + rate * rate
         curved = curved + bias * bias
         moved = moved + x * x
-    time = lane_sum(along) / max(lane_sum(rates), LEAST_SQUARE)
+    squared_rate = max(lane_sum(rates), LEAST_SQUARE)
+    time = lane_sum(along) / squared_rate
     # xi + Phi (q - q_last) + t^2/2 xi_bias
     half = 0.5 * time * time
     if not half * half * lane_sum(curved) <= lane_sum(moved):
         half = 0.0
     for m in range(0, per_column, LANES):
         bent = half * load(strain.xi_bias, m)
-        store(strain.xi, m, load(strain.xi, m) + load(change, m) + bent)
+        straight = load(strain.xi, m) + load(change, m)
+        store(strain.xi, m, straight + bent)
 
 
 @kernel
@@ -214,13 +217,16 @@ def extrapolate(row, kept, other, table, value, error):
     for k in range(1, row + 1):
         # T_jk = T_j,k-1 + (T_j,k-1 - T_j-1,k-1) / (n_j / n_j-k - 1)
         ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
+        lefts = table[row, k - 1]
+        aboves = table[row - 1, k - 1]
+        entries = table[row, k]
         for i in range(value.size):
-            left = table[row, k - 1, i]
-            above = table[row - 1, k - 1, i]
-            table[row, k, i] = left + (left - above) / ratio
+            left = lefts[i]
+            entries[i] = left + (left - aboves[i]) / ratio
     copy(table[row, kept], value)
+    others = table[row, other]
     for i in range(value.size):
-        error[i] = value[i] - table[row, other, i]
+        error[i] = value[i] - others[i]
 
 
 @kernel
@@ -231,17 +237,21 @@ def error_estimate(rod, horizon, scratch):
     once or error_v within a horizon [s], that of a step as a rule.
     """
     M = scratch.work.matrices.M
+    error_q = scratch.error_q
+    error_v = scratch.error_v
     by_q = 0.0
     by_v = 0.0
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
-        by_q += scratch.error_q[i] * product(M[i], scratch.error_q)
-        by_v += scratch.error_v[i] * product(M[i], scratch.error_v)
+        row = M[i]
+        by_q += error_q[i] * product(row, error_q)
+        by_v += error_v[i] * product(row, error_v)
     if not math.isfinite(by_q + by_v):
         return NOT_FINITE, math.inf
-    moved = math.sqrt(max(by_q, 0.0) / rod.mass[0])
-    moving = math.sqrt(max(by_v, 0.0) / rod.mass[0])
+    mass = rod.mass[0]
+    moved = math.sqrt(max(by_q, 0.0) / mass)
+    moving = math.sqrt(max(by_v, 0.0) / mass)
     return OK, max(moved, horizon * moving)
 
 

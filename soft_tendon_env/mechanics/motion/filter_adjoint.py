@@ -92,11 +92,14 @@ def begin_filter(effects, start, command, times, begins, scratch, memory):
             # up to where another command arrives
             receive(effects, command, is_new, time, state, arrival)
             is_new = False
-            step = max(min(arrival.until[0], end) - time, shortest)
+            until = min(arrival.until[0], end)
+            step = max(until - time, shortest)
+            arrived = arrival.command
             source = source_at(path, table, times, begins, has_arrived_by(time))
             u, _ = filter_state(effects, state, command.size)
-            add_slopes(path, arrival.command, u, source, step, step / half, memory.slope, mean)
-            follow(effects, arrival.command, step, state)
+            share = step / half
+            add_slopes(path, arrived, u, source, step, share, memory.slope, mean)
+            follow(effects, arrived, step, state)
             time += step
         after = memory.after[side]
         copy(command_at(effects, arrival.command, state, 0.0, after), after)
@@ -110,10 +113,13 @@ def add_slopes(path, arrived, u, source, step, share, slope, mean):
     They are of a share of the mean, where the `source`-th number has arrived.
     """
     for i in range(arrived.size):
-        left, by_u = lag_slopes(path, arrived[i] - u[i], step)
+        away = arrived[i] - u[i]
+        left, by_u = lag_slopes(path, away, step)
+        of_mean = share * by_u
         for number in range(len(mean)):
-            mean[number, i] += share * by_u * slope[number, i]
+            mean[number, i] += of_mean * slope[number, i]
             slope[number, i] *= left
+        # the rest is by what has arrived
         mean[source, i] += share * (1.0 - by_u)
         slope[source, i] += 1.0 - left
 
@@ -130,11 +136,15 @@ def filter_adjoint(effects, start, times, begins, state, command, memory):
     u, table = filter_state(effects, state, tendons)
     _, before = filter_state(effects, start, tendons)
     _, after = filter_state(effects, memory.state, tendons)
+    first_mean = memory.mean[0]
+    second_mean = memory.mean[1]
     for i in range(tendons):
+        first_force = memory.force[0, i]
+        second_force = memory.force[1, i]
         # by u at the end, and by the mean commands
         for number in range(len(numbers)):
-            by_first = memory.force[0, i] * memory.mean[0, number, i]
-            by_second = memory.force[1, i] * memory.mean[1, number, i]
+            by_first = first_force * first_mean[number, i]
+            by_second = second_force * second_mean[number, i]
             numbers[number, i] = u[i] * numbers[number, i] + (by_first + by_second)
         # by the commands in the table at the end, which are those that had arrived by their times
         for k in range(len(after)):
@@ -148,4 +158,5 @@ def filter_adjoint(effects, start, times, begins, state, command, memory):
         u[i] = numbers[0, i]
         for k in range(len(table)):
             table[k, 1 + i] = numbers[1 + k, i]
-        command[i] += numbers[len(numbers) - 1, i]
+        last = len(numbers) - 1
+        command[i] += numbers[last, i]

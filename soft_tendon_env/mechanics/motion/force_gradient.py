@@ -134,8 +134,10 @@ def hold_fields(arm, with_inertia, work, memory):
     # viscous stresses, of the rates and along w
     for m in range(0, memory.xi.size, LANES):
         viscosity = load(rod.viscosity, m)
-        store(memory.moving, m, -viscosity * load(strain.xi_dot, m))
-        store(memory.damped, m, viscosity * load(memory.along, m))
+        rate = load(strain.xi_dot, m)
+        along = load(memory.along, m)
+        store(memory.moving, m, -viscosity * rate)
+        store(memory.damped, m, viscosity * along)
     memory.inertial[:] = 0.0
     memory.kappa[:] = 0.0
     if arm.effects.count > 0:
@@ -175,8 +177,10 @@ def hold_effects(arm, work, memory):
             store6(memory.declared, pack, drag)
     if stresses:
         for m in range(0, memory.xi.size, LANES):
-            store(memory.moving, m, load(memory.moving, m) + load(loads.stress, m))
-            damped = load(loads.point_damping, m) * load(memory.along, m)
+            stress = load(loads.stress, m)
+            store(memory.moving, m, load(memory.moving, m) + stress)
+            damping = load(loads.point_damping, m)
+            damped = damping * load(memory.along, m)
             store(memory.damped, m, load(memory.damped, m) + damped)
     if wrenches:
         differ_at_nodes(arm, work, memory)
@@ -213,12 +217,14 @@ def power_change(arm, k, way, work, memory, out):
     component of out (nodes x 6)."""
     wrench = work.loads.wrench
     sum_wrenches(arm, work.inputs, work.kinematics, work.loads, work.collision)
+    share = 1.0 / way
     for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):
-            difference = load(wrench, m) - load(memory.inertial, m)
+            before = load(memory.inertial, m)
+            difference = load(wrench, m) - before
             change = change + load(memory.zeta, m) * difference
-        store(out, at + k * LANES, (1.0 / way) * change)
+        store(out, at + k * LANES, share * change)
 
 
 @kernel(inline=True)
@@ -228,23 +234,27 @@ def node_wrenches(rod, share, pack, kinematics, memory, by_q, by_rate):
     generalised force belongs to the gradients."""
     inertia = scale_twist(share, load6(rod.inertia, pack))
     eta = load6(kinematics.eta, pack)
+    eta_bias = load6(kinematics.eta_bias, pack)
     zeta = load6(memory.zeta, pack)
-    alpha = twist_sum(load6(memory.alpha, pack), load6(kinematics.eta_bias, pack))
+    alpha = twist_sum(load6(memory.alpha, pack), eta_bias)
     drag = load6(memory.kappa, pack)
     momentum = scale6(inertia, eta)
     mu = scale6(inertia, zeta)
     # what is left of the effects' wrench by F = M_s alpha + ad*_eta M_s eta
-    inertial = twist_sum(scale6(inertia, alpha), coad_apply(eta, momentum))
+    accelerated = scale6(inertia, alpha)
+    inertial = twist_sum(accelerated, coad_apply(eta, momentum))
     rest = twist_difference(load6(memory.inertial, pack), inertial)
     # nu, and ad_eta^T mu = -ad*_eta mu
     transported = scale6(inertia, ad_apply(eta, zeta))
-    nu = scale_twist(-1.0, twist_sum(coad_apply(zeta, momentum), transported))
+    turned_momentum = coad_apply(zeta, momentum)
+    nu = scale_twist(-1.0, twist_sum(turned_momentum, transported))
     turning = scale_twist(-1.0, coad_apply(eta, mu))
+    held = twist_sum(nu, drag)
     store6(memory.mu, pack, mu)
     store6(memory.inertial, pack, rest)
-    store6(memory.kappa, pack, twist_sum(turning, twist_sum(nu, drag)))
+    store6(memory.kappa, pack, twist_sum(turning, held))
     # by coordinates, and by rates less what the damping matrix has
-    moved = twist_sum(coad_apply(alpha, mu), coad_apply(eta, twist_sum(nu, drag)))
+    moved = twist_sum(coad_apply(alpha, mu), coad_apply(eta, held))
     moved = twist_sum(moved, load6(memory.displaced, pack))
     store6(by_q, pack, twist_difference(moved, coad_apply(zeta, rest)))
     undeclared = twist_difference(drag, load6(memory.declared, pack))
@@ -261,7 +271,8 @@ def place_beside(arm, command, q, rate, way, field, work, memory):
     for j in range(q.size):
         memory.q[j] = q[j] + way * rate[j]
     for m in range(0, memory.xi.size, LANES):
-        store(strain.xi, m, load(memory.xi, m) + way * load(field, m))
+        change = way * load(field, m)
+        store(strain.xi, m, load(memory.xi, m) + change)
     if strain_from_guess(arm, memory.q, TOLERANCE, strain, kinematics) >= 0:
         return False
     tension = actuator_tensions(arm, command, strain.xi, work.tendons)
@@ -293,12 +304,16 @@ def differ_along_motion(arm, command, motion, time, work, memory):
         add_wrench_stress(rod, memory.kappa, strain.xi, work.kinematics, field)
         stress_force(rod, law, strain.Phi, field, memory.turned[i])
     # second and first differences
+    squared_time = time * time
+    turned_after = memory.turned[0]
+    turned_before = memory.turned[1]
     for j in range(memory.q.size):
         after = memory.sides[0, j]
         before = memory.sides[1, j]
         second = after - 2.0 * memory.middle[j] + before
-        memory.by_q[j] -= second / (time * time)
-        memory.by_q[j] -= (memory.turned[0, j] - memory.turned[1, j]) / (2.0 * time)
+        turned = turned_after[j] - turned_before[j]
+        memory.by_q[j] -= second / squared_time
+        memory.by_q[j] -= turned / (2.0 * time)
         memory.by_rate[j] -= (after - before) / time
     return True
 
@@ -319,7 +334,8 @@ def differ_along_w(arm, command, motion, work, memory):
         if not place_beside(arm, command, motion.q, memory.w, way, memory.along, work, memory):
             return
         for m in range(0, field.size, LANES):
-            store(field, m, load(memory.moving, m) + load(strain.mismatch, m))
+            mismatch = load(strain.mismatch, m)
+            store(field, m, load(memory.moving, m) + mismatch)
         if arm.effects.count > 0:
             _, stresses = effect_loads(arm, tendons_rub(arm), work)
             if stresses:
@@ -327,6 +343,8 @@ def differ_along_w(arm, command, motion, work, memory):
                     field[m] += work.loads.stress[m]
         add_wrench_stress(rod, memory.inertial, strain.xi, work.kinematics, field)
         stress_force(rod, arm.strain, strain.Phi, field, memory.sides[i])
+    after = memory.sides[0]
+    before = memory.sides[1]
     for j in range(memory.q.size):
-        difference = memory.sides[0, j] - memory.sides[1, j]
+        difference = after[j] - before[j]
         memory.by_q[j] += difference / (2.0 * small)

@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.algebra.linear import (
 from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH
 from soft_tendon_env.mechanics.motion.sliding import slide_tendons
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
-from soft_tendon_env.mechanics.motion.tendon_ends import bound_tensions
+from soft_tendon_env.mechanics.motion.tendon_ends import add_answers, bound_tensions
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.evaluate import rod_matrices
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
@@ -74,14 +74,16 @@ def add_effects(arm, work, borders):
 @kernel
 def copy_balance(arm, source, out):
     """Copies a balance, but for its borders, into another one."""
-    copy_matrix(source.matrices.M, out.matrices.M)
-    copy_matrix(source.matrices.D, out.matrices.D)
-    copy_matrix(source.matrices.G, out.matrices.G)
+    own = source.matrices
+    copy_matrix(own.M, out.matrices.M)
+    copy_matrix(own.D, out.matrices.D)
+    copy_matrix(own.G, out.matrices.G)
     copy(source.force, out.force)
     if tendons_transmit(arm):
-        copy(source.tendons.tension, out.tendons.tension)
-        copy(source.tendons.shortening, out.tendons.shortening)
-        copy_matrix(source.tendons.columns, out.tendons.columns)
+        tendons = source.tendons
+        copy(tendons.tension, out.tendons.tension)
+        copy(tendons.shortening, out.tendons.shortening)
+        copy_matrix(tendons.columns, out.tendons.columns)
 
 
 @kernel
@@ -105,7 +107,8 @@ def fill_system(with_inertia, balance, h, scratch):
     stride = row_stride(n + 1)
     share = 1.0 if with_inertia else 0.0
     for i in range(n):
-        row = system[i * stride : i * stride + n]
+        first = i * stride
+        row = system[first : first + n]
         m = matrices.M[i]
         d = matrices.D[i]
         g = matrices.G[i]
@@ -113,7 +116,7 @@ def fill_system(with_inertia, balance, h, scratch):
         for j in range(n):
             row[j] = share * m[j] + h * (d[j] + h * g[j])
         stiff = product(g, scratch.v)
-        system[i * stride + n] = h * (force[i] - h * stiff)
+        system[first + n] = h * (force[i] - h * stiff)
 
 
 @kernel
@@ -123,23 +126,18 @@ def answer_tendons(balance, forces, h, scratch):
     so far, ends.rate."""
     ends = scratch.ends
     n = scratch.delta.size
-    for j in range(len(forces)):
+    count = len(forces)
+    for j in range(count):
+        answer = ends.answer[j]
         for a in range(n):
-            ends.answer[j, a] = h * forces[j, a]
-        solve_again(scratch.system, n, ends.answer[j])
-    for i in range(len(forces)):
+            answer[a] = h * forces[j, a]
+        solve_again(scratch.system, n, answer)
+    for i in range(count):
         column = balance.tendons.columns[i]
-        ends.rate[i] = product(column, scratch.v) + product(column, scratch.delta)
-        for j in range(len(forces)):
+        rate = product(column, scratch.v)
+        ends.rate[i] = rate + product(column, scratch.delta)
+        for j in range(count):
             ends.give[i, j] = product(column, ends.answer[j])
-
-
-@kernel
-def add_answers(ends, delta):
-    """Adds to delta (n) what forces change that are ends.change (n_a) more."""
-    for j in range(ends.change.size):
-        for a in range(delta.size):
-            delta[a] += ends.change[j] * ends.answer[j, a]
 
 
 @phase
@@ -168,7 +166,8 @@ def find_kink(path, command, shortening, substep, scratch):
         scratch.kink[0] = SMOOTH
     for i in range(command.size):
         if substep.is_alone:
-            taut = path.stiffness[i] * (command[i] - shortening[i])
+            stretch = command[i] - shortening[i]
+            taut = path.stiffness[i] * stretch
             beyond = beyond_kink(ends.part[i], taut, path.strength[i])
             is_kinked = beyond > path.stiffness[i] * substep.near
             ends.first_part[i] = ends.part[i]

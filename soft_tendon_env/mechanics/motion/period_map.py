@@ -60,12 +60,14 @@ def transposed_step(balance, h, scratch, q, v, impulse):
     n = q.size
     # impulse = h A^-T (v + h q), since q' = q + h v'
     for i in range(n):
-        impulse[i] = h * (v[i] + h * q[i])
+        along = v[i] + h * q[i]
+        impulse[i] = h * along
     solve_again(scratch.system, n, impulse)
     for i in range(n):
+        stiffness = matrices.G[i]
         v[i] = product(matrices.M[i], impulse) / h
         for j in range(n):
-            q[j] -= impulse[i] * matrices.G[i, j]
+            q[j] -= impulse[i] * stiffness[j]
 
 
 @kernel
@@ -79,9 +81,10 @@ def transposed_map(balance, period, scratch, q, v, impulse):
     copy(q, whole_q)
     copy(v, whole_v)
     # two halves
-    status = rate_change(True, balance, 0.5 * period, scratch)
-    transposed_step(balance, 0.5 * period, scratch, q, v, impulse[1])
-    transposed_step(balance, 0.5 * period, scratch, q, v, impulse[0])
+    half_period = 0.5 * period
+    status = rate_change(True, balance, half_period, scratch)
+    transposed_step(balance, half_period, scratch, q, v, impulse[1])
+    transposed_step(balance, half_period, scratch, q, v, impulse[0])
     # one whole
     if status == OK:
         status = rate_change(True, balance, period, scratch)
@@ -145,7 +148,8 @@ def solve_step(balance, h, plan):
         for j in range(n):
             mass = matrices.M[i, j]
             stiffness = matrices.G[i, j]
-            plan.system[i, j] = mass + h * (matrices.D[i, j] + h * stiffness)
+            resistance = matrices.D[i, j] + h * stiffness
+            plan.system[i, j] = mass + h * resistance
             solved[i, j] = -h * stiffness
             solved[i, n + j] = mass
         for j in range(inputs):
@@ -192,8 +196,10 @@ def step_ahead(plan):
         for j in range(n):
             by_q = solved[i, j]
             by_v = solved[i, n + j]
+            moved = plan.moved[j]
+            rates = plan.rates[j]
             for k in range(columns):
-                ahead[i, k] += by_q * plan.moved[j, k] + by_v * plan.rates[j, k]
+                ahead[i, k] += by_q * moved[k] + by_v * rates[k]
     copy_matrix(ahead, plan.rates)
 
 
@@ -232,10 +238,12 @@ def evaluate_motion(arm, method, command, motion, scratch):
     """Evaluation at a motion under a command (n_a) that is held; a status."""
     arrival = scratch.arrival
     time = motion.clock[0]
+    state = motion.state
     copy(motion.xi, scratch.work.strain.xi)
-    receive(arm.effects, command, False, time, motion.state, arrival)
-    acting = command_at(arm.effects, arrival.command, motion.state, 0.0, scratch.acting)
-    return evaluate_force(arm, method, acting, motion.q, motion.q_dot, motion.state, time, scratch)
+    receive(arm.effects, command, False, time, state, arrival)
+    arrived = arrival.command
+    acting = command_at(arm.effects, arrived, state, 0.0, scratch.acting)
+    return evaluate_force(arm, method, acting, motion.q, motion.q_dot, state, time, scratch)
 
 
 @kernel
@@ -248,5 +256,7 @@ def linearise_period(arm, method, length, steps, scratch, plan, jacobian):
     actuation_matrix(arm, work.strain, share, work.spare, plan.forces)
     jacobian[:, :] = 0.0
     # T = 2 T(h/2) - T(h)
-    add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, jacobian)
-    add_jacobian(scratch.first, length / steps, steps, -1.0, plan, jacobian)
+    step = length / steps
+    half_step = 0.5 * length / steps
+    add_jacobian(scratch.first, half_step, 2 * steps, 2.0, plan, jacobian)
+    add_jacobian(scratch.first, step, steps, -1.0, plan, jacobian)

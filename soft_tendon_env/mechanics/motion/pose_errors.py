@@ -6,6 +6,7 @@ It also has their derivative, and poses moved along twists.
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import (
     angle_coefficients,
+    columns_of,
     dexp_inverse_transposed_apply,
     log_se3,
     matmul,
@@ -17,17 +18,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     write_twist,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.terms.kinematics import write_pose
-
-
-@kernel(inline=True)
-def pose_at(poses, row):
-    """(R, r) of one of the poses (rows, 4, 4)."""
-    g = poses[row]
-    first = (g[0, 0], g[0, 1], g[0, 2])
-    second = (g[1, 0], g[1, 1], g[1, 2])
-    third = (g[2, 0], g[2, 1], g[2, 2])
-    return first + second + third, (g[0, 3], g[1, 3], g[2, 3])
+from soft_tendon_env.mechanics.terms.kinematics import matrix_pose, write_pose
 
 
 @kernel
@@ -37,13 +28,15 @@ def pose_errors(pose, goal, out):
     They carry the poses g (rows, 4, 4) to the goals g_bar (rows, m, 4, 4).
     """
     for row in range(pose.shape[0]):
-        R, r = pose_at(pose, row)
-        R_transposed = R[0::3] + R[1::3] + R[2::3]
+        R, r = matrix_pose(pose, row)
+        x_axis, y_axis, z_axis = columns_of(R)
+        R_transposed = x_axis + y_axis + z_axis
         for j in range(goal.shape[1]):
-            R_bar, r_bar = pose_at(goal[row], j)
+            R_bar, r_bar = matrix_pose(goal[row], j)
             turn = matmul(R_transposed, R_bar)
             away = rotate_back(R, minus(r_bar, r))
-            write_twist(log_se3(turn, away), out[row, j])
+            error = log_se3(turn, away)
+            write_twist(error, out[row, j])
 
 
 @kernel
@@ -73,8 +66,10 @@ def move_poses(pose, twist, out):
     They undo pose_errors().
     """
     for row in range(pose.shape[0]):
-        R, r = pose_at(pose, row)
+        R, r = matrix_pose(pose, row)
         for j in range(twist.shape[1]):
-            R_moved, r_moved = pose_step(R, r, twist_of(twist[row, j]))
-            write_pose(R_moved, r_moved, out[row, j])
-            copy(pose[row, 3], out[row, j, 3])
+            moved = out[row, j]
+            x = twist_of(twist[row, j])
+            R_moved, r_moved = pose_step(R, r, x)
+            write_pose(R_moved, r_moved, moved)
+            copy(pose[row, 3], moved[3])

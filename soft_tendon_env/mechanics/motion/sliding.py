@@ -21,7 +21,7 @@ from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_columns
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK, UNSETTLED
-from soft_tendon_env.mechanics.motion.tendon_ends import bound_tensions
+from soft_tendon_env.mechanics.motion.tendon_ends import add_answers, bound_tensions
 from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_speed
 
 MOST = 100  # Newton steps
@@ -97,15 +97,18 @@ def places_of(arm, i):
     """First place of a tendon's borders, and one past the last."""
     start = i * 2 * arm.rod.packs * LANES
     first = start + PER_PACK * arm.tendons.pack_begin[i]
-    return first, start + PER_PACK * arm.tendons.pack_end[i]
+    behind = start + PER_PACK * arm.tendons.pack_end[i]
+    return first, behind
 
 
 @kernel(inline=True)
 def row_product(rows, k, x):
     """Scalar product of a row with x, both filled up to whole packs with zeros."""
+    first = k * x.size
     total = spread(0.0)
     for m in range(0, x.size, LANES):
-        total = total + load(rows, k * x.size + m) * load(x, m)
+        own = load(rows, first + m)
+        total = total + own * load(x, m)
     return lane_sum(total)
 
 
@@ -121,10 +124,12 @@ def fill_sliding(arm, balance, h, columns, saturated, scratch):
     stride = row_stride(n + 1)
     wide = sliding.system.size // stride
     for a in range(n):
-        row = scratch.system[a * stride : a * stride + n]
+        first = a * stride
+        row = scratch.system[first : first + n]
         out = sliding.system[a * wide : (a + 1) * wide]
         copy(row, out[:n])
-        out[n] = scratch.system[a * stride + n] - product(row, delta)
+        right = scratch.system[first + n]
+        out[n] = right - product(row, delta)
         for j in range(1, columns):
             out[n + j] = 0.0
     for i in range(arm.tendons.size):
@@ -191,8 +196,10 @@ def find_falls(arm, borders, places, begun, sliding):
         left = left_before * decay(turn * z)
         late += turn * (lead - z)
         sway += turns[k] * slope * speed
-        lefts[k] = left - left_before
-        falls[k] = (left - left_before) - (left * late - left_before * late_before)
+        change = left - left_before
+        late_change = left * late - left_before * late_before
+        lefts[k] = change
+        falls[k] = change - late_change
         late_before = late
     return sway
 
@@ -215,10 +222,13 @@ def find_slopes(borders, places, begun, tension, sliding):
     for k in range(begin, end):
         left += lefts[k]
         steepness = math.copysign(turns[k], begun) * slopes[k]
+        row = k * stride
+        fall = (k - begin) * stride
         for m in range(0, stride, LANES):
-            turned = load(turning, m) + steepness * load(rows, k * stride + m)
+            turned = load(turning, m) + steepness * load(rows, row + m)
             pulled = (tension * left) * turned
-            store(falls, (k - begin) * stride + m, pulled - load(pulling, m))
+            before = load(pulling, m)
+            store(falls, fall + m, pulled - before)
             store(turning, m, turned)
             store(pulling, m, pulled)
 
@@ -236,10 +246,12 @@ def add_rows(rows, places, share, factors, first, column, sliding):
     for m in range(0, stride, LANES):
         total = first * load(rows, begin * stride + m)
         for k in range(begin, end):
-            total = total + (share * factors[k]) * load(rows, k * stride + m)
+            factor = share * factors[k]
+            total = total + factor * load(rows, k * stride + m)
         for j in range(LANES):
             # rows beyond n, which nothing reads, are there too
-            system[(m + j) * wide + column] += lane(total, j)
+            entry = (m + j) * wide + column
+            system[entry] += lane(total, j)
 
 
 @kernel(inline=True)
@@ -307,20 +319,22 @@ def stretch_sliding(path, command, balance, h, scratch):
     ends = scratch.ends
     n = scratch.delta.size
     wide = sliding.system.size // sliding.change.size
-    for j in range(command.size):
+    count = command.size
+    change = sliding.change
+    for j in range(count):
+        column = n + 1 + j
         for a in range(n):
-            ends.answer[j, a] = sliding.system[a * wide + n + 1 + j]
-    for i in range(command.size):
-        column = balance.tendons.columns[i]
-        ends.rate[i] = product(column, scratch.v) + product(column, scratch.delta)
-        ends.rate[i] += product(column, sliding.change[:n])
-        for j in range(command.size):
-            ends.give[i, j] = product(column, ends.answer[j])
+            ends.answer[j, a] = sliding.system[a * wide + column]
+    for i in range(count):
+        row = balance.tendons.columns[i]
+        rate = product(row, scratch.v) + product(row, scratch.delta)
+        ends.rate[i] = rate + product(row, change[:n])
+        for j in range(count):
+            ends.give[i, j] = product(row, ends.answer[j])
     bound_tensions(path, command, balance.tendons.shortening, h, sliding.tension, ends)
-    for j in range(command.size):
+    for j in range(count):
         ends.change[j] = ends.tension[j] - sliding.tension[j]
-        for a in range(n):
-            sliding.change[a] += ends.change[j] * ends.answer[j, a]
+    add_answers(ends, change[:n])
     copy(ends.tension, sliding.tension)
 
 
@@ -353,9 +367,11 @@ def follow_change(arm, borders, stretched, sliding):
         for k in range(begin, end):
             turn = turns[k]
             moved = row_product(rows, k, change)
-            z = min(max(leads[k] + slopes[k] * moved, -1.0), 1.0)
+            lead = leads[k] + slopes[k] * moved
+            z = min(max(lead, -1.0), 1.0)
             rate = rates[k] + moved
-            off += turn * (rate / smooth_speed(rate, slow) - z)
+            own = rate / smooth_speed(rate, slow)
+            off += turn * (own - z)
             turned += turn * (z - directions[k])
             most = max(most, abs(off), share * abs(turned))
             directions[k] = z

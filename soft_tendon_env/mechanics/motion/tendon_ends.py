@@ -33,3 +33,13 @@ def bound_tensions(path, command, shortening, h, before, ends):
         ends.part,
         ends.system,
     )
+
+
+@kernel
+def add_answers(ends, delta):
+    """Adds to delta (n) what forces change that are ends.change (n_a) more."""
+    for j in range(ends.change.size):
+        change = ends.change[j]
+        answer = ends.answer[j]
+        for a in range(delta.size):
+            delta[a] += change * answer[a]

@@ -46,9 +46,11 @@ def filter_state(effects, state, tendons):
     """
     i = effects.transmission.filter
     begin = effects.first_state[i]
+    behind_tensions = begin + tendons
     end = effects.first_state[i + 1]
-    table = state[begin + tendons : end].reshape(-1, 1 + tendons)
-    return state[begin : begin + tendons], table
+    u = state[begin:behind_tensions]
+    table = state[behind_tensions:end].reshape(-1, 1 + tendons)
+    return u, table
 
 
 @kernel(inline=True)
@@ -174,8 +176,10 @@ def limited_time(path, away, step):
     if path.time_constant > 0.0:
         slow = path.rate_limit * path.time_constant
     limited = 0.0
-    if abs(away) > slow and path.rate_limit < math.inf:
-        limited = min((abs(away) - slow) / path.rate_limit, step)
+    distance = abs(away)
+    if distance > slow and path.rate_limit < math.inf:
+        needed = (distance - slow) / path.rate_limit
+        limited = min(needed, step)
     rest = step - limited
     if path.time_constant > 0.0:
         return limited, math.exp(-rest / path.time_constant)

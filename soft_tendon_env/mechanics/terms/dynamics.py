@@ -112,8 +112,10 @@ def _write_row(total, i, tile, out):
     """The sums over the lanes of a tile to row i of out (n, n), and to column i."""
     if i < out.shape[0]:
         sums = lane_sums(total)
-        _write_sums(sums, tile, out[i])
-        _write_sums(sums, tile, out[:, i])
+        row = out[i]
+        column = out[:, i]
+        _write_sums(sums, tile, row)
+        _write_sums(sums, tile, column)
 
 
 @kernel(inline=True)
@@ -184,7 +186,8 @@ def project(columns, field, rows, pack_begin, pack_end, out):
             start = group * rows.size
             for m in range(start, start + rows.used, WIDE):
                 x = load_wide(field, m)
-                total = _add_products(total, x, _load_tile(columns, at, m))
+                y = _load_tile(columns, at, m)
+                total = _add_products(total, x, y)
         _write_sums(lane_sums(total), tile, out)
 
 
@@ -195,7 +198,8 @@ def sum_columns(Phi, q_dot, xi_dot):
     for m in range(0, per_column, LANES):
         total = spread(0.0)
         for j in range(q_dot.size):
-            total = total + q_dot[j] * load(Phi, j * per_column + m)
+            column = load(Phi, j * per_column + m)
+            total = total + q_dot[j] * column
         store(xi_dot, m, total)
 
 
@@ -254,9 +258,12 @@ def driving_force(rod, law, strain, stress, drive):
     Overwrites `stress` (points x 6).
     """
     for m in range(0, stress.size, LANES):
-        viscous = load(rod.viscosity, m) * load(strain.xi_dot, m)
-        store(stress, m, load(strain.mismatch, m) - viscous)
-    project(strain.Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, drive)
+        viscosity = load(rod.viscosity, m)
+        viscous = viscosity * load(strain.xi_dot, m)
+        mismatch = load(strain.mismatch, m)
+        store(stress, m, mismatch - viscous)
+    rows = point_rows(rod)
+    project(strain.Phi, stress, rows, law.pack_begin, law.pack_end, drive)
 
 
 @kernel
@@ -268,8 +275,11 @@ def bias_force(rod, law, kinematics, wrench, bias):
     for pack in range(rod.packs):
         inertia = load6(rod.inertia, pack)
         eta = load6(kinematics.eta, pack)
+        eta_bias = load6(kinematics.eta_bias, pack)
         # M J_dot q_dot + ad*_eta M eta
-        accelerated = scale6(inertia, load6(kinematics.eta_bias, pack))
-        turning = coad_apply(eta, scale6(inertia, eta))
+        accelerated = scale6(inertia, eta_bias)
+        momentum = scale6(inertia, eta)
+        turning = coad_apply(eta, momentum)
         store6(wrench, pack, twist_sum(accelerated, turning))
-    project(kinematics.J, wrench, node_rows(), law.pack_begin, law.jacobian_end, bias)
+    rows = node_rows()
+    project(kinematics.J, wrench, rows, law.pack_begin, law.jacobian_end, bias)

@@ -182,8 +182,10 @@ def equation_of_motion(arm, tension, q, q_dot, rests, tolerance, work, out):
         add_implicit(arm, work)
     for i in range(q.size):
         for j in range(q.size):
-            out.external_stiffness[i, j] = matrices.G[i, j] - out.stiffness[i, j]
-            out.external_damping[i, j] = matrices.D[i, j] - out.damping[i, j]
+            all_stiffness = matrices.G[i, j]
+            all_damping = matrices.D[i, j]
+            out.external_stiffness[i, j] = all_stiffness - out.stiffness[i, j]
+            out.external_damping[i, j] = all_damping - out.damping[i, j]
     return -1, 1.0, placement(q_dot, out)
 
 
@@ -192,7 +194,9 @@ def placement(q_dot, out):
     """Whether the numbers in `out` at rates q_dot (n) are finite: PLACED, TOO_LARGE or TOO_FAST."""
     place = 0.0
     for i in range(3):
-        place += abs(out.tip_pose[i, 0]) + abs(out.tip_pose[i, 3])
+        turned = abs(out.tip_pose[i, 0])
+        away = abs(out.tip_pose[i, 3])
+        place += turned + away
     if not math.isfinite(place):
         return TOO_LARGE
     kinetic = 0.0

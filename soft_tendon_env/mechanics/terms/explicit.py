@@ -7,7 +7,7 @@ from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6, symmetric_product
 from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix, sum_columns
 from soft_tendon_env.mechanics.terms.parametrisation import PARAMETRISATIONS, Parametrisation
-from soft_tendon_env.mechanics.terms.tendons import pull
+from soft_tendon_env.mechanics.terms.tendons import is_present, pull
 from soft_tendon_env.mechanics.types import Explicit
 
 
@@ -27,9 +27,11 @@ def explicit_columns(arm, law, tension, q, q_dot, strain, kinematics):
         xi = load6(strain.xi, block)
         # -weight (Sigma (xi - xi*) + sum tau s)
         _, pulled = pull(rod, arm.tendons, block, xi, strain.tau, strain.tangent)
-        strained = twist_difference(xi, load6(rod.reference_strain, block))
+        reference = load6(rod.reference_strain, block)
+        strained = twist_difference(xi, reference)
         elastic = scale6(stiff, scale6(stiff, strained))
-        store6(strain.mismatch, block, scale_twist(-weight, twist_sum(elastic, pulled)))
+        stress = twist_sum(elastic, pulled)
+        store6(strain.mismatch, block, scale_twist(-weight, stress))
 
 
 @kernel
@@ -46,12 +48,14 @@ def explicit_matrices(arm, law, strain, ones, matrices):
         xi = load6(strain.xi, block)
         h, _ = pull(rod, arm.tendons, block, xi, strain.tau, strain.tangent)
         # Y = weight (Sigma - Psi) Phi
+        pack = block // 2
         for j in range(law.size):
-            if law.pack_begin[j] <= block // 2 < law.pack_end[j]:
+            if is_present(law, j, pack):
                 column_row = j * blocks + block
                 phi = load6(law.field, column_row)
                 elastic = scale6(stiff, scale6(stiff, phi))
-                wrench = twist_sum(elastic, symmetric_product(h, phi))
+                of_tendons = symmetric_product(h, phi)
+                wrench = twist_sum(elastic, of_tendons)
                 store6(strain.Y, column_row, scale_twist(weight, wrench))
     stiffness_matrix(rod, law, strain, ones, matrices.G)
     copy_matrix(law.damping, matrices.D)
@@ -63,7 +67,8 @@ def solve_explicit(arm, law, q, search, strain, kinematics):
     xi = strain.xi
     sum_columns(law.field, q, xi)
     for m in range(0, xi.size, LANES):
-        store(xi, m, load(arm.rod.reference_strain, m) + load(xi, m))
+        reference = load(arm.rod.reference_strain, m)
+        store(xi, m, reference + load(xi, m))
     return -1
 
 

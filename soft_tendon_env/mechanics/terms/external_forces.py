@@ -76,11 +76,13 @@ def place_base(arm, time, base):
     """Pose, twist and acceleration of the base at a time [s], into base (24): the scene's, as
     effects move it."""
     effects = arm.effects
-    copy(arm.base, base[:12])
-    view = Base(time, base[:12], base[12:18], base[18:24])
+    own_pose = base[:12]
+    copy(arm.base, own_pose)
+    view = Base(time, own_pose, base[12:18], base[18:24])
     for i in range(effects.count):
-        if effects.base[i] != 0:
-            call(effects.base[i], effects.parameters[i], (view,))
+        address = effects.base[i]
+        if address != 0:
+            call(address, effects.parameters[i], (view,))
 
 
 @phase
@@ -142,9 +144,10 @@ def sum_wrenches(arm, inputs, kinematics, loads, collision):
     effects = arm.effects
     loads.wrench[:] = 0.0
     for i in range(effects.count):
-        if effects.wrench[i] != 0:
+        address = effects.wrench[i]
+        if address != 0:
             nodes = nodes_of(arm, inputs, kinematics, loads, collision)
-            call(effects.wrench[i], effects.parameters[i], (nodes,))
+            call(address, effects.parameters[i], (nodes,))
 
 
 @kernel
@@ -162,11 +165,12 @@ def weigh(rod, loads):
     of a load."""
     for block in range(2 * rod.packs):
         weight = load(rod.weight, block * LANES)
-        store6(loads.stress, block, scale_twist(-weight, load6(loads.stress, block)))
-        stiffness = scale_twist(weight, load6(loads.point_stiffness, block))
-        store6(loads.point_stiffness, block, stiffness)
-        damping = scale_twist(weight, load6(loads.point_damping, block))
-        store6(loads.point_damping, block, damping)
+        stress = load6(loads.stress, block)
+        store6(loads.stress, block, scale_twist(-weight, stress))
+        stiffness = load6(loads.point_stiffness, block)
+        store6(loads.point_stiffness, block, scale_twist(weight, stiffness))
+        damping = load6(loads.point_damping, block)
+        store6(loads.point_damping, block, scale_twist(weight, damping))
 
 
 @phase
@@ -243,9 +247,10 @@ def wrench_of(arm, i, inputs, kinematics, loads, collision):
 @kernel
 def turn(field, y, z, way):
     """Turn two components of a vector by a small angle."""
-    before = load(field, y)
-    store(field, y, before + way * load(field, z))
-    store(field, z, load(field, z) - way * before)
+    before_y = load(field, y)
+    before_z = load(field, z)
+    store(field, y, before_y + way * before_z)
+    store(field, z, before_z - way * before_y)
 
 
 @kernel
@@ -255,12 +260,13 @@ def add_differences(k, way, moved, unmoved, blocks):
     for pack in range(blocks.size // (21 * LANES)):
         for j in range(6):
             m = (pack * 6 + j) * LANES
+            difference = load(moved, m) - load(unmoved, m)
             # entries off the diagonal are met twice, as (j, k) and as (k, j)
             share = (-1.0 if j == k else -0.5) / way
             row = max(j, k)
             column = min(j, k)
-            at = (pack * 21 + row * (row + 1) // 2 + column) * LANES
-            difference = load(moved, m) - load(unmoved, m)
+            entry = row * (row + 1) // 2 + column
+            at = (pack * 21 + entry) * LANES
             store(blocks, at, load(blocks, at) + share * difference)
 
 
@@ -268,11 +274,14 @@ def add_differences(k, way, moved, unmoved, blocks):
 def displace(pose, k, way):
     """Moves poses (nodes x 12) by a small way along the k-th component of a twist in their own
     frames."""
+    # a turn about an axis mixes the columns of the two others
+    y = (k + 1) % 3 * LANES
+    z = (k + 2) % 3 * LANES
     for at in range(0, pose.size, 12 * LANES):
         for i in range(3):
             row = at + 3 * i * LANES
             if k < 3:
-                turn(pose, row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES, way)
+                turn(pose, row + y, row + z, way)
             else:
                 place = at + (9 + i) * LANES
                 axis = load(pose, row + (k - 3) * LANES)
@@ -358,9 +367,10 @@ def remember(arm, inputs, strain, loads):
     that of strain.xi and its rate."""
     effects = arm.effects
     for i in range(effects.count):
-        if effects.stress[i] != 0:
+        address = effects.stress[i]
+        if address != 0:
             points = points_of(arm, i, inputs, strain, loads)
-            call(effects.stress[i], effects.parameters[i], (points,))
+            call(address, effects.parameters[i], (points,))
 
 
 @kernel

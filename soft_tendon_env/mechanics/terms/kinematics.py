@@ -47,8 +47,9 @@ KAPPA = math.sqrt(3.0) / 12.0  # of h^2, in the Magnus expansion
 def magnus(h, xi_1, xi_2):
     """Magnus expansion Omega(h) = h/2 (xi_1 + xi_2) + sqrt(3) h^2/12 ad_xi_1 xi_2 (Appendix C)."""
     mean = scale_twist(0.5 * h, twist_sum(xi_1, xi_2))
-    bracket = scale_twist(KAPPA * h * h, ad_apply(xi_1, xi_2))
-    return twist_sum(mean, bracket)
+    bracket = ad_apply(xi_1, xi_2)
+    turning = scale_twist(KAPPA * h * h, bracket)
+    return twist_sum(mean, turning)
 
 
 @kernel(inline=True)
@@ -56,15 +57,19 @@ def zanna(h, xi_1, xi_2, x_1, x_2):
     """Zanna operator Z_h(x): the derivative of Omega along x (Appendix C)."""
     mean = scale_twist(0.5 * h, twist_sum(x_1, x_2))
     bracket = twist_difference(ad_apply(xi_1, x_2), ad_apply(xi_2, x_1))
-    return twist_sum(mean, scale_twist(KAPPA * h * h, bracket))
+    turning = scale_twist(KAPPA * h * h, bracket)
+    return twist_sum(mean, turning)
 
 
 @kernel(inline=True)
 def load_pose(field, pack):
     """Poses (R, r) of a pack of a field."""
     at = pack * 12 * LANES
-    R = load3(field, at) + load3(field, at + 3 * LANES) + load3(field, at + 6 * LANES)
-    return R, load3(field, at + 9 * LANES)
+    first = load3(field, at)
+    second = load3(field, at + 3 * LANES)
+    third = load3(field, at + 6 * LANES)
+    r = load3(field, at + 9 * LANES)
+    return first + second + third, r
 
 
 @kernel(inline=True)
@@ -84,7 +89,9 @@ def poses(rod, base, xi, kinematics):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = interval_strains(xi, pack)
         Omega = magnus(h, xi_1, xi_2)
-        R, r = exp_se3(Omega, angle_coefficients(Omega))
+        c = angle_coefficients(Omega)
+        R, r = exp_se3(Omega, c)
+        # twelve numbers, as two twists
         store6(kinematics.relative, 2 * pack, (R[0:3], R[3:6]))
         store6(kinematics.relative, 2 * pack + 1, (R[6:9], r))
     chain(rod.packs, base, kinematics)
@@ -110,6 +117,23 @@ def _gather(field, at):
         field[at + 11 * LANES],
     )
     return R, r
+
+
+@kernel(inline=True)
+def triple(rows, i, first):
+    """Three numbers of a row as a vector."""
+    return rows[i, first], rows[i, first + 1], rows[i, first + 2]
+
+
+@kernel(inline=True)
+def matrix_pose(poses, row):
+    """(R, r) of one of the poses (rows, 4, 4)."""
+    g = poses[row]
+    first = triple(g, 0, 0)
+    second = triple(g, 1, 0)
+    third = triple(g, 2, 0)
+    r = (g[0, 3], g[1, 3], g[2, 3])
+    return first + second + third, r
 
 
 @kernel(inline=True)
@@ -160,9 +184,13 @@ def chain(packs, base, kinematics):
 def twist_at(field, block, lane_index):
     """Twist-shaped numbers of one lane of a field over points or nodes."""
     at = block * 6 * LANES + lane_index
-    k = (field[at], field[at + LANES], field[at + 2 * LANES])
-    p = (field[at + 3 * LANES], field[at + 4 * LANES], field[at + 5 * LANES])
-    return k, p
+    k_x = field[at]
+    k_y = field[at + LANES]
+    k_z = field[at + 2 * LANES]
+    p_x = field[at + 3 * LANES]
+    p_y = field[at + 4 * LANES]
+    p_z = field[at + 5 * LANES]
+    return (k_x, k_y, k_z), (p_x, p_y, p_z)
 
 
 @kernel(inline=True)
@@ -170,7 +198,9 @@ def strains_at_points(field, interval):
     """Twist-shaped numbers of a field over points at the two points of one interval."""
     block = 2 * (interval // LANES)
     lane_index = interval % LANES
-    return twist_at(field, block, lane_index), twist_at(field, block + 1, lane_index)
+    first = twist_at(field, block, lane_index)
+    second = twist_at(field, block + 1, lane_index)
+    return first, second
 
 
 @kernel(inline=True)
@@ -181,9 +211,11 @@ def strains_of_part(h, interval, part, xi):
     """
     # the points are sqrt(3)/6 of a length from its middle, so h / sqrt(3) apart
     xi_1, xi_2 = strains_at_points(xi, interval)
-    slope = scale_twist(math.sqrt(3.0) / h, twist_difference(xi_2, xi_1))
+    difference = twist_difference(xi_2, xi_1)
+    slope = scale_twist(math.sqrt(3.0) / h, difference)
     mean = scale_twist(0.5, twist_sum(xi_1, xi_2))
-    middle = twist_sum(mean, scale_twist(0.5 * (part - h), slope))
+    from_middle = scale_twist(0.5 * (part - h), slope)
+    middle = twist_sum(mean, from_middle)
     reach = scale_twist(part * math.sqrt(3.0) / 6.0, slope)
     return twist_difference(middle, reach), twist_sum(middle, reach)
 
@@ -204,8 +236,9 @@ def poses_inside(length, interval, distance, xi, kinematics, out):
         i = interval[m]
         part = distance[m]
         xi_1, xi_2 = strains_of_part(length[i], i, part, xi)
-        R, r = pose_at(kinematics.start, i)
-        R, r = pose_step(R, r, magnus(part, xi_1, xi_2))
+        Omega = magnus(part, xi_1, xi_2)
+        R_start, r_start = pose_at(kinematics.start, i)
+        R, r = pose_step(R_start, r_start, Omega)
         write_pose(R, r, out[m])
 
 
@@ -225,8 +258,9 @@ def strains_inside(length, interval, distance, field, out):
     It is linear between their two points.
     """
     for m in range(interval.size):
-        share = share_of_second(length, interval[m], distance[m])
-        xi_1, xi_2 = strains_at_points(field, interval[m])
+        i = interval[m]
+        share = share_of_second(length, i, distance[m])
+        xi_1, xi_2 = strains_at_points(field, i)
         first = scale_twist(1.0 - share, xi_1)
         second = scale_twist(share, xi_2)
         write_twist(twist_sum(first, second), out[m])
@@ -257,12 +291,15 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
     # [[A, 0], [C, A]] ad_xi = [[A k~, 0], [C k~ + A p~, A k~]]
     k_1, p_1 = xi_1
     k_2, p_2 = xi_2
+    A_ad_1 = times_skew(A, k_1)
+    A_ad_2 = times_skew(A, k_2)
+    C_ad_1 = matrix_sum(times_skew(C, k_1), times_skew(A, p_1))
+    C_ad_2 = matrix_sum(times_skew(C, k_2), times_skew(A, p_2))
+    # W_1 = Ad_g T (half - kappa ad_xi2) and W_2 = Ad_g T (half + kappa ad_xi1)
     A_half = scale_matrix(half, A)
     C_half = scale_matrix(half, C)
-    C_ad_2 = matrix_sum(times_skew(C, k_2), times_skew(A, p_2))
-    C_ad_1 = matrix_sum(times_skew(C, k_1), times_skew(A, p_1))
-    A_1 = matrix_sum(A_half, scale_matrix(-kappa, times_skew(A, k_2)))
-    A_2 = matrix_sum(A_half, scale_matrix(kappa, times_skew(A, k_1)))
+    A_1 = matrix_sum(A_half, scale_matrix(-kappa, A_ad_2))
+    A_2 = matrix_sum(A_half, scale_matrix(kappa, A_ad_1))
     C_1 = matrix_sum(C_half, scale_matrix(-kappa, C_ad_2))
     C_2 = matrix_sum(C_half, scale_matrix(kappa, C_ad_1))
     return IntervalOperators((A_1, C_1), (A_2, C_2), (A, C), Omega, c)
@@ -273,7 +310,9 @@ def growth_over(operators, x_1, x_2):
     """Growth W_1 x_1 + W_2 x_2 of a sum in the base frame over the intervals of a pack."""
     A_1, C_1 = operators.W_1
     A_2, C_2 = operators.W_2
-    return twist_sum(operator_apply(A_1, C_1, x_1), operator_apply(A_2, C_2, x_2))
+    first = operator_apply(A_1, C_1, x_1)
+    second = operator_apply(A_2, C_2, x_2)
+    return twist_sum(first, second)
 
 
 @kernel(inline=True)
@@ -294,20 +333,25 @@ def running_sum(carry, row, x):
         prefix_sum(p_y) + carry[at + 4],
         prefix_sum(p_z) + carry[at + 5],
     )
+    last = LANES - 1
     for i in range(3):
-        carry[at + i] = lane(k[i], LANES - 1)
-        carry[at + 3 + i] = lane(p[i], LANES - 1)
+        carry[at + i] = lane(k[i], last)
+        carry[at + 3 + i] = lane(p[i], last)
     return k, p
 
 
 @kernel(inline=True)
 def carried_sum(carry, row):
     """The carried sum in every lane."""
-    k, p = twist_of(carry[6 * row : 6 * row + 6])
-    return (
-        (spread(k[0]), spread(k[1]), spread(k[2])),
-        (spread(p[0]), spread(p[1]), spread(p[2])),
-    )
+    at = 6 * row
+    k, p = twist_of(carry[at : at + 6])
+    return spread_vector(k), spread_vector(p)
+
+
+@kernel(inline=True)
+def spread_vector(x):
+    """A vector of numbers in every lane."""
+    return spread(x[0]), spread(x[1]), spread(x[2])
 
 
 @kernel
@@ -335,12 +379,14 @@ def sweep(rod, law, strain, kinematics):
         growth = growth_over(operators, rate_1, rate_2)
         eta_end = running_sum(carry, n, growth)
         eta_start = twist_difference(eta_end, growth)
-        store6(kinematics.eta, pack, Ad_inverse_apply(R_end, r_end, eta_end))
+        eta = Ad_inverse_apply(R_end, r_end, eta_end)
+        store6(kinematics.eta, pack, eta)
 
         # J_dot q_dot (18): rates of Z and of T at constant xi_dot, xi_bias, and the turning frame
         A, C = operators.Ad_T
         Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-        bracket_rate = scale_twist(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))
+        bracket = ad_apply(rate_1, rate_2)
+        bracket_rate = scale_twist(2.0 * KAPPA * h * h, bracket)
         turned = dexp_dot_apply(operators.Omega, Omega_dot, operators.c, Omega_dot)
         change = operator_apply(A, C, bracket_rate)
         change = twist_sum(change, Ad_apply(R, r, turned))
@@ -348,19 +394,22 @@ def sweep(rod, law, strain, kinematics):
         change = twist_sum(change, growth_over(operators, bias_1, bias_2))
         change = twist_sum(change, ad_apply(eta_start, growth))
         bias_end = running_sum(carry, n + 1, change)
-        store6(kinematics.eta_bias, pack, Ad_inverse_apply(R_end, r_end, bias_end))
+        eta_bias = Ad_inverse_apply(R_end, r_end, bias_end)
+        store6(kinematics.eta_bias, pack, eta_bias)
 
         # J
         for j in range(n):
             if law.pack_begin[j] > pack:
                 continue
+            row = j * packs + pack
             if pack < law.pack_end[j]:
-                phi_1, phi_2 = interval_strains(strain.Phi, j * packs + pack)
-                column = running_sum(carry, j, growth_over(operators, phi_1, phi_2))
+                phi_1, phi_2 = interval_strains(strain.Phi, row)
+                of_column = growth_over(operators, phi_1, phi_2)
+                column_end = running_sum(carry, j, of_column)
             else:
-                column = carried_sum(carry, j)
-            column = Ad_inverse_apply(R_end, r_end, column)
-            store6(kinematics.J, j * packs + pack, column)
+                column_end = carried_sum(carry, j)
+            column = Ad_inverse_apply(R_end, r_end, column_end)
+            store6(kinematics.J, row, column)
 
 
 @kernel
@@ -373,13 +422,16 @@ def node_twists(rod, strain, kinematics):
     copy(kinematics.base[12:18], carry[:6])
     for pack in range(rod.packs):
         h = load(rod.length, pack * LANES)
+        kappa = KAPPA * h * h
         xi_1, xi_2 = interval_strains(strain.xi, pack)
         rate_1, rate_2 = interval_strains(strain.xi_dot, pack)
         R, r = load_pose(kinematics.start, pack)
         R_end, r_end = load_pose(kinematics.pose, pack)
-        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-        eta_end = running_sum(carry, 0, growth_over(operators, rate_1, rate_2))
-        store6(kinematics.eta, pack, Ad_inverse_apply(R_end, r_end, eta_end))
+        operators = interval_operators(h, 0.5 * h, kappa, xi_1, xi_2, R, r)
+        growth = growth_over(operators, rate_1, rate_2)
+        eta_end = running_sum(carry, 0, growth)
+        eta = Ad_inverse_apply(R_end, r_end, eta_end)
+        store6(kinematics.eta, pack, eta)
 
 
 @kernel(inline=True)

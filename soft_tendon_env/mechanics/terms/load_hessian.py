@@ -59,8 +59,10 @@ def place(node):
 def _node_load(rod, law, part, node, kinematics):
     """Position of a node, and `part` of the dead force on it."""
     _, position = pose_at(kinematics.pose, node)
-    force = times(part * rod.node_mass[node], law.acceleration)
-    if node == rod.node_mass.size - 1:
+    mass = rod.node_mass[node]
+    force = times(part * mass, law.acceleration)
+    last = rod.node_mass.size - 1
+    if node == last:
         force = plus(force, times(part, law.force))
     return position, force
 
@@ -92,8 +94,9 @@ def load_stress(rod, law, part, xi, kinematics, out):
         xi_1, xi_2 = strains_at_points(xi, node)
         wrench = (moment, force)
         first, second = _interval_stress(rod, node, xi_1, xi_2, wrench, kinematics)
-        add_at(out, place(node), first)
-        add_at(out, place(node) + 6 * LANES, second)
+        at = place(node)
+        add_at(out, at, first)
+        add_at(out, at + 6 * LANES, second)
 
 
 @kernel(inline=True)
@@ -101,8 +104,10 @@ def _unit(rod, node, a):
     """Strain of a point by the a-th unknown of an interval, as a twist."""
     i = a % 6
     c = rod.root_compliance[place(node) + a * LANES]
+    # the i-th component alone
     angular = (c * (i == 0), c * (i == 1), c * (i == 2))
-    return angular, (c * (i == 3), c * (i == 4), c * (i == 5))
+    linear = (c * (i == 3), c * (i == 4), c * (i == 5))
+    return angular, linear
 
 
 @kernel(inline=True)
@@ -111,11 +116,15 @@ def _section_entry(strain, node, a, b):
 
     These do not meet each other there.
     """
-    if a // 6 != b // 6:
+    # unknowns 0 to 5 are of the first point, 6 to 11 of the second
+    point = a // 6
+    if b // 6 != point:
         return 0.0
-    row = max(a % 6, b % 6)
-    column = min(a % 6, b % 6)
-    block = 2 * (node // LANES) + a // 6
+    first = a % 6
+    second = b % 6
+    row = max(first, second)
+    column = min(first, second)
+    block = 2 * (node // LANES) + point
     entry = block * 21 + row * (row + 1) // 2 + column
     return strain.factor[entry * LANES + node % LANES]
 
@@ -127,11 +136,12 @@ def _assemble_interval(rod, node, wrench, strain, kinematics, D):
     It is the section's, and differences of load stresses.
     """
     at = place(node)
+    compliance = rod.root_compliance
     xi_1, xi_2 = strains_at_points(strain.xi, node)
     for a in range(SIZE):
         unit = _unit(rod, node, a)
         # a step of the unknown that turns the interval by DIFFERENCE
-        turn = rod.length[node] * rod.root_compliance[at + a * LANES]
+        turn = rod.length[node] * compliance[at + a * LANES]
         way = DIFFERENCE / turn if turn > 0.0 else 1.0
         for b in range(SIZE):
             D[b, a] = _section_entry(strain, node, a, b)
@@ -141,8 +151,9 @@ def _assemble_interval(rod, node, wrench, strain, kinematics, D):
             moved_2 = twist_sum(xi_2, moved) if a >= 6 else xi_2
             stress = _interval_stress(rod, node, moved_1, moved_2, wrench, kinematics)
             for b in range(SIZE):
-                component = stress[b // 6][b % 6 // 3][b % 3]
-                scaled = rod.root_compliance[at + b * LANES] * component
+                of_point = stress[b // 6]
+                component = of_point[b % 6 // 3][b % 3]
+                scaled = compliance[at + b * LANES] * component
                 D[b, a] -= scaled * share / way
 
 
@@ -172,14 +183,12 @@ def _invert(D):
 
 @kernel(inline=True)
 def _add_turned_forces(position, force, Q, rows_Q):
-    """Adds r .
-
-    f I - r f^T of a node at r with a force f to Q of columns and of rows.
-    """
+    """Adds (r . f) I - r f^T of a node at r with a force f to Q of columns and of rows."""
     along = dot(position, force)
     for i in range(3):
         for j in range(3):
-            change = (along if i == j else 0.0) - position[i] * force[j]
+            diagonal = along if i == j else 0.0
+            change = diagonal - position[i] * force[j]
             Q[i, j] += change
             rows_Q[i, j] += change
 
@@ -195,17 +204,20 @@ def _fill_turns(rod, node, force, Q, rows_Q, strain, kinematics, memory, rows):
     columns = memory.columns[node]
     R, r = pose_at(kinematics.start, node)
     xi_1, xi_2 = strains_at_points(strain.xi, node)
-    operators = interval_operators(h, 1.0, 2.0 * KAPPA * h, xi_1, xi_2, R, r)
+    kappa = 2.0 * KAPPA * h
+    operators = interval_operators(h, 1.0, kappa, xi_1, xi_2, R, r)
     for a in range(SIZE):
         # W = (k, v) of what is beyond, and y = F x v + Q k
         A, C = operators.W_1 if a < 6 else operators.W_2
-        k, v = operator_apply(A, C, _unit(rod, node, a))
+        unit = _unit(rod, node, a)
+        k, v = operator_apply(A, C, unit)
         side = cross(force, v)
         for i in range(3):
             turn[a, i] = k[i]
             y = add_row_product(side[i], Q, i, k)
+            y_of_rows = add_row_product(side[i], rows_Q, i, k)
             columns[a, i] = 0.5 * h * y
-            rows[a, i] = -add_row_product(side[i], rows_Q, i, k)
+            rows[a, i] = -y_of_rows
 
 
 @kernel(inline=True)
@@ -271,12 +283,14 @@ def solve_hessian(rod, memory, x, start):
     q = 0.0
     r = 0.0
     for node in range(nodes - 1, -1, -1):
-        at = start + place(node)
+        first = place(node)
+        at = start + first
         D = memory.inverse[node]
         turn = memory.turn[node]
         columns = memory.columns[node]
         for a in range(SIZE):
-            wrench = c[place(node) + a * LANES] * x[at + a * LANES]
+            component = a * LANES
+            wrench = c[first + component] * x[at + component]
             y[a] = wrench - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
         for a in range(SIZE):
             strain = 0.0
@@ -291,15 +305,17 @@ def solve_hessian(rod, memory, x, start):
     q = 0.0
     r = 0.0
     for node in range(nodes):
-        at = start + place(node)
+        first = place(node)
+        at = start + first
         half = 0.5 * rod.length[node]
         turn = memory.turn[node]
         answer = memory.answer[node]
         start_turn = (p, q, r)
         for a in range(SIZE):
-            still = x[at + a * LANES]
+            component = a * LANES
+            still = x[at + component]
             strain = add_row_product(still, answer, a, start_turn)
-            x[at + a * LANES] = c[place(node) + a * LANES] * strain
+            x[at + component] = c[first + component] * strain
             p = p + half * turn[a, 0] * strain
             q = q + half * turn[a, 1] * strain
             r = r + half * turn[a, 2] * strain

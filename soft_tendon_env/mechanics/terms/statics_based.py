@@ -28,6 +28,7 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
 )
 from soft_tendon_env.mechanics.terms.tendons import (
     actuation_wrench,
+    is_present,
     presence_of,
     tangent_rate,
     wrench_column,
@@ -60,7 +61,7 @@ def coordinate_wrenches(arm, law, block, tension, q, strain):
             store6(strain.Phi, j * blocks + block, zero6())
     # tensions
     for i in range(tendons.size):
-        if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
+        if is_present(tendons, i, pack):
             wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
             missing = tension[i] - strain.tau[i]
             mismatch = twist_sum(mismatch, scale_twist(missing, wrench))
@@ -69,14 +70,16 @@ def coordinate_wrenches(arm, law, block, tension, q, strain):
                 column = wrench
                 if law.mixed:
                     share = scale_twist(law.weight[m], wrench)
-                    column = twist_sum(load6(strain.Phi, row), share)
+                    before = load6(strain.Phi, row)
+                    column = twist_sum(before, share)
                 store6(strain.Phi, row, column)
                 store6(strain.Y, row, scale_twist(weight, column))
     # passive wrenches
     for j in range(law.active, law.size):
-        if law.pack_begin[j] <= pack < law.pack_end[j]:
+        if is_present(law, j, pack):
             row = j * blocks + block
-            column = load6(law.passive, row - law.active * blocks)
+            passive_row = row - law.active * blocks
+            column = load6(law.passive, passive_row)
             mismatch = twist_sum(mismatch, scale_twist(-q[j], column))
             store6(strain.Phi, row, column)
             store6(strain.Y, row, scale_twist(weight, column))
@@ -91,20 +94,25 @@ def turning_wrench(tendons, blocks, block, rate, strain):
     """
     geometry = tendons.geometry
     tau = strain.tau
+    pack = block // 2
     total = zero6()
     for i in range(tendons.size):
-        if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
-            tangent_at = (i * blocks + block) * 4 * LANES
-            geometry_at = (i * blocks + block) * 5 * LANES
+        if is_present(tendons, i, pack):
+            row = i * blocks + block
+            tangent_at = row * 4 * LANES
+            geometry_at = row * 5 * LANES
             t = load3(strain.tangent, tangent_at)
             inverse = load(strain.tangent, tangent_at + 3 * LANES)
             # t_ddot = -2 stretch t_dot - |t_dot|^2 t, with the chord's rate constant
             stretch, t_dot = tangent_rate(geometry, geometry_at, rate, t, inverse)
             turning = dot(t_dot, t_dot)
             by_rate = 2.0 * (strain.tau_dot[i] - tau[i] * stretch)
-            pulled = plus(times(by_rate, t_dot), times(-tau[i] * turning, t))
+            across = times(by_rate, t_dot)
+            along = times(-tau[i] * turning, t)
+            pulled = plus(across, along)
             presence = presence_of(geometry, geometry_at)
-            wrench = wrench_column(geometry, geometry_at, times(-presence, pulled))
+            present = times(-presence, pulled)
+            wrench = wrench_column(geometry, geometry_at, present)
             total = twist_sum(total, wrench)
     return total
 
@@ -123,12 +131,14 @@ def statics_columns(arm, law, tension, q, q_dot, strain, kinematics):
         coordinate_wrenches(arm, law, block, tension, q, strain)
         f = load21(strain.factor, block)
         c = load6(rod.root_compliance, block)
+        pack = block // 2
         # Phi_xi = A^-1 Sigma^-1 [Phi_a Phi_p] (31), in place of the wrenches
         rate = zero6()
         for j in range(law.size):
-            if law.pack_begin[j] <= block // 2 < law.pack_end[j]:
+            if is_present(law, j, pack):
                 row = j * blocks + block
-                phi = solve_column(f, c, load6(strain.Phi, row), rod.free)
+                wrench = load6(strain.Phi, row)
+                phi = solve_column(f, c, wrench, rod.free)
                 rate = twist_sum(rate, scale_twist(q_dot[j], phi))
                 store6(strain.Phi, row, phi)
         turning = turning_wrench(arm.tendons, blocks, block, rate, strain)
@@ -151,10 +161,12 @@ def statics_matrices(arm, law, strain, ones, matrices):
 def rate_wrench(tendons, law, blocks, block, q_dot, strain):
     """Wrench [Phi_a Phi_p] q_dot at one block, where tangents and tau_dot are known."""
     total = passive_wrench(law, blocks, block, q_dot)
+    pack = block // 2
     for i in range(tendons.size):
-        if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
+        if is_present(tendons, i, pack):
             wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
-            total = twist_sum(total, scale_twist(strain.tau_dot[i], wrench))
+            share = scale_twist(strain.tau_dot[i], wrench)
+            total = twist_sum(total, share)
     return total
 
 

@@ -29,7 +29,13 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.tendons import chord, presence_of, pull
+from soft_tendon_env.mechanics.terms.tendons import (
+    blocks_of,
+    chord,
+    is_present,
+    presence_of,
+    pull,
+)
 
 MAX_NEWTON = 20
 CONTRACTION = 0.25
@@ -57,10 +63,11 @@ def passive_wrench(law, blocks, block, q):
     total = zero6()
     pack = block // 2
     for j in range(law.active, law.size):
-        if law.pack_begin[j] <= pack < law.pack_end[j]:
+        if is_present(law, j, pack):
             row = (j - law.active) * blocks + block
             column = load6(law.passive, row)
-            total = twist_sum(total, scale_twist(q[j], column))
+            share = scale_twist(q[j], column)
+            total = twist_sum(total, share)
     return total
 
 
@@ -69,8 +76,11 @@ def strain_tension(law, q, tau):
     """Tensions of the strain law, tau = mixing q_a."""
     for i in range(tau.size):
         tau[i] = 0.0
-        for m in range(law.row_start[i], law.row_start[i + 1]):
-            tau[i] += law.weight[m] * q[law.column[m]]
+        first = law.row_start[i]
+        behind = law.row_start[i + 1]
+        for m in range(first, behind):
+            active = q[law.column[m]]
+            tau[i] += law.weight[m] * active
 
 
 @kernel
@@ -136,17 +146,19 @@ def chords_stay(rod, tendons, before, after):
     blocks = 2 * rod.packs
     geometry = tendons.geometry
     for i in range(tendons.size):
-        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
+        for block in blocks_of(tendons, i):
             at = (i * blocks + block) * 5 * LANES
             k_before, p_before = load6(before, block)
             k_after, p_after = load6(after, block)
             chord_before = chord(geometry, at, k_before, p_before)
             chord_after = chord(geometry, at, k_after, p_after)
             turn = minus(chord_after, chord_before)
-            allowed = (MOST_TURN * MOST_TURN) * dot(chord_before, chord_before)
+            squared_length = dot(chord_before, chord_before)
+            allowed = (MOST_TURN * MOST_TURN) * squared_length
             excess = dot(turn, turn) - allowed
+            present_excess = presence_of(geometry, at) * excess
             # so that a NaN does not stay
-            if not largest(presence_of(geometry, at) * excess) <= 0.0:
+            if not largest(present_excess) <= 0.0:
                 return False
     return True
 

@@ -98,9 +98,13 @@ def linearise_loaded(arm, law, q, part, strain, kinematics):
         store_factor(strain.factor, block, h)
         # load_stress + Phi_p q_p - sum tau s - Sigma^1/2 e
         passive = passive_wrench(law.law, blocks, block, q)
-        outside = twist_sum(load6(memory.step, block), passive)
-        elastic = scale6(load6(rod.root_stiffness, block), load6(memory.e, block))
-        store6(memory.step, block, twist_difference(outside, twist_sum(pulled, elastic)))
+        of_loads = load6(memory.step, block)
+        outside = twist_sum(of_loads, passive)
+        stiff = load6(rod.root_stiffness, block)
+        e = load6(memory.e, block)
+        elastic = scale6(stiff, e)
+        inside = twist_sum(pulled, elastic)
+        store6(memory.step, block, twist_difference(outside, inside))
     least_pivot = factorise_hessian(rod, law, part, strain, kinematics)
     return -1 if least_pivot > 0.0 else blocks
 
@@ -114,15 +118,20 @@ def apply_correction(rod, xi, memory):
     size = 0.0
     norm = 0.0
     for block in range(2 * rod.packs):
-        step = scale6(load6(rod.root_stiffness, block), load6(memory.step, block))
+        stiff = load6(rod.root_stiffness, block)
+        soft = load6(rod.root_compliance, block)
+        reference = load6(rod.reference_strain, block)
+        # step and strain, both times Sigma^1/2
+        step = scale6(stiff, load6(memory.step, block))
         e = twist_sum(load6(memory.e, block), step)
         store6(memory.e, block, e)
-        strained = scale6(load6(rod.root_compliance, block), e)
-        store6(xi, block, twist_sum(load6(rod.reference_strain, block), strained))
+        strained = scale6(soft, e)
+        store6(xi, block, twist_sum(reference, strained))
         block_size = largest(squared_norm(step))
         if not block_size <= size:  # a NaN stays
             size = block_size
-        norm = max(norm, largest(squared_norm(e)))
+        block_norm = largest(squared_norm(e))
+        norm = max(norm, block_norm)
     return size, norm
 
 
@@ -135,20 +144,24 @@ def rounding(rod, law, part, tau):
         force += abs(tension)
     for i in range(3):
         weight = rod.mass[0] * abs(law.acceleration[i])
-        force += part * (abs(law.force[i]) + weight)
+        whole = abs(law.force[i]) + weight
+        force += part * whole
         moment += part * abs(law.moment[i])
     compliance = 0.0
     for c in rod.root_compliance:
         compliance = max(compliance, c)
-    return RESOLUTION * (force * total(rod.length) + moment) * compliance
+    whole_moment = force * total(rod.length) + moment
+    return RESOLUTION * whole_moment * compliance
 
 
 @kernel
 def scale_strain(rod, xi, e):
     """Scaled strain e = Sigma^1/2 (xi - xi*), fields over points."""
     for block in range(2 * rod.packs):
-        strained = twist_difference(load6(xi, block), load6(rod.reference_strain, block))
-        store6(e, block, scale6(load6(rod.root_stiffness, block), strained))
+        reference = load6(rod.reference_strain, block)
+        strained = twist_difference(load6(xi, block), reference)
+        stiff = load6(rod.root_stiffness, block)
+        store6(e, block, scale6(stiff, strained))
 
 
 @kernel
@@ -193,19 +206,23 @@ def load_acceleration(arm, law, strain, kinematics, out):
     moved = memory.e
     turn = 0.0
     for m in range(out.size):
-        weight = rod.weight[m // (6 * LANES) * LANES + m % LANES]
+        weight_at = m // (6 * LANES) * LANES + m % LANES
+        weight = rod.weight[weight_at]
         turn += weight * abs(strain.xi_dot[m])
     out[:] = 0.0
     if turn < AT_REST:
         return
     step = ALONG / turn
+    squared_step = step * step
     for steps, share in STENCIL:
+        way = steps * step
         for m in range(out.size):
-            moved[m] = strain.xi[m] + steps * step * strain.xi_dot[m]
+            moved[m] = strain.xi[m] + way * strain.xi_dot[m]
         poses(rod, arm.base, moved, kinematics)
         load_stress(rod, law, 1.0, moved, kinematics, memory.step)
+        factor = share / squared_step
         for m in range(out.size):
-            out[m] += share / (step * step) * memory.step[m]
+            out[m] += factor * memory.step[m]
 
 
 @kernel
@@ -232,7 +249,8 @@ def loaded_columns(arm, loaded, tension, q, q_dot, strain, kinematics):
     for block in range(blocks):
         rate = load6(strain.xi_dot, block)
         turning = turning_wrench(arm.tendons, blocks, block, rate, strain)
-        store6(strain.xi_bias, block, twist_sum(load6(strain.xi_bias, block), turning))
+        of_loads = load6(strain.xi_bias, block)
+        store6(strain.xi_bias, block, twist_sum(of_loads, turning))
     solve_hessian(rod, memory, strain.xi_bias, 0)
 
 
@@ -243,7 +261,8 @@ def loaded_matrices(arm, loaded, strain, ones, matrices):
     size = strain.xi.size
     rows = point_rows(arm.rod)
     for i in range(law.size):
-        phi = strain.Phi[i * size : (i + 1) * size]
+        begin = i * size
+        phi = strain.Phi[begin : begin + size]
         project(strain.Y, phi, rows, law.pack_begin, law.pack_end, matrices.G[i])
     damping_matrix(arm.rod, loaded, strain, matrices.D)
 

@@ -31,7 +31,13 @@ from soft_tendon_env.mechanics.algebra.lie import (
 from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 from soft_tendon_env.mechanics.terms.kinematics import twist_at
-from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, chord_rate, presence_of
+from soft_tendon_env.mechanics.terms.tendons import (
+    actuation_wrench,
+    blocks_of,
+    chord_rate,
+    is_present,
+    presence_of,
+)
 
 # of an interval, what lies before its first Gauss point and after its second
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0
@@ -68,18 +74,26 @@ def tangent_at(arm, i, pack, z, m, strain):
     The rate is that with the section, by arc length.
     """
     block = 2 * pack + z
-    at = (i * 2 * arm.rod.packs + block) * 4 * LANES + m
+    row = i * 2 * arm.rod.packs + block
+    at = row * 4 * LANES + m
     tangent = strain.tangent
-    t = (tangent[at], tangent[at + LANES], tangent[at + 2 * LANES])
+    t_x = tangent[at]
+    t_y = tangent[at + LANES]
+    t_z = tangent[at + 2 * LANES]
+    t = (t_x, t_y, t_z)
     curvature, _ = twist_at(strain.xi, block, m)
-    return t, cross(curvature, t)
+    turning = cross(curvature, t)
+    return t, turning
 
 
 @kernel
 def tangent_change(first, second, distance):
     """Change of a path's tangent between two points at a distance: in the section and with it."""
-    within = minus(second[0], first[0])
-    with_section = times(0.5 * distance, plus(first[1], second[1]))
+    t_first, turning_first = first
+    t_second, turning_second = second
+    within = minus(t_second, t_first)
+    turning = plus(turning_first, turning_second)
+    with_section = times(0.5 * distance, turning)
     return plus(within, with_section)
 
 
@@ -104,8 +118,10 @@ def find_turns(arm, i, strain, turn):
     for pack in range(arm.tendons.pack_begin[i], arm.tendons.pack_end[i]):
         for m in range(LANES):
             k = i * blocks * LANES + pack * PER_PACK + 2 * m
-            width = 2.0 * rod.weight[2 * pack * LANES + m]
-            presence = geometry[((i * blocks + 2 * pack) * 5 + 4) * LANES + m]
+            first_block = 2 * pack
+            width = 2.0 * rod.weight[first_block * LANES + m]
+            row = i * blocks + first_block
+            presence = geometry[(row * 5 + 4) * LANES + m]
             if width == 0.0 or presence == 0.0:
                 turn[k] = 0.0
                 turn[k + 1] = 0.0
@@ -116,7 +132,8 @@ def find_turns(arm, i, strain, turn):
             inside = size_of(turned_inside)
             if width_before > 0.0:
                 # chords cut corners: both angles grow by what the chord of both lacks
-                turned = tangent_change(before, first, BEFORE * (width + width_before))
+                distance = BEFORE * (width + width_before)
+                turned = tangent_change(before, first, distance)
                 across = size_of(turned)
                 both = size_of(plus(turned, turned_inside))
                 cut = inside + across - both
@@ -143,24 +160,26 @@ def find_borders(arm, strain, borders):
     rows = borders.row
     for i in range(tendons.size):
         find_turns(arm, i, strain, borders.turn)
-        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
+        first_point = i * blocks * LANES
+        for block in blocks_of(tendons, i):
             pack = block // 2
             weight = load(arm.rod.weight, block * LANES)
             wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
             moment, force = scale_twist(weight, wrench)
-            first = i * blocks * LANES + pack * PER_PACK + block % 2
+            first = first_point + pack * PER_PACK + block % 2
             for j in range(law.size):
                 own = spread(0.0)
-                if law.pack_begin[j] <= pack < law.pack_end[j]:
+                if is_present(law, j, pack):
                     k, p = load6(strain.Phi, j * blocks + block)
                     own = dot(moment, k) + dot(force, p)
                 for m in range(LANES):
                     rows[(first + 2 * m) * row + j] = lane(own, m)
         # w_k = a_k + w_k+1
-        begin = (i * blocks * LANES + PER_PACK * tendons.pack_begin[i]) * row
-        end = (i * blocks * LANES + PER_PACK * tendons.pack_end[i] - 1) * row
-        for at in range(end - LANES, begin - LANES, -LANES):
-            store(rows, at, load(rows, at) + load(rows, at + row))
+        begin = first_point + PER_PACK * tendons.pack_begin[i]
+        last = first_point + PER_PACK * tendons.pack_end[i] - 1
+        for at in range(last * row - LANES, begin * row - LANES, -LANES):
+            behind = load(rows, at + row)
+            store(rows, at, load(rows, at) + behind)
 
 
 @phase
@@ -176,27 +195,34 @@ def find_shares(arm, strain, tendons, friction):
     blocks = 2 * rod.packs
     for i in range(arm.tendons.size):
         find_turns(arm, i, strain, friction.turn)
-        begin = i * blocks * LANES + PER_PACK * arm.tendons.pack_begin[i]
-        end = i * blocks * LANES + PER_PACK * arm.tendons.pack_end[i]
-        for block in range(2 * arm.tendons.pack_begin[i], 2 * arm.tendons.pack_end[i]):
-            at = (i * blocks + block) * 5 * LANES
+        first_point = i * blocks * LANES
+        begin = first_point + PER_PACK * arm.tendons.pack_begin[i]
+        end = first_point + PER_PACK * arm.tendons.pack_end[i]
+        # how fast the tendon moves along its path, from each point on
+        for block in blocks_of(arm.tendons, i):
+            row = i * blocks + block
+            at = row * 5 * LANES
             weight = load(rod.weight, block * LANES) * presence_of(geometry, at)
-            t = load3(strain.tangent, (i * blocks + block) * 4 * LANES)
-            moved = chord_rate(geometry, at, load6(strain.xi_dot, block))
+            t = load3(strain.tangent, row * 4 * LANES)
+            strained = load6(strain.xi_dot, block)
+            moved = chord_rate(geometry, at, strained)
             own = weight * dot(t, moved)
-            first = i * blocks * LANES + block // 2 * PER_PACK + block % 2
+            first = first_point + block // 2 * PER_PACK + block % 2
             for m in range(LANES):
                 friction.rate[first + 2 * m] = -lane(own, m)
         for k in range(end - 2, begin - 1, -1):
             friction.rate[k] += friction.rate[k + 1]
+        # what is left falls by the angles, as the tendon slides there
         turned = 0.0
         for k in range(begin, end):
+            rate = friction.rate[k]
             turn = math.copysign(friction.turn[k], tendons.tension[i])
-            turned += turn * friction.rate[k] / smooth_speed(friction.rate[k], slow)
-            place = k - i * blocks * LANES
+            turned += turn * rate / smooth_speed(rate, slow)
+            place = k - first_point
             block = place // PER_PACK * 2 + place % 2
             m = place % PER_PACK // 2
-            friction.share[(i * blocks + block) * LANES + m] = math.exp(-turned)
+            share_at = (i * blocks + block) * LANES + m
+            friction.share[share_at] = math.exp(-turned)
 
 
 @kernel
@@ -206,9 +232,11 @@ def add_lost_stress(arm, strain, tension, share, stress):
     blocks = 2 * arm.rod.packs
     for block in range(blocks):
         total = load6(stress, block)
+        pack = block // 2
         for i in range(tendons.size):
-            if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
-                left = load(share, (i * blocks + block) * LANES)
+            if is_present(tendons, i, pack):
+                row = i * blocks + block
+                left = load(share, row * LANES)
                 lost = tension[i] * (spread(1.0) - left)
                 wrench = actuation_wrench(tendons, blocks, block, i, strain.tangent)
                 total = twist_sum(total, scale_twist(lost, wrench))
@@ -231,13 +259,17 @@ def add_friction_damping(arm, tendons, friction, borders, damping):
         begin = i * points + PER_PACK * arm.tendons.pack_begin[i]
         end = i * points + PER_PACK * arm.tendons.pack_end[i]
         for k in range(begin, end):
+            rate = friction.rate[k]
             turn = math.copysign(borders.turn[k], tension)
-            speed = smooth_speed(friction.rate[k], slow)
-            z = friction.rate[k] / speed
+            speed = smooth_speed(rate, slow)
+            z = rate / speed
             turned += turn * z
+            # dz/dv, times what the tension has left
             slope = (1.0 - z * z) / speed
-            drag = tension * math.exp(-turned) * turn * slope
-            w = borders.row[k * row : k * row + n]
+            left = math.exp(-turned)
+            drag = tension * left * turn * slope
+            first = k * row
+            w = borders.row[first : first + n]
             for a in range(n):
                 for b in range(n):
                     damping[a, b] += drag * w[a] * w[b]

@@ -34,8 +34,10 @@ def wrench_column(geometry, at, t):
     y = load(geometry, at)
     z = load(geometry, at + LANES)
     t_x, t_y, t_z = t
-    moment = (y * t_z - z * t_y, z * t_x, -y * t_x)
-    return moment, t
+    about_x = y * t_z - z * t_y
+    about_y = z * t_x
+    about_z = -y * t_x
+    return (about_x, about_y, about_z), t
 
 
 @kernel(inline=True)
@@ -43,9 +45,13 @@ def chord_rate(geometry, at, xi_dot):
     """Rate of the chord t_c, S^T xi_dot."""
     y = load(geometry, at)
     z = load(geometry, at + LANES)
-    (k_x, k_y, k_z), (p_x, p_y, p_z) = xi_dot
+    k, p = xi_dot
+    k_x, k_y, k_z = k
+    p_x, p_y, p_z = p
     along = p_x + k_y * z - k_z * y
-    return along, p_y - k_x * z, p_z + k_x * y
+    across_y = p_y - k_x * z
+    across_z = p_z + k_x * y
+    return along, across_y, across_z
 
 
 @kernel(inline=True)
@@ -63,17 +69,22 @@ def add_stiffness(h, geometry, at, w, s, free):
     z = load(geometry, at + LANES)
     wy = w * y
     wz = w * z
-    (s0, s1, s2), (s3, s4, s5) = s
+    s_angular, s_linear = s
+    s0, s1, s2 = s_angular
+    s3, s4, s5 = s_linear
     w0 = w * s0
     w1 = w * s1
     w2 = w * s2
+    # -d~^2 has y^2 + z^2, z^2 and y^2 on its diagonal
+    wyy = wy * y
+    wzz = wz * z
     rows_0_to_2 = (
-        h[0] + (wy * y + wz * z) - w0 * s0,
+        h[0] + (wyy + wzz) - w0 * s0,
         h[1] - w1 * s0,
-        h[2] + wz * z - w1 * s1,
+        h[2] + wzz - w1 * s1,
         h[3] - w2 * s0,
         h[4] - wy * z - w2 * s1,
-        h[5] + wy * y - w2 * s2,
+        h[5] + wyy - w2 * s2,
     )
     row_3 = h[6:10]
     if len(free) > 3:
@@ -107,9 +118,23 @@ def add_stiffness(h, geometry, at, w, s, free):
 @kernel(inline=True)
 def tangent_rate(geometry, at, xi_dot, t, inverse):
     """Relative rate of |t_c|, and t_dot (Appendix E)."""
-    rate = times(inverse, chord_rate(geometry, at, xi_dot))
+    moved = chord_rate(geometry, at, xi_dot)
+    rate = times(inverse, moved)
     stretch = dot(rate, t)
-    return stretch, minus(rate, times(stretch, t))
+    along = times(stretch, t)
+    return stretch, minus(rate, along)
+
+
+@kernel(inline=True)
+def is_present(table, i, pack):
+    """Tells whether the i-th tendon or coordinate of a table strains a pack of the rod."""
+    return table.pack_begin[i] <= pack < table.pack_end[i]
+
+
+@kernel(inline=True)
+def blocks_of(tendons, i):
+    """Range of the blocks of points at which a tendon is present."""
+    return range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i])
 
 
 @kernel(inline=True)
@@ -122,16 +147,18 @@ def pull(rod, tendons, block, xi, tau, tangent):
     blocks = 2 * rod.packs
     pack = block // 2
     for i in range(tendons.size):
-        if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
-            at = (i * blocks + block) * 5 * LANES
+        if is_present(tendons, i, pack):
+            row = i * blocks + block
+            at = row * 5 * LANES
             t_c = chord(tendons.geometry, at, k, p)
             inverse = 1.0 / sqrt(dot(t_c, t_c))
             t = times(inverse, t_c)
             s = wrench_column(tendons.geometry, at, t)
             tension = tau[i] * presence_of(tendons.geometry, at)
             total = twist_sum(total, scale_twist(tension, s))
-            h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
-            tangent_at = (i * blocks + block) * 4 * LANES
+            w = tension * inverse
+            h = add_stiffness(h, tendons.geometry, at, w, s, rod.free)
+            tangent_at = row * 4 * LANES
             store3(tangent, tangent_at, t)
             store(tangent, tangent_at + 3 * LANES, inverse)
     return h, total
@@ -143,8 +170,9 @@ def actuation_wrench(tendons, blocks, block, i, tangent):
     row = i * blocks + block
     t = load3(tangent, row * 4 * LANES)
     at = row * 5 * LANES
+    column = wrench_column(tendons.geometry, at, t)
     presence = presence_of(tendons.geometry, at)
-    return scale_twist(-presence, wrench_column(tendons.geometry, at, t))
+    return scale_twist(-presence, column)
 
 
 @kernel
@@ -165,12 +193,14 @@ def tendon_lengths(rod, tendons, xi, out):
     for i in range(tendons.size):
         length = spread(0.0)
         # int |t_c| dX over the part of the rod where the tendon is
-        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
+        for block in blocks_of(tendons, i):
             at = (i * blocks + block) * 5 * LANES
             k, p = load6(xi, block)
             t_c = chord(tendons.geometry, at, k, p)
-            weight = load(rod.weight, block * LANES) * presence_of(tendons.geometry, at)
-            length = length + weight * sqrt(dot(t_c, t_c))
+            size = sqrt(dot(t_c, t_c))
+            presence = presence_of(tendons.geometry, at)
+            weight = load(rod.weight, block * LANES) * presence
+            length = length + weight * size
         out[i] = lane_sum(length)
 
 
@@ -183,10 +213,12 @@ def actuation_column(arm, i, share, strain, stress, out):
     blocks = 2 * rod.packs
     for block in range(blocks):
         row = i * blocks + block
-        weight = load(rod.weight, block * LANES) * load(share, row * LANES)
+        left = load(share, row * LANES)
+        weight = load(rod.weight, block * LANES) * left
         wrench = actuation_wrench(arm.tendons, blocks, block, i, strain.tangent)
         store6(stress, block, scale_twist(weight, wrench))
-    project(strain.Phi, stress, point_rows(rod), law.pack_begin, law.pack_end, out)
+    rows = point_rows(rod)
+    project(strain.Phi, stress, rows, law.pack_begin, law.pack_end, out)
 
 
 @kernel
@@ -198,12 +230,14 @@ def tendon_forces(rod, tendons, share, tangent, rate, out):
     for i in range(tendons.size):
         force = spread(0.0)
         # Phi_a . rate = -t . S^T rate
-        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
+        for block in blocks_of(tendons, i):
             row = i * blocks + block
             at = row * 5 * LANES
-            weight = load(rod.weight, block * LANES) * load(share, row * LANES)
+            left = load(share, row * LANES)
+            weight = load(rod.weight, block * LANES) * left
             present = weight * presence_of(tendons.geometry, at)
             t = load3(tangent, row * 4 * LANES)
-            moved = chord_rate(tendons.geometry, at, load6(rate, block))
+            strained = load6(rate, block)
+            moved = chord_rate(tendons.geometry, at, strained)
             force = force - present * dot(t, moved)
         out[i] = lane_sum(force)

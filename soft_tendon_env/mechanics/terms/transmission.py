@@ -40,8 +40,11 @@ def transmit(arm, command, xi, tendons):
         tendon_lengths(arm.rod, arm.tendons, xi, shortening)
         for i in range(command.size):
             shortening[i] = path.length[i] - shortening[i]
-            taut = path.stiffness[i] * (command[i] - shortening[i])
-            tendons.tension[i] = min(max(taut, 0.0), path.strength[i])
+            stretch = command[i] - shortening[i]
+            taut = path.stiffness[i] * stretch
+            # not slack, and within the drive's strength
+            pulling = max(taut, 0.0)
+            tendons.tension[i] = min(pulling, path.strength[i])
 
 
 @phase
@@ -77,7 +80,8 @@ def add_tendon_matrices(arm, work, borders, damping, stiffness):
         rubbed = tendons.rubbed[i]
         for a in range(n):
             for b in range(n):
-                stiffness[a, b] += slope * (rubbed[a] * column[b] + column[a] * rubbed[b])
+                both = rubbed[a] * column[b] + column[a] * rubbed[b]
+                stiffness[a, b] += slope * both
 
 
 @kernel

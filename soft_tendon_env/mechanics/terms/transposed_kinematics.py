@@ -42,7 +42,7 @@ from soft_tendon_env.mechanics.terms.kinematics import (
     share_of_second,
     strains_of_part,
 )
-from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, blocks_of
 
 
 @kernel(inline=True)
@@ -59,10 +59,19 @@ def magnus_transposed(h, xi_1, xi_2, psi):
     They are on the strains at the two points of an interval of length h: of a wrench psi on its
     end, in the frame of its start.
     """
-    mu = 2.0 * KAPPA * h
     Omega = magnus(h, xi_1, xi_2)
-    t = dexp_transposed_apply(Omega, angle_coefficients(Omega), psi)
-    return zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
+    c = angle_coefficients(Omega)
+    t = dexp_transposed_apply(Omega, c, psi)
+    return forces_at_points(h, xi_1, xi_2, t)
+
+
+@kernel(inline=True)
+def forces_at_points(h, xi_1, xi_2, t):
+    """Generalised forces Z_1^T t and Z_2^T t on the strains at the two points of an interval."""
+    mu = 2.0 * KAPPA * h
+    first = zanna_transposed(-mu, xi_2, t)
+    second = zanna_transposed(mu, xi_1, t)
+    return first, second
 
 
 @kernel(inline=True)
@@ -74,8 +83,9 @@ def zanna_transposed(mu, xi, t):
 @kernel(inline=True)
 def wrench_in_base(R, r, f):
     """Wrench in the base frame, Ad_g^-T f, of one in the frame g."""
-    force = rotate(R, f[1])
-    moment = plus(rotate(R, f[0]), cross(r, force))
+    own_moment, own_force = f
+    force = rotate(R, own_force)
+    moment = plus(rotate(R, own_moment), cross(r, force))
     return moment, force
 
 
@@ -94,14 +104,19 @@ def sums_to_tip(x, beyond):
     """sum_to_tip() of the components of a wrench."""
     moment, force = x
     moment_beyond, force_beyond = beyond
-    m_x, m_x_total = sum_to_tip(moment[0], moment_beyond[0])
-    m_y, m_y_total = sum_to_tip(moment[1], moment_beyond[1])
-    m_z, m_z_total = sum_to_tip(moment[2], moment_beyond[2])
-    f_x, f_x_total = sum_to_tip(force[0], force_beyond[0])
-    f_y, f_y_total = sum_to_tip(force[1], force_beyond[1])
-    f_z, f_z_total = sum_to_tip(force[2], force_beyond[2])
-    total = (m_x_total, m_y_total, m_z_total), (f_x_total, f_y_total, f_z_total)
-    return ((m_x, m_y, m_z), (f_x, f_y, f_z)), total
+    m, m_total = vector_sums_to_tip(moment, moment_beyond)
+    f, f_total = vector_sums_to_tip(force, force_beyond)
+    return (m, f), (m_total, f_total)
+
+
+@kernel(inline=True)
+def vector_sums_to_tip(x, beyond):
+    """sum_to_tip() of the components of a vector."""
+    first, first_total = sum_to_tip(x[0], beyond[0])
+    second, second_total = sum_to_tip(x[1], beyond[1])
+    third, third_total = sum_to_tip(x[2], beyond[2])
+    total = (first_total, second_total, third_total)
+    return (first, second, third), total
 
 
 @kernel
@@ -115,7 +130,8 @@ def add_wrench_stress(rod, wrench, xi, kinematics, stress):
         pack = rod.packs - 1 - back
         # wrench on all that an interval carries, in the base frame, then in that of its start
         R_end, r_end = load_pose(kinematics.pose, pack)
-        at_node = wrench_in_base(R_end, r_end, load6(wrench, pack))
+        own_wrench = load6(wrench, pack)
+        at_node = wrench_in_base(R_end, r_end, own_wrench)
         total, beyond = sums_to_tip(at_node, beyond)
         R, r = load_pose(kinematics.start, pack)
         psi = wrench_at_start(R, r, total)
@@ -123,11 +139,12 @@ def add_wrench_stress(rod, wrench, xi, kinematics, stress):
         xi_1, xi_2 = interval_strains(xi, pack)
         # times the weight h / 2
         Omega = magnus(h, xi_1, xi_2)
-        t = dexp_transposed_apply(Omega, angle_coefficients(Omega), psi)
+        c = angle_coefficients(Omega)
+        t = dexp_transposed_apply(Omega, c, psi)
         t = scale_twist(0.5 * h, t)
-        mu = (2.0 * KAPPA) * h
-        add_to_block(stress, 2 * pack, zanna_transposed(-mu, xi_2, t))
-        add_to_block(stress, 2 * pack + 1, zanna_transposed(mu, xi_1, t))
+        first, second = forces_at_points(h, xi_1, xi_2, t)
+        add_to_block(stress, 2 * pack, first)
+        add_to_block(stress, 2 * pack + 1, second)
 
 
 @kernel(inline=True)
@@ -144,10 +161,11 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     """
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
+        for block in blocks_of(tendons, i):
             weight = -force[i] * load(rod.weight, block * LANES)
             wrench = actuation_wrench(tendons, blocks, block, i, tangent)
-            add_to_block(stress, block, scale_twist(weight, wrench))
+            share = scale_twist(weight, wrench)
+            add_to_block(stress, block, share)
 
 
 @kernel
@@ -159,10 +177,13 @@ def add_strain_stress(length, interval, distance, force, stress):
     for m in range(interval.size):
         i = interval[m]
         share = share_of_second(length, i, distance[m])
-        at = first_point_of(i)
+        rest = 1.0 - share
+        first = first_point_of(i)
+        second = first + 6 * LANES
         for k in range(6):
-            stress[at + k * LANES] += (1.0 - share) * force[m, k]
-            stress[at + (6 + k) * LANES] += share * force[m, k]
+            component = k * LANES
+            stress[first + component] += rest * force[m, k]
+            stress[second + component] += share * force[m, k]
 
 
 @kernel(inline=True)
@@ -201,19 +222,20 @@ def add_station_forces(rod, stations, force, xi, kinematics, wrench, stress):
         R, _ = pose_at(kinematics.start, i)
         _, r_part = exp_se3(Omega, c)
         way = rotate(R, r_part)
-        psi = rotate_back(R, cross(way, f)), rotate_back(R, f)
+        moment = cross(way, f)
+        psi = rotate_back(R, moment), rotate_back(R, f)
         if i > 0:
             add_at(wrench, index_of_node(i - 1), psi)
         # generalised forces on the strains at the two points of the part
-        t = scale_twist(0.5 * part, dexp_transposed_apply(Omega, c, psi))
-        mu = 2.0 * KAPPA * part
-        first = zanna_transposed(-mu, xi_2, t)
-        second = zanna_transposed(mu, xi_1, t)
+        t = dexp_transposed_apply(Omega, c, psi)
+        t = scale_twist(0.5 * part, t)
+        first, second = forces_at_points(part, xi_1, xi_2, t)
         # and on those at the points of the interval, between which the strain is linear: half of
         # the sum by their mean, and the rest by their difference
         both = twist_sum(first, second)
         apart = twist_difference(second, first)
-        by_middle = scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both)
+        middle = 0.5 * math.sqrt(3.0) * (part / h - 1.0)
+        by_middle = scale_twist(middle, both)
         by_reach = scale_twist(0.5 * part / h, apart)
         turned = twist_sum(by_middle, by_reach)
         half = scale_twist(0.5, both)
@@ -225,9 +247,10 @@ def add_station_forces(rod, stations, force, xi, kinematics, wrench, stress):
 @kernel(inline=True)
 def add_at(field, at, x):
     """Adds a twist or a wrench to one lane of a field."""
+    angular, linear = x
     for k in range(3):
-        field[at + k * LANES] += x[0][k]
-        field[at + (3 + k) * LANES] += x[1][k]
+        field[at + k * LANES] += angular[k]
+        field[at + (3 + k) * LANES] += linear[k]
 
 
 @kernel

@@ -28,7 +28,8 @@ Y = np.array([-0.75, 4.0, 7e-301, 1e19])
 @kernel
 def arithmetic(x, y, s, out):
     """Every operator, pack with pack and with a float on either side; one pack of `out` each."""
-    a, b = load(x, 0), load(y, 0)
+    a = load(x, 0)
+    b = load(y, 0)
     store(out, 0, a + b)
     store(out, 1 * LANES, a - b)
     store(out, 2 * LANES, a * b)
@@ -45,7 +46,8 @@ def arithmetic(x, y, s, out):
 
 
 def test_operators_agree_with_numpy_bit_for_bit():
-    s, out = 3.7, np.full(13 * LANES, np.nan)
+    s = 3.7
+    out = np.full(13 * LANES, np.nan)
     arithmetic(X, Y, s, out)
     expected = [
         X + Y,
@@ -69,23 +71,28 @@ def test_operators_agree_with_numpy_bit_for_bit():
 def reductions(x, sums, out):
     a = load(x, 0)
     store(sums, 0, prefix_sum(a))
-    out[0], out[1], out[2] = lane_sum(a), largest(a), -largest(-a)
+    out[0] = lane_sum(a)
+    out[1] = largest(a)
+    out[2] = -largest(-a)
     for i in range(LANES):
         out[3 + i] = lane(a, i)
 
 
 def reduce_pack(x):
-    sums, out = np.empty(LANES), np.empty(3 + LANES)
+    sums = np.empty(LANES)
+    out = np.empty(3 + LANES)
     reductions(np.array(x), sums, out)
     return sums, out
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_sums_and_extremes_agree_with_numpy(seed):
-    x = np.random.default_rng(seed).normal(size=LANES)
+    random = np.random.default_rng(seed)
+    x = random.normal(size=LANES)
     sums, out = reduce_pack(x)
-    np.testing.assert_allclose(sums, np.cumsum(x), rtol=0, atol=4e-16 * np.abs(x).sum())
-    np.testing.assert_allclose(out[0], x.sum(), rtol=0, atol=4e-16 * np.abs(x).sum())
+    round_off = 4e-16 * np.abs(x).sum()
+    np.testing.assert_allclose(sums, np.cumsum(x), rtol=0, atol=round_off)
+    np.testing.assert_allclose(out[0], x.sum(), rtol=0, atol=round_off)
     np.testing.assert_array_equal(out[1:], [x.max(), x.min(), *x])
 
 
@@ -149,7 +156,8 @@ def read_at(like, addresses, i):
 
 @pytest.mark.no_jit
 def test_compiled_code_reads_and_fills_the_fields():
-    struct, out = outer(), np.zeros(7)
+    struct = outer()
+    out = np.zeros(7)
     read(struct, out)
     np.testing.assert_array_equal(out, [7.0, 2.0, 5.0, 0.25, 4.0, 27.0, 8.0])
     assert struct.inner.values[0] == 1.0
@@ -163,7 +171,8 @@ def test_compiled_code_reads_and_fills_the_fields():
 )
 def test_copies_stand_on_their_own(copied):
     struct = outer()
-    twin, out = copied(struct), np.zeros(7)
+    twin = copied(struct)
+    out = np.zeros(7)
     read(twin, out)
     assert struct.inner.values[0] == 0.0
     assert twin.inner.values[0] == 1.0

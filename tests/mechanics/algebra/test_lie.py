@@ -116,8 +116,10 @@ def mp_ad(a, x):
 
 def exact_tangent(Omega, Omega_dot, x):
     """T x = sum ad^n x / (n + 1)! and its derivative along Omega_dot, term by term."""
-    term, rate = list(x), [mpf(0)] * 6
-    total, total_rate = list(term), list(rate)
+    term = list(x)
+    rate = [mpf(0)] * 6
+    total = list(term)
+    total_rate = list(rate)
     n = 0
     while max(map(abs, term + rate)) > mpf(10) ** -DIGITS:
         n += 1
@@ -126,10 +128,8 @@ def exact_tangent(Omega, Omega_dot, x):
             for s, t in zip(mp_ad(Omega, rate), mp_ad(Omega_dot, term), strict=True)
         ]
         term = [t / (n + 1) for t in mp_ad(Omega, term)]
-        total, total_rate = (
-            [s + t for s, t in zip(total, term, strict=True)],
-            [s + t for s, t in zip(total_rate, rate, strict=True)],
-        )
+        total = [s + t for s, t in zip(total, term, strict=True)]
+        total_rate = [s + t for s, t in zip(total_rate, rate, strict=True)]
     return total, total_rate
 
 
@@ -166,7 +166,8 @@ def samples():
 
 def relative_errors(found, expected):
     """Per 3-vector, relative to its own norm: (samples, vectors)."""
-    found, expected = found.reshape(len(found), -1, 3), expected.reshape(len(expected), -1, 3)
+    found = found.reshape(len(found), -1, 3)
+    expected = expected.reshape(len(expected), -1, 3)
     return np.linalg.norm(found - expected, axis=-1) / np.maximum(
         np.linalg.norm(expected, axis=-1), 1e-290
     )
@@ -212,10 +213,13 @@ def two_twists(request):
 
 def test_ad_and_coad_are_the_matrices_of_appendix_A(two_twists):
     x = two_twists[0]
-    expected = np.block([[skew(x[:3]), np.zeros((3, 3))], [skew(x[3:]), skew(x[:3])]])
+    k = skew(x[:3])
+    p = skew(x[3:])
+    expected = np.block([[k, np.zeros((3, 3))], [p, k]])
     ad = matrix(lambda y: ad_apply(pair(x), y))
     np.testing.assert_allclose(ad, expected, atol=1e-16)
-    np.testing.assert_allclose(matrix(lambda w: coad_apply(pair(x), w)), -ad.T, atol=1e-16)
+    coad = matrix(lambda w: coad_apply(pair(x), w))
+    np.testing.assert_allclose(coad, -ad.T, atol=1e-16)
 
 
 def test_Ad_is_the_matrix_of_appendix_A_and_its_inverse(two_twists):
@@ -296,8 +300,10 @@ def test_steps_and_products_are_those_of_matrices(two_twists):
     end = start @ exponential_of(second[:3], second[3:])
     np.testing.assert_allclose(np.reshape(R_end, (3, 3)), end[:3, :3], atol=1e-14)
     np.testing.assert_allclose(r_end, end[:3, 3], atol=1e-14)
-    A, k = np.arange(9.0).reshape(3, 3), second[:3]
-    flat, vector = tuple(A.ravel().tolist()), tuple(k.tolist())
+    A = np.arange(9.0).reshape(3, 3)
+    k = second[:3]
+    flat = tuple(A.ravel().tolist())
+    vector = tuple(k.tolist())
     expected_products = [
         (matmul(flat, R), A @ np.reshape(R, (3, 3))),
         (skew_times(vector, flat), skew(k) @ A),

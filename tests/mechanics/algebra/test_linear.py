@@ -123,8 +123,10 @@ def p_matrix(rng, n):
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 def test_a_part_of_the_unknowns_is_solved_and_the_others_stay_at_their_bounds(rng, n):
-    matrix, right = p_matrix(rng, n), rng.normal(size=n)
-    least, greatest = np.full(n, -0.5), np.full(n, 0.25)
+    matrix = p_matrix(rng, n)
+    right = rng.normal(size=n)
+    least = np.full(n, -0.5)
+    greatest = np.full(n, 0.25)
     part = np.arange(n) % 3 - 1
     x = np.zeros(n)
     solve_part(matrix, right, least, greatest, x, part, np.zeros((n, n + 1)))
@@ -140,7 +142,8 @@ def test_bounded_systems_meet_the_conditions_of_complementarity(seed):
     wherever the search begins."""
     rng = np.random.default_rng(seed)
     n = 1 + seed % 6
-    matrix, right = p_matrix(rng, n), 5.0 * rng.normal(size=n)
+    matrix = p_matrix(rng, n)
+    right = 5.0 * rng.normal(size=n)
     least = np.zeros(n)
     greatest = rng.uniform(0.1, 1.0, n)
     for start in (np.zeros(n), greatest, 0.5 * greatest):
@@ -149,7 +152,8 @@ def test_bounded_systems_meet_the_conditions_of_complementarity(seed):
             matrix, right, least, greatest, x, np.zeros(n, dtype=np.int64), np.zeros((n, n + 1))
         )
         rest = matrix @ x - right
-        at_least, at_greatest = x == least, x == greatest
+        at_least = x == least
+        at_greatest = x == greatest
         assert ((x >= least) & (x <= greatest)).all()
         assert (rest[at_least] >= -1e-12).all()
         assert (rest[at_greatest] <= 1e-12).all()
@@ -161,7 +165,8 @@ def test_a_search_that_would_go_in_circles_ends():
     end."""
     matrix = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 2.0], [2.0, 0.0, 1.0]])
     right = np.ones(3)
-    least, greatest = np.zeros(3), np.full(3, 1e6)
+    least = np.zeros(3)
+    greatest = np.full(3, 1e6)
     for start in np.eye(3):
         x = start.copy()
         solve_bounded(

@@ -89,8 +89,10 @@ def copy_blocks(twists, matrices, twists_out, matrices_out):
 
 def test_blocks_of_fields_are_loaded_and_stored():
     rng = np.random.default_rng(4)
-    twists, matrices = rng.normal(size=2 * 6 * LANES), rng.normal(size=2 * 21 * LANES)
-    twists_out, matrices_out = np.ones_like(twists), np.ones_like(matrices)
+    twists = rng.normal(size=2 * 6 * LANES)
+    matrices = rng.normal(size=2 * 21 * LANES)
+    twists_out = np.ones_like(twists)
+    matrices_out = np.ones_like(matrices)
     copy_blocks(twists, matrices, twists_out, matrices_out)
     for field, out in ((twists, twists_out), (matrices, matrices_out)):
         first, second = np.split(out, 2)

@@ -80,10 +80,8 @@ FILTERS = {
 def moving_rows(build, changes, threads=1, rows=ROWS):
     """Rows of arms in motion, and commands (rows, 1, 3) to go on with."""
     model = build("three_tendon", {"quadrature.intervals": 4, **changes})
-    arms, rng = (
-        Arms(model, rows, PERIOD, STATIONS, np.array([0.07, 0.3]), threads),
-        np.random.default_rng(0),
-    )
+    arms = Arms(model, rows, PERIOD, STATIONS, np.array([0.07, 0.3]), threads)
+    rng = np.random.default_rng(0)
     arms.place(np.arange(rows), np.tile(Simulation(model).reset_at_rest().q, (rows, 1)))
     unit = 1.0 if model.command_unit == "N" else 1e-3
     for _ in range(5):
@@ -93,11 +91,9 @@ def moving_rows(build, changes, threads=1, rows=ROWS):
 
 def random_cotangents(arms, names, parts=1):
     """Random cotangents of some names, in the units of the arm."""
-    rng, cotangents, unit = (
-        np.random.default_rng(1),
-        arms.make_cotangents(parts),
-        arms.model.coordinate_scale(),
-    )
+    rng = np.random.default_rng(1)
+    cotangents = arms.make_cotangents(parts)
+    unit = arms.model.coordinate_scale()
     for name in names:
         values = getattr(cotangents, name)
         values[:] = rng.normal(size=values.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
@@ -131,18 +127,14 @@ def as_twists(change, pose):
 def test_adjoint_is_near_differences(build, scene):
     arms, command = moving_rows(build, SCENES[scene])
     start = {name: getattr(arms.rows, name).copy() for name in KEPT}
-    tape, members, rng, unit = (
-        arms.make_tape(),
-        np.arange(ROWS),
-        np.random.default_rng(2),
-        arms.model.coordinate_scale(),
-    )
+    tape = arms.make_tape()
+    members = np.arange(ROWS)
+    rng = np.random.default_rng(2)
+    unit = arms.model.coordinate_scale()
     arms.step(command, members, None, tape)
     pose = arms.reading.tip_pose.copy()
-    given, found = (
-        random_cotangents(arms, (*STATE, *READ)),
-        random_cotangents(arms, (*STATE, *READ)),
-    )
+    given = random_cotangents(arms, (*STATE, *READ))
+    found = random_cotangents(arms, (*STATE, *READ))
     arms.adjoint(tape, members, found)
     for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
         direction = scale * rng.normal(size=getattr(found, name).shape)
@@ -174,11 +166,9 @@ def test_adjoint_is_near_differences(build, scene):
 )
 def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
     arms, _ = moving_rows(build, changes)
-    members, tape, cotangents = (
-        np.arange(ROWS),
-        arms.make_tape(),
-        random_cotangents(arms, (*STATE, *READ)),
-    )
+    members = np.arange(ROWS)
+    tape = arms.make_tape()
+    cotangents = random_cotangents(arms, (*STATE, *READ))
     held = np.full((ROWS, 1, 3), command)
     for _ in range(20):
         arms.step(held, members, None, tape)
@@ -189,7 +179,9 @@ def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
 
 def test_what_has_no_adjoint_is_named(build):
     arms, command = moving_rows(build, {})
-    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), random_cotangents(arms, STATE)
+    tape = arms.make_tape()
+    members = np.arange(ROWS)
+    cotangents = random_cotangents(arms, STATE)
     arms.step(command, members, None, tape)
     arms.set_model(2, arms.model.with_numbers({"segments.*.young_modulus": 1.1e6}))
     with pytest.raises(ValueError, match="row 2 has got another arm"):
@@ -219,28 +211,28 @@ def numbers_of(state):
 @pytest.mark.parametrize("name", FILTERS)
 def test_filter_adjoint_is_that_of_differences(name, build):
     arm = build("three_tendon", {"quadrature.intervals": 4, "effects.actuators": FILTERS[name]}).arm
-    effects, memory, scratch, rng = (
-        arm.effects,
-        make_filter_memory(arm),
-        make_scratch(arm, 2),
-        np.random.default_rng(0),
-    )
-    start, times = effects.state.copy(), np.array([0.0, PERIOD])
+    effects = arm.effects
+    memory = make_filter_memory(arm)
+    scratch = make_scratch(arm, 2)
+    rng = np.random.default_rng(0)
+    start = effects.state.copy()
+    times = np.array([0.0, PERIOD])
     rest_filter(effects, rng.uniform(1.0, 4.0, 3), start)
     for _ in range(4):  # commands are on their way, and tensions lag
         begin_filter(effects, start, rng.uniform(1.0, 4.0, 3), times, True, scratch, memory)
-        start, times = memory.state.copy(), times + PERIOD
+        start = memory.state.copy()
+        times = times + PERIOD
     command = rng.uniform(1.0, 4.0, 3)
     begin_filter(effects, start, command, times, True, scratch, memory)
-    of_means, of_state = (
-        rng.normal(size=(2, 3)),
-        np.where(numbers_of(memory.state), rng.normal(size=start.size), 0.0),
-    )
+    of_means = rng.normal(size=(2, 3))
+    of_state = np.where(numbers_of(memory.state), rng.normal(size=start.size), 0.0)
 
     def run(start, command, count=200):
         """What the cotangents belong to, mean commands in the halves and the internal state at the
         end, in many steps."""
-        state, mean, step = start.copy(), np.zeros((2, 3)), PERIOD / count
+        state = start.copy()
+        mean = np.zeros((2, 3))
+        step = PERIOD / count
         arrival = scratch.arrival
         for k in range(count):
             receive(effects, command, k == 0, times[0] + k * step, state, arrival)
@@ -254,7 +246,9 @@ def test_filter_adjoint_is_that_of_differences(name, build):
         return (of_means * mean).sum() + (of_state * state).sum()
 
     memory.force[:] = of_means
-    found, by_command, move = of_state.copy(), np.zeros(3), 1e-5
+    found = of_state.copy()
+    by_command = np.zeros(3)
+    move = 1e-5
     filter_adjoint(effects, start, times, True, found, by_command, memory)
     along = (
         [(start, command + way) for way in move * np.eye(3)],

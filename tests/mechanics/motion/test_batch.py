@@ -45,11 +45,9 @@ def test_a_failed_step_keeps_the_last_good_motion(build):
     arms.step(tension, np.arange(2))
     tension[1, 1] = [1e6, 0.0, 0.0]  # the second half of row 1's period
     half = arms_of(model, rows=1, period=0.01)
-    half.rows.q[0], half.rows.q_dot[0], half.rows.xi[0] = (
-        arms.rows.q[1],
-        arms.rows.q_dot[1],
-        arms.rows.xi[1],
-    )
+    half.rows.q[0] = arms.rows.q[1]
+    half.rows.q_dot[0] = arms.rows.q_dot[1]
+    half.rows.xi[0] = arms.rows.xi[1]
     arms.step(tension, np.arange(2))
     half.step(tension[1:, :1], np.arange(1))
     assert arms.outcome.status.tolist()[0] == 0
@@ -139,10 +137,8 @@ def matrix(twist):
 
 def random_poses(rng, count):
     poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = (
-        Rotation.random(count, rng).as_matrix(),
-        rng.normal(size=(count, 3)),
-    )
+    poses[:, :3, :3] = Rotation.random(count, rng).as_matrix()
+    poses[:, :3, 3] = rng.normal(size=(count, 3))
     return poses
 
 
@@ -155,7 +151,8 @@ def errors(pose, wanted):
 @pytest.mark.no_jit
 def test_errors_are_matrix_logarithms():
     rng = np.random.default_rng(0)
-    pose, wanted = random_poses(rng, 5), random_poses(rng, 15).reshape(5, 3, 4, 4)
+    pose = random_poses(rng, 5)
+    wanted = random_poses(rng, 15).reshape(5, 3, 4, 4)
     for g, row, found in zip(pose, wanted, errors(pose, wanted), strict=True):
         for g_bar, twist in zip(row, found, strict=True):
             np.testing.assert_allclose(
@@ -169,14 +166,13 @@ def test_errors_are_matrix_logarithms():
 )
 def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
     rng = np.random.default_rng(1)
-    pose, axes = random_poses(rng, 20), rng.normal(size=(20, 3))
+    pose = random_poses(rng, 20)
+    axes = rng.normal(size=(20, 3))
     axes[:3] = np.eye(3)
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     step = np.tile(np.eye(4), (20, 1, 1))
-    step[:, :3, :3], step[:, :3, 3] = (
-        Rotation.from_rotvec(angle * axes).as_matrix(),
-        rng.normal(size=(20, 3)),
-    )
+    step[:, :3, :3] = Rotation.from_rotvec(angle * axes).as_matrix()
+    step[:, :3, 3] = rng.normal(size=(20, 3))
     found = errors(pose, (pose @ step)[:, None])[:, 0]
     np.testing.assert_allclose(
         np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14

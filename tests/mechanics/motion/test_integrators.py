@@ -39,7 +39,8 @@ def smooth(count, greatest):
 )
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_order_of_a_soft_motion(build, columns, loads):
-    tensions, changes = smooth(3, 2.0), {**BENDING_ONLY, **loads}
+    tensions = smooth(3, 2.0)
+    changes = {**BENDING_ONLY, **loads}
     exact = end(build, "three_tendon", changes, tensions, 6, 0.001)
     errors = [
         np.abs(end(build, "three_tendon", changes, tensions, columns, step) - exact).max()

@@ -47,12 +47,10 @@ PERIOD = 0.02
 @pytest.mark.parametrize("scene", SCENES)
 def test_gradient_is_that_of_all_terms(build, scene):
     model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
-    rng, unit, n, u = (
-        np.random.default_rng(0),
-        model.coordinate_scale(),
-        model.coordinate_count,
-        np.array([1.0, 3.0, 2.0]),
-    )
+    rng = np.random.default_rng(0)
+    unit = model.coordinate_scale()
+    n = model.coordinate_count
+    u = np.array([1.0, 3.0, 2.0])
     q, v, a, w = (scale * unit * rng.normal(size=n) for scale in (0.3, 3.0, 30.0, 1.0))
 
     def power(q, v):
@@ -78,7 +76,8 @@ def test_gradient_is_that_of_all_terms(build, scene):
             / unit
         )
 
-    scratch, memory = make_scratch(model.arm, 1), zeros(GradientMemory, sizes_of(model.arm))
+    scratch = make_scratch(model.arm, 1)
+    memory = zeros(GradientMemory, sizes_of(model.arm))
     motion = Motion(q, v, model.packed_strain(q), np.zeros(0), np.array([TIME]))
     scratch.work.strain.xi[:] = motion.xi
     evaluate_force(
@@ -92,7 +91,8 @@ def test_gradient_is_that_of_all_terms(build, scene):
         scratch,
     )
     start_matrices(model.arm, scratch)
-    memory.w[:], memory.a[:] = w, a
+    memory.w[:] = w
+    memory.a[:] = a
     damping = scratch.first.matrices.D @ w
     force_gradient(model.arm, u, motion, 2e-3, True, scratch.work, memory)
     for found, expected in (
@@ -108,8 +108,11 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
     rng = np.random.default_rng(0)
     for _ in range(5):
         simulation.step(rng.uniform(1.0, 4.0, 3), PERIOD)
-    arm, n, motion = simulation.model.arm, simulation.model.coordinate_count, simulation._motion
-    scratch, method = make_scratch(arm, 2), Extrapolated(2, 2, True, False, 1e-9)
+    arm = simulation.model.arm
+    n = simulation.model.coordinate_count
+    motion = simulation._motion
+    scratch = make_scratch(arm, 2)
+    method = Extrapolated(2, 2, True, False, 1e-9)
     scratch.work.strain.xi[:] = motion.xi
     assert (
         evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch)
@@ -117,14 +120,18 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
     )
     matrices_of_motion(arm, method, scratch)
     matrices = scratch.first.matrices
-    mass, damping, stiffness = matrices.M, matrices.D, matrices.G
+    mass = matrices.M
+    damping = matrices.D
+    stiffness = matrices.G
 
     def step(h):
-        v = np.linalg.solve(
-            mass + h * damping + h**2 * stiffness, np.hstack([-h * stiffness, mass, h * np.eye(n)])
-        )
-        by_q = np.hstack([np.eye(n), np.zeros((n, 2 * n))]) + h * v
-        return np.vstack([by_q, v, np.hstack([np.zeros((n, 2 * n)), np.eye(n)])])
+        unit = np.eye(n)
+        nothing = np.zeros((n, 2 * n))
+        system = mass + h * damping + h**2 * stiffness
+        v = np.linalg.solve(system, np.hstack([-h * stiffness, mass, h * unit]))
+        by_q = np.hstack([unit, nothing]) + h * v
+        held = np.hstack([nothing, unit])
+        return np.vstack([by_q, v, held])
 
     def close(found, expected):
         for part in (slice(0, 2 * n), slice(2 * n, None)):
@@ -135,11 +142,9 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
     plan = make_plan(arm, 1, 1, np.zeros((n, n - 3)))
     plan.forces[:] = np.eye(n)
     for count in (1, 3):
-        coarse, fine, found = (
-            step(PERIOD / count),
-            step(0.5 * PERIOD / count),
-            np.zeros((2 * n, 3 * n)),
-        )
+        coarse = step(PERIOD / count)
+        fine = step(0.5 * PERIOD / count)
+        found = np.zeros((2 * n, 3 * n))
         add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, plan, found)
         add_jacobian(scratch.first, PERIOD / count, count, -1.0, plan, found)
         expected = (
@@ -148,7 +153,9 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
         close(found, expected)
     rows = []
     for unit in np.eye(2 * n):
-        q, v, impulse = unit[:n].copy(), unit[n:].copy(), np.zeros((2, n))
+        q = unit[:n].copy()
+        v = unit[n:].copy()
+        impulse = np.zeros((2, n))
         assert transposed_map(scratch.first, PERIOD, scratch, q, v, impulse) == OK
         rows.append(np.concatenate([q, v, impulse.sum(axis=0)]))
     close(np.array(rows), (2.0 * step(0.5 * PERIOD) @ step(0.5 * PERIOD) - step(PERIOD))[: 2 * n])

@@ -89,7 +89,9 @@ def linear_system(model, q, v, tension):
 def substep(matrices, force, q, v, h):
     """(M + h D + h^2 G) dv = h (f - h G v), then q += h v."""
     M, D, G = matrices
-    v = v + np.linalg.solve(M + h * D + h**2 * G, h * (force - h * G @ v))
+    system = M + h * D + h**2 * G
+    impulse = h * (force - h * G @ v)
+    v = v + np.linalg.solve(system, impulse)
     return q + h * v, v
 
 
@@ -127,7 +129,8 @@ def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
     q, v = substep((M, D, G), force, Q, RATES, 0.5 * H)
     M_half, D_half, G_half, force_half = linear_system(model, q, v, TENSION)
     if frozen:
-        first, second = model.terms(Q, RATES, TENSION), model.terms(q, v, TENSION)
+        first = model.terms(Q, RATES, TENSION)
+        second = model.terms(q, v, TENSION)
         D_half = D_half - second.damping + first.damping
         G_half = G_half - second.stiffness + first.stiffness
     halves = substep((M_half, D_half, G_half), force_half, q, v, 0.5 * H)
@@ -143,8 +146,9 @@ def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
 def rest_of(model, force, B, v, h=H):
     """What is left of the linear system at the rates v of a step's end, under forces by tendons."""
     M, D, G, _ = linear_system(model, Q, RATES, np.zeros(3))
-    unknown = (M + h * D + h**2 * G) @ (v - RATES)
-    return unknown - h * (force + B - h * G @ RATES)
+    system = M + h * D + h**2 * G
+    impulse = h * (force + B - h * G @ RATES)
+    return system @ (v - RATES) - impulse
 
 
 @pytest.mark.parametrize("stretch", [[4e-4, 1e-3, -2e-3], [4e-4, 2e-2, 3e-4]])
@@ -161,7 +165,9 @@ def test_elastic_tendons_have_the_tensions_of_a_step_s_end(stretch):
     # the explicit rod's stiffness has that of the tensions at the beginning in it
     begun = np.clip(path.stiffness * np.array(stretch), 0.0, path.strength)
     terms = model.terms(Q, RATES, begun)
-    M, D, G = terms.mass, terms.damping, terms.stiffness
+    M = terms.mass
+    D = terms.damping
+    G = terms.stiffness
     force = B @ tension - terms.elastic_force - terms.damping @ RATES - terms.bias
     v = RATES + np.linalg.solve(M + H * D + H**2 * G, H * (force - H * G @ RATES))
     np.testing.assert_allclose(scratch.v, v, rtol=1e-8)
@@ -172,7 +178,8 @@ def test_extrapolation_is_exact_for_polynomials_of_the_step(rows):
     """Values a + b h + c h^2 .. at h = 1, 1/2, 1/3 ..: as many powers as there are columns."""
     rng = np.random.default_rng(0)
     coefficients = rng.normal(size=(rows, 2))
-    table, error = np.zeros((rows, rows, 2)), np.zeros(2)
+    table = np.zeros((rows, rows, 2))
+    error = np.zeros(2)
     for row in range(rows):
         h = 1.0 / (row + 1)
         value = (coefficients * h ** np.arange(rows)[:, None]).sum(axis=0)
@@ -186,9 +193,11 @@ def test_extrapolation_is_exact_for_polynomials_of_the_step(rows):
 def test_kinks_are_not_extrapolated(kink):
     scratch = make_scratch(arm_with(BENDING).arm, 2)
     scratch.kink[0] = kink
-    first, second = np.array([1.0, 2.0, 3.0]), np.array([1.5, 2.0, 2.5])
+    first = np.array([1.0, 2.0, 3.0])
+    second = np.array([1.5, 2.0, 2.5])
     for row, value in enumerate((first, second)):
-        scratch.q[:], scratch.v[:] = value, -value
+        scratch.q[:] = value
+        scratch.v[:] = -value
         complete_row(row, scratch)
     extrapolated = 2.0 * second - first
     kept, other = (extrapolated, second) if kink == SMOOTH else (second, extrapolated)
@@ -203,9 +212,11 @@ def test_the_error_is_the_root_mean_square_displacement_of_the_rod():
     scratch, _ = step_with(model, 1)
     mass = model.arm.rod.mass[0]
     M = scratch.work.matrices.M
-    of_q, of_v = np.array([0.1, -0.2, 0.3]), np.array([30.0, 5.0, -2.0])
+    of_q = np.array([0.1, -0.2, 0.3])
+    of_v = np.array([30.0, 5.0, -2.0])
     for error_q, error_v, horizon in ((of_q, 0.0 * of_v, H), (0.0 * of_q, of_v, 0.7)):
-        scratch.error_q[:], scratch.error_v[:] = error_q, error_v
+        scratch.error_q[:] = error_q
+        scratch.error_v[:] = error_v
         status, error = error_estimate(model.arm.rod, horizon, scratch)
         moved = np.sqrt(error_q @ M @ error_q / mass)
         moving = horizon * np.sqrt(error_v @ M @ error_v / mass)
@@ -217,8 +228,10 @@ def test_the_error_is_the_root_mean_square_displacement_of_the_rod():
 
 def test_columns_end_where_the_tolerance_is_met_or_out_of_reach():
     model = arm_with({})
-    motion, method = motion_of(model), Extrapolated(5, 2, True, False, 1e-12)
-    errors, rows = [], []
+    motion = motion_of(model)
+    method = Extrapolated(5, 2, True, False, 1e-12)
+    errors = []
+    rows = []
     for tolerance in (1.0, 1e-8, 1e-30):
         scratch = make_scratch(model.arm, 5)
         attempt = extrapolated_step(
@@ -239,7 +252,8 @@ def test_columns_end_where_the_tolerance_is_met_or_out_of_reach():
 def test_strains_ahead_are_predicted_to_second_order_along_the_motion():
     """And to first order beside it, of tendons that wind."""
     model = model_on(load_scene("paper"), 1)
-    q, q_dot = np.linspace(1.0, 10.0, 10), np.linspace(-3.0, 2.0, 10)
+    q = np.linspace(1.0, 10.0, 10)
+    q_dot = np.linspace(-3.0, 2.0, 10)
     beside = np.cos(np.arange(10.0))
     work = make_workspace(model.arm)
     work.strain.xi[:] = start = model.packed_strain(q)
@@ -283,7 +297,8 @@ def test_steps_follow_the_error_and_the_limits():
 def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
     """f = part (B u + F) - K, by differences of the terms."""
     model = arm_with(FLUID)
-    n, directions = 3, np.array([[1.0, 0.0, 0.0], [0.3, -0.7, 0.2]])
+    n = 3
+    directions = np.array([[1.0, 0.0, 0.0], [0.3, -0.7, 0.2]])
     out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, 2)))
     work = make_workspace(model.arm)
     done = linearise_balance(model.arm, TENSION, Q, part, True, directions, work, out)
@@ -291,16 +306,21 @@ def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
 
     def balance(q, part):
         terms = model.terms(q, np.zeros(n))
-        return part * (terms.actuation @ TENSION + terms.external_force) - terms.elastic_force
+        load = terms.actuation @ TENSION + terms.external_force
+        return part * load - terms.elastic_force
 
     np.testing.assert_allclose(out.force, balance(Q, part), rtol=1e-9, atol=1e-12)
     rate = balance(Q, 1.0) - balance(Q, 0.0)
     np.testing.assert_allclose(out.rate, rate, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(out.G, model.terms(Q, np.zeros(n)).stiffness, rtol=1e-9)
+    stiffness = model.terms(Q, np.zeros(n)).stiffness
+    np.testing.assert_allclose(out.G, stiffness, rtol=1e-9)
     h = 1e-5
     for direction, slope in zip(directions, out.slopes.T, strict=True):
-        expected = (balance(Q - h * direction, part) - balance(Q + h * direction, part)) / (2 * h)
-        np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+        before = balance(Q - h * direction, part)
+        after = balance(Q + h * direction, part)
+        expected = (before - after) / (2 * h)
+        atol = 1e-6 * np.abs(expected).max()
+        np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=atol)
 
 
 def random_poses(rng, shape):
@@ -314,13 +334,16 @@ def random_poses(rng, shape):
 
 def test_moved_poses_undo_errors_and_cotangents_are_differences():
     rng = np.random.default_rng(0)
-    pose, goal = random_poses(rng, (2,)), random_poses(rng, (2, 3))
-    error, back = np.empty((2, 3, 6)), np.tile(np.eye(4), (2, 3, 1, 1))
+    pose = random_poses(rng, (2,))
+    goal = random_poses(rng, (2, 3))
+    error = np.empty((2, 3, 6))
+    back = np.tile(np.eye(4), (2, 3, 1, 1))
     pose_errors(pose, goal, error)
     move_poses(pose, error, back)
     np.testing.assert_allclose(back, goal, atol=1e-12)
     cotangent = rng.normal(size=error.shape)
-    by_pose, by_goal = np.empty_like(error), np.empty_like(error)
+    by_pose = np.empty_like(error)
+    by_goal = np.empty_like(error)
     pose_error_cotangents(error, cotangent, by_pose, by_goal)
     h = 1e-6
     for row in range(2):

@@ -34,7 +34,9 @@ PATHS = {
     "rate": DIRECT.replaced(lags=1, rate_limit=20.0),
     "both": DIRECT.replaced(lags=1, time_constant=0.05, rate_limit=20.0),
 }
-U, SMALL, LARGE = 1.0, 1.4, 4.0
+U = 1.0
+SMALL = 1.4
+LARGE = 4.0
 """A tension, and commands near it, at which the rate stays below its limit, and far from it."""
 
 
@@ -42,7 +44,8 @@ def exact(path, u, c, time):
     """The solution of u_dot = clip((c - u) / tau, -r, r)."""
     if time == 0.0:
         return u
-    away, sign = abs(c - u), np.sign(c - u)
+    away = abs(c - u)
+    sign = np.sign(c - u)
     slow = path.rate_limit * path.time_constant if path.time_constant else 0.0
     corner = max(away - slow, 0.0) / path.rate_limit
     if time <= corner:
@@ -68,7 +71,8 @@ def test_the_response_is_the_solution_of_the_lag(name, command, time):
 @pytest.mark.parametrize("command", [SMALL, LARGE, -LARGE])
 @pytest.mark.parametrize("time", [0.03, 0.11, 0.4])
 def test_slopes_are_those_of_the_response_and_of_its_mean(name, command, time):
-    path, h = PATHS[name], 1e-6
+    path = PATHS[name]
+    h = 1e-6
     left, mean = lag_slopes(path, command - U, time)
 
     def mean_from(u):
@@ -99,7 +103,8 @@ def test_steps_end_at_the_next_kink_of_a_tension():
     assert just_beyond == 1e-3
 
 
-DELAY, PERIOD = 0.05, 0.02
+DELAY = 0.05
+PERIOD = 0.02
 
 
 @pytest.fixture
@@ -169,10 +174,12 @@ def test_what_has_arrived_leaves_the_table_in_order(delayed):
 def test_a_lag_follows_what_has_arrived(build):
     actuators = {"time_constant": 0.05, "rate_limit": 20.0}
     arm = build("three_tendon", {"quadrature.intervals": 2, "effects.actuators": actuators}).arm
-    state, out = arm.effects.state.copy(), np.empty(3)
+    state = arm.effects.state.copy()
+    out = np.empty(3)
     rest_filter(arm.effects, np.array([1.0, 2.0, 3.0]), state)
     np.testing.assert_array_equal(state[:3], [1.0, 2.0, 3.0])
-    path, target = arm.effects.transmission, np.array([4.0, 2.0, 2.8])
+    path = arm.effects.transmission
+    target = np.array([4.0, 2.0, 2.8])
     acting = command_at(arm.effects, target, state, 0.1, out).copy()
     expected = [exact(path, u, c, 0.1) for u, c in zip([1.0, 2.0, 3.0], target, strict=True)]
     np.testing.assert_allclose(acting, expected, rtol=1e-12)

@@ -87,7 +87,8 @@ def test_elastic_force_and_actuation_are_gradients(name, changes, build, random_
     work as its tendon shortens."""
     model = build(name, changes)
     q, q_dot = random_state(model, 8)
-    terms, step = model.terms(q, q_dot), 1e-4 * np.abs(q).max()
+    terms = model.terms(q, q_dot)
+    step = 1e-4 * np.abs(q).max()
     assert_close(
         terms.elastic_force, gradient(lambda x: model.energy(x, q_dot).elastic, q, step), 1e-6
     )

@@ -20,7 +20,8 @@ COUNTS = (2, 4, 8, 16)
 
 def hat(xi):
     """The 4x4 matrix of a twist (k, p)."""
-    k, p = xi[:3], xi[3:]
+    k = xi[:3]
+    p = xi[3:]
     return np.array(
         [[0, -k[2], k[1], p[0]], [k[2], 0, -k[0], p[1]], [-k[1], k[0], 0, p[2]], [0, 0, 0, 0]]
     )
@@ -78,11 +79,10 @@ def test_body_jacobian_at_all_nodes_against_differences(
     """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
     model = build(name, changes)
     q, q_dot = random_state(model, 1)
-    nodes, work = (
-        (model.grid.start + model.grid.length)[model.grid.real],
-        workspace_at(model, q, q_dot),
-    )
-    J, pose = at_nodes(model, work.kinematics.J), model.backbone_at(q, nodes)
+    nodes = (model.grid.start + model.grid.length)[model.grid.real]
+    work = workspace_at(model, q, q_dot)
+    J = at_nodes(model, work.kinematics.J)
+    pose = model.backbone_at(q, nodes)
     step = 1e-4 * np.abs(q).max()
     for j in range(0, q.size, 1 if q.size < 25 else 7):
         change = step * np.eye(q.size)[j]

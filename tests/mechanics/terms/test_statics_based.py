@@ -136,7 +136,8 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
     """Pulling has a solution at any size that the section bears; pushing past the section's shear
     stiffness has none, and says where."""
     model = build("paper", COARSE)
-    q, work = np.zeros(10), make_workspace(model.arm)
+    q = np.zeros(10)
+    work = make_workspace(model.arm)
     q[0] = tension
     block, reached = configure(model.arm, q, TOLERANCE, work)
     assert (

@@ -82,16 +82,16 @@ def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(
 def net_force(model, work, at_points):
     """K - F by its definition: work of the elastic stress less that of the loads at the nodes and
     the tip, along every column (n,)."""
-    rod, loads, n = model.arm.rod, model.arm.strain, model.coordinate_count
+    rod = model.arm.rod
+    loads = model.arm.strain
+    n = model.coordinate_count
     weight = at_points(model, np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel())[0]
     stiff = at_points(model, rod.root_stiffness)[0] ** 2
     strained = at_points(model, work.strain.xi - rod.reference_strain)[0]
     force = np.einsum("jmi,mi->j", at_points(model, work.strain.Phi), weight * stiff * strained)
     last = slice(-6 * LANES + LANES - 1, None, LANES)
-    tip, pose = (
-        work.kinematics.J.reshape(n, -1)[:, last],
-        work.kinematics.pose.reshape(-1, 12, LANES),
-    )
+    tip = work.kinematics.J.reshape(n, -1)[:, last]
+    pose = work.kinematics.pose.reshape(-1, 12, LANES)
     dead = rod.inertia.reshape(-1, 6, LANES)[:, None, 3] * np.array(loads.acceleration)[:, None]
     force -= np.einsum(
         "jpal,pbal,pbl->j",
@@ -115,7 +115,8 @@ def test_elastic_force_less_that_of_the_loads_is_G_q(
     model = on_few_intervals(name, changes)
     q, _ = random_state(model, 5)
     work = workspace_at(model, q)
-    expected, terms = net_force(model, work, at_points), model.terms(q, np.zeros_like(q))
+    expected = net_force(model, work, at_points)
+    terms = model.terms(q, np.zeros_like(q))
     scale = np.abs(terms.stiffness) @ np.abs(q)
     assert (np.abs(terms.elastic_force - terms.external_force - expected) <= 1e-12 * scale).all()
     np.testing.assert_array_equal(terms.external_force, 0.0)
@@ -196,7 +197,8 @@ def test_coordinates_near_buckling_have_no_margin():
         model = on_few_intervals(
             "three_tendon", {**UPRIGHT, EULER[0]: [-part * EULER[1], 0.0, 0.0]}
         )
-        work, q = make_workspace(model.arm), np.zeros(model.coordinate_count)
+        work = make_workspace(model.arm)
+        q = np.zeros(model.coordinate_count)
         assert configure(model.arm, q, TOLERANCE, work)[0] == -1
         assert (
             strain_has_margin(model.arm, q, TOLERANCE, work.strain, work.kinematics) == has_margin

@@ -68,7 +68,8 @@ def turns_of(model, work, tendon=0):
 
 def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
     """phi = k s of a tendon in the plane of an arm that is bent evenly."""
-    model, curvature = arm_with(FRICTION), 6.0
+    model = arm_with(FRICTION)
+    curvature = 6.0
     work = workspace_at(model, [0.0, 0.0, curvature])
     points = model.grid.points[model.grid.real].ravel()
     turned = np.cumsum(turns_of(model, work))[: points.size]
@@ -99,8 +100,10 @@ def rubbing(model, workspace_at, q, q_dot, tension):
 def test_friction_acts_against_the_rate_at_which_tendons_are_pulled_in(workspace_at):
     """v = -dL/dt past the actuator; the share falls by exp(-mu z dphi) before each point, with its
     own z = v / sqrt(v^2 + v_s^2)."""
-    model, tension = arm_with(FRICTION), np.array([2.0, 1.0, 3.0])
-    q, q_dot = np.array([1.0, 3.0, -4.0]), np.array([2.0, 5.0, 3.0])
+    model = arm_with(FRICTION)
+    tension = np.array([2.0, 1.0, 3.0])
+    q = np.array([1.0, 3.0, -4.0])
+    q_dot = np.array([2.0, 5.0, 3.0])
     work = rubbing(model, workspace_at, q, q_dot, tension)
     h = 1e-6
     ahead, behind = (model.tendon_lengths(q + s * h * q_dot) for s in (1, -1))
@@ -117,14 +120,17 @@ def test_friction_acts_against_the_rate_at_which_tendons_are_pulled_in(workspace
 
 def test_what_friction_takes_is_what_the_columns_lose(workspace_at):
     """Phi^T of the lost stress, weights included, is -sum tau (B - B of the share)."""
-    model, tension = arm_with(FRICTION), np.array([2.0, 1.0, 3.0])
+    model = arm_with(FRICTION)
+    tension = np.array([2.0, 1.0, 3.0])
     work = rubbing(model, workspace_at, [1.0, 3.0, -4.0], [2.0, 5.0, 3.0], tension)
     stress = np.zeros_like(work.strain.xi)
     add_lost_stress(model.arm, work.strain, tension, work.friction.share, stress)
     weight = np.repeat(model.arm.rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
-    lost, found = np.zeros(3), np.empty(3)
+    lost = np.zeros(3)
+    found = np.empty(3)
     for i, pull in enumerate(tension):
-        whole, left = np.empty(3), np.empty(3)
+        whole = np.empty(3)
+        left = np.empty(3)
         spare = work.spare.stress
         actuation_column(model.arm, i, work.ones.tendon, work.strain, spare, whole)
         actuation_column(model.arm, i, work.friction.share, work.strain, spare, left)
@@ -136,7 +142,8 @@ def test_what_friction_takes_is_what_the_columns_lose(workspace_at):
 
 def test_elastic_tendons_are_springs_between_nothing_and_their_strength(workspace_at):
     """T = clip(k (delta - l - (L_0 - L)), 0, T_m), whose slope is k within."""
-    model, q = arm_with(SPRINGS), np.array([0.0, 1.0, 2.0])
+    model = arm_with(SPRINGS)
+    q = np.array([0.0, 1.0, 2.0])
     work = workspace_at(model, q)
     slack = np.array([0.0, 0.001, -0.002])
     path = model.arm.effects.transmission
@@ -156,7 +163,8 @@ def test_elastic_tendons_are_springs_between_nothing_and_their_strength(workspac
 
 def test_the_stiffness_of_springs_is_made_of_their_columns(workspace_at):
     """k B B^T of those that pull between nothing and their strength."""
-    q, q_dot = np.array([1.0, 3.0, -4.0]), np.array([2.0, 5.0, 3.0])
+    q = np.array([1.0, 3.0, -4.0])
+    q_dot = np.array([2.0, 5.0, 3.0])
     model = arm_with(SPRINGS)
     stretch = np.array([0.004, 0.002, -0.02])
     command = model.arm.effects.transmission.length - model.tendon_lengths(q) + stretch
@@ -167,7 +175,8 @@ def test_the_stiffness_of_springs_is_made_of_their_columns(workspace_at):
     find_columns(model.arm, work.strain, ones, work.spare.stress, work.tendons.columns)
     B = model.terms(q, q_dot).actuation
     np.testing.assert_allclose(work.tendons.columns.T, B, atol=1e-14)
-    damping, stiffness = np.zeros((3, 3)), np.zeros((3, 3))
+    damping = np.zeros((3, 3))
+    stiffness = np.zeros((3, 3))
     add_tendon_matrices(model.arm, work, None, damping, stiffness)
     within = (tension > 0.0) & (tension < STRENGTH)
     np.testing.assert_allclose(stiffness, STIFFNESS * B * within @ B.T, rtol=1e-12)

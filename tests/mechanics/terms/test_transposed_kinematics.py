@@ -81,7 +81,8 @@ def test_stresses_of_tendons_and_rates_of_tendons_are_transposes(bent):
     tangent = work.strain.tangent
     add_tendon_stress(model.arm.rod, model.arm.tendons, force, tangent, stress)
     np.testing.assert_allclose(force_of(model, work, stress), -B @ force, atol=1e-14)
-    share, rates = np.ones(3 * work.strain.xi.size // 6), np.empty(3)
+    share = np.ones(3 * work.strain.xi.size // 6)
+    rates = np.empty(3)
     tendon_forces(model.arm.rod, model.arm.tendons, share, tangent, work.strain.xi_dot, rates)
     np.testing.assert_allclose(rates, B.T @ q_dot, atol=1e-13)
     h = 1e-6
@@ -119,7 +120,8 @@ def test_forces_at_stations_have_the_work_on_the_backbone(bent, place):
     model, q, _, work = bent
     places = np.array([place, 0.1])
     force = np.array([[0.3, -0.7, 0.2], [0.0, 0.0, 0.0]])
-    stress, wrench = np.zeros_like(work.strain.xi), np.zeros_like(work.kinematics.eta)
+    stress = np.zeros_like(work.strain.xi)
+    wrench = np.zeros_like(work.kinematics.eta)
     stations = model.grid.locate(places)
     add_station_forces(
         model.arm.rod, stations, force, work.strain.xi, work.kinematics, wrench, stress
