@@ -48,6 +48,9 @@ MOST_PREDICTIONS = 5
 """Predictions of a period, each about the mean of the hypotheses that the last one found."""
 SAME_WEIGHT = 0.2
 """Probability that may go from hypotheses to others without another prediction."""
+import os
+UNDERWEIGHT = float(os.environ.get("UW", "0.2"))
+UB = float(os.environ.get("UB", "0.2"))
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
@@ -184,7 +187,10 @@ class ExtendedKalmanFilter:
             innovation, slope, variance = self._sensor_model.innovations(point, measured)
             expected = slope @ (mean - point)
             innovations = (innovation - expected)[:, None] - slope @ deviations
-            covariance, inverse_root = _plausible(predicted, slope, variance, innovations)
+            noise = np.diag(variance)
+            if measured.time > 0.0:
+                noise = noise + _curvature(predicted, slope)
+            covariance, inverse_root = _plausible(predicted, slope, noise, innovations)
         except FAILURES:
             return None
         gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
@@ -197,7 +203,7 @@ class ExtendedKalmanFilter:
             after = mean + change
             bank = judged._replace(deviation=moved - change[:, None])
         rest = np.eye(mean.size) - gain @ slope
-        covariance = rest @ covariance @ rest.T + (gain * variance) @ gain.T
+        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
         self._keep_within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
@@ -246,8 +252,21 @@ class ExtendedKalmanFilter:
             mean[part] = np.clip(mean[part], least, greatest)
 
 
+def _curvature(predicted: Belief, slope: Array) -> Array:
+    """Covariance (k, k) of what a linearisation leaves out: a share of what is uncertain.
+
+    Exact measurements of what was uncertain by far would be trusted too much without it
+    (underweighting, Zanetti, DeMars and Bishop, J. Guidance 33, 2010).
+    """
+    covariance = slope @ predicted.covariance @ slope.T
+    if predicted.bank is not None:
+        expected = slope @ predicted.bank.deviation
+        covariance = covariance + UB * (expected * predicted.bank.weight) @ expected.T / UNDERWEIGHT
+    return UNDERWEIGHT * covariance
+
+
 def _plausible(
-    predicted: Belief, slope: Array, variance: Array, innovations: Array
+    predicted: Belief, slope: Array, noise: Array, innovations: Array
 ) -> tuple[Array, Array]:
     """Covariance (m, m) under which innovations (k, H) are plausible, and L^-1 of theirs.
 
@@ -255,20 +274,20 @@ def _plausible(
     forces of the last period are taken for as much greater. Raises LinAlgError.
     """
     covariance = predicted.covariance
-    inverse_root = _inverse_root(slope, covariance, variance)
+    inverse_root = _inverse_root(slope, covariance, noise)
     whitened = inverse_root @ innovations
     best = int((whitened**2).sum(axis=0).argmin())
     # a command that comes at another time than is believed looks like a jump
     is_timed = predicted.bank is None
     if is_timed and _evidence(inverse_root @ slope @ predicted.jump, whitened[:, best]) > EVIDENCE:
         covariance = covariance + predicted.jump @ predicted.jump.T
-        inverse_root = _inverse_root(slope, covariance, variance)
+        inverse_root = _inverse_root(slope, covariance, noise)
     surprise = _least_square(inverse_root, innovations)
     if surprise > SURPRISE:
         motion = slice(len(predicted.noise))
         covariance = covariance.copy()
         covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
-        inverse_root = _inverse_root(slope, covariance, variance)
+        inverse_root = _inverse_root(slope, covariance, noise)
     return covariance, inverse_root
 
 
@@ -286,13 +305,13 @@ def _evidence(jump: Array, innovation: Array) -> float:
     return float(0.5 * whitened @ whitened - np.log(np.diag(root)).sum())
 
 
-def _inverse_root(slope: Array, covariance: Array, variance: Array) -> Array:
+def _inverse_root(slope: Array, covariance: Array, noise: Array) -> Array:
     """L^-1 of the innovations' covariance H P H^T + R = L L^T. Raises LinAlgError."""
-    innovation_covariance = slope @ covariance @ slope.T + np.diag(variance)
+    innovation_covariance = slope @ covariance @ slope.T + noise
     root = np.linalg.cholesky(innovation_covariance)
     if not np.isfinite(root).all():
         raise np.linalg.LinAlgError("the covariance of the innovations is not finite")
-    return np.asarray(solve_triangular(root, np.eye(variance.size), lower=True))
+    return np.asarray(solve_triangular(root, np.eye(len(noise)), lower=True))
 
 
 def _least_square(inverse_root: Array, innovations: Array) -> float:
