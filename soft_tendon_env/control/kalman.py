@@ -188,12 +188,19 @@ class ExtendedKalmanFilter:
             expected = slope @ (mean - point)
             innovations = (innovation - expected)[:, None] - slope @ deviations
             noise = np.diag(variance)
+            curvature = np.zeros_like(noise)
             if measured.time > 0.0:
-                noise = noise + _curvature(predicted, slope)
-            covariance, inverse_root = _plausible(predicted, slope, noise, innovations)
+                curvature = _curvature(predicted, slope)
+            covariance, inverse_root = _plausible(predicted, slope, noise + curvature, innovations)
+            gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
+            motion = slice(len(predicted.noise))
+            if measured.time > 0.0:
+                gain /= max(1.0, _least_square(inverse_root, innovations) / float(os.environ.get("RB", "1")))
+            if os.environ.get("SH", "1") == "1":
+                plain, plain_root = _plausible(predicted, slope, noise, innovations) if os.environ.get("PL", "0") == "1" else (covariance, _inverse_root(slope, covariance, noise))
+                gain[motion] = (plain_root.T @ (plain_root @ (slope @ plain[:, motion]))).T
         except FAILURES:
             return None
-        gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
         moved = deviations + gain @ innovations
         if bank is None:
             after = mean + moved[:, 0]
@@ -203,7 +210,10 @@ class ExtendedKalmanFilter:
             after = mean + change
             bank = judged._replace(deviation=moved - change[:, None])
         rest = np.eye(mean.size) - gain @ slope
-        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
+        blind = gain.copy()
+        if os.environ.get("SH", "1") == "1":
+            blind[motion] = 0.0
+        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T + blind @ curvature @ blind.T
         self._keep_within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
@@ -258,7 +268,12 @@ def _curvature(predicted: Belief, slope: Array) -> Array:
     Exact measurements of what was uncertain by far would be trusted too much without it
     (underweighting, Zanetti, DeMars and Bishop, J. Guidance 33, 2010).
     """
-    covariance = slope @ predicted.covariance @ slope.T
+    uncertain = predicted.covariance
+    if os.environ.get("WH", "1") == "1":
+        uncertain = uncertain.copy()
+        motion = slice(len(predicted.noise))
+        uncertain[motion, motion] -= predicted.noise
+    covariance = slope @ uncertain @ slope.T
     if predicted.bank is not None:
         expected = slope @ predicted.bank.deviation
         covariance = covariance + UB * (expected * predicted.bank.weight) @ expected.T / UNDERWEIGHT
