@@ -48,9 +48,12 @@ MOST_PREDICTIONS = 5
 """Predictions of a period, each about the mean of the hypotheses that the last one found."""
 SAME_WEIGHT = 0.2
 """Probability that may go from hypotheses to others without another prediction."""
-import os
-UNDERWEIGHT = float(os.environ.get("UW", "0.2"))
-UB = float(os.environ.get("UB", "0.2"))
+
+
+LINEARISED = 0.2
+"""Share of the variance of hypotheses about their mean, by which its linearisation is off."""
+DOUBT = 2.0
+"""Mean square of innovations above which they say less of what the model has wrong."""
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
@@ -188,19 +191,15 @@ class ExtendedKalmanFilter:
             expected = slope @ (mean - point)
             innovations = (innovation - expected)[:, None] - slope @ deviations
             noise = np.diag(variance)
-            curvature = np.zeros_like(noise)
-            if measured.time > 0.0:
-                curvature = _curvature(predicted, slope)
-            covariance, inverse_root = _plausible(predicted, slope, noise + curvature, innovations)
-            gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
-            motion = slice(len(predicted.noise))
-            if measured.time > 0.0:
-                gain /= max(1.0, _least_square(inverse_root, innovations) / float(os.environ.get("RB", "1")))
-            if os.environ.get("SH", "1") == "1":
-                plain, plain_root = _plausible(predicted, slope, noise, innovations) if os.environ.get("PL", "0") == "1" else (covariance, _inverse_root(slope, covariance, noise))
-                gain[motion] = (plain_root.T @ (plain_root @ (slope @ plain[:, motion]))).T
+            if bank is not None:
+                noise = noise + _linearisation_noise(bank, slope)
+            covariance, inverse_root = _plausible(predicted, slope, noise, innovations)
         except FAILURES:
             return None
+        gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
+        if measured.time > 0.0:
+            doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
+            gain[len(predicted.noise) :] /= doubt
         moved = deviations + gain @ innovations
         if bank is None:
             after = mean + moved[:, 0]
@@ -210,10 +209,7 @@ class ExtendedKalmanFilter:
             after = mean + change
             bank = judged._replace(deviation=moved - change[:, None])
         rest = np.eye(mean.size) - gain @ slope
-        blind = gain.copy()
-        if os.environ.get("SH", "1") == "1":
-            blind[motion] = 0.0
-        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T + blind @ curvature @ blind.T
+        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
         self._keep_within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
@@ -262,22 +258,13 @@ class ExtendedKalmanFilter:
             mean[part] = np.clip(mean[part], least, greatest)
 
 
-def _curvature(predicted: Belief, slope: Array) -> Array:
-    """Covariance (k, k) of what a linearisation leaves out: a share of what is uncertain.
+def _linearisation_noise(bank: timing_bank.Bank, slope: Array) -> Array:
+    """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
 
-    Exact measurements of what was uncertain by far would be trusted too much without it
-    (underweighting, Zanetti, DeMars and Bishop, J. Guidance 33, 2010).
+    It grows with how far the hypotheses are from their mean, about which all are linearised.
     """
-    uncertain = predicted.covariance
-    if os.environ.get("WH", "1") == "1":
-        uncertain = uncertain.copy()
-        motion = slice(len(predicted.noise))
-        uncertain[motion, motion] -= predicted.noise
-    covariance = slope @ uncertain @ slope.T
-    if predicted.bank is not None:
-        expected = slope @ predicted.bank.deviation
-        covariance = covariance + UB * (expected * predicted.bank.weight) @ expected.T / UNDERWEIGHT
-    return UNDERWEIGHT * covariance
+    expected = slope @ bank.deviation
+    return LINEARISED * (expected * bank.weight) @ expected.T
 
 
 def _plausible(
