@@ -231,7 +231,7 @@ PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     ),
 }
 """Tuned controllers: which one, what its description adds, and its numbers. The robust one was
-found by `soft-tendon tune predictive` for `adaptive:`, the other is for water, see
+found by `soft-tendon tune predictive` on arms that differ from the model, the other is for water, see
 benchmarks/scenes.toml."""
 
 

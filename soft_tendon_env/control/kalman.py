@@ -9,6 +9,9 @@ What is measured updates the belief in Joseph's form, which keeps the covariance
 positive definite, with the slope H of what is expected and the variances R of its noise:
 
     K = P H^T (H P H^T + R)^-1,    P+ = (1 - K H) P (1 - K H)^T + K R K^T
+
+It holds for any K: innovations that no hypothesis explains change less of what the model has wrong,
+or a quick motion, of which a linearisation is far off, would be taken for loads and lag.
 """
 
 import numpy as np
@@ -48,12 +51,11 @@ MOST_PREDICTIONS = 5
 """Predictions of a period, each about the mean of the hypotheses that the last one found."""
 SAME_WEIGHT = 0.2
 """Probability that may go from hypotheses to others without another prediction."""
-
-
 LINEARISED = 0.2
-"""Share of the variance of hypotheses about their mean, by which its linearisation is off."""
+"""Share of the variance of hypotheses about their mean that a linearisation leaves out."""
 DOUBT = 2.0
-"""Mean square of innovations above which they say less of what the model has wrong."""
+"""Mean square of the best innovations, in their standard deviations, above which they say less of
+what the model has wrong."""
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
@@ -184,6 +186,7 @@ class ExtendedKalmanFilter:
         """
         mean = predicted.mean
         bank = predicted.bank
+        is_iterated = point is not None
         point = mean if point is None else point
         deviations = np.zeros((mean.size, 1)) if bank is None else bank.deviation
         try:
@@ -197,7 +200,8 @@ class ExtendedKalmanFilter:
         except FAILURES:
             return None
         gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
-        if measured.time > 0.0:
+        if not is_iterated:
+            # where it is far off, a linearisation tells where the arm is, but not why
             doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
             gain[len(predicted.noise) :] /= doubt
         moved = deviations + gain @ innovations

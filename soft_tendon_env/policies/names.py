@@ -248,8 +248,8 @@ class Controller(PolicyName):
     """A controller of the catalogue.
 
     NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds
-    them; adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY assumes a model
-    of another fidelity than the arm's.
+    them, with loads and the timing of commands. NAME@FIDELITY assumes a model of another fidelity
+    than the arm's.
     """
 
     name: str
@@ -524,8 +524,8 @@ def load_policy(name: str, env: Any, objectives: Sequence[Given] | None = None) 
     See `policy_options` for these options.
 
     Args:
-        name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its
-            model has another fidelity; an agent's folder; "agent" or another of those that ship for
+        name: a controller's or filtered:NAME, with @FIDELITY behind it where its model has another
+            fidelity; an agent's folder; "agent" or another of those that ship for
             the environment's task, see agents/trained; module:name of what makes one.
         env: single or vector environment of this package.
         objectives: a cost of your own, for a predictive controller alone, see `make_policy`.
