@@ -194,26 +194,34 @@ class ExtendedKalmanFilter:
             expected = slope @ (mean - point)
             innovations = (innovation - expected)[:, None] - slope @ deviations
             noise = np.diag(variance)
-            if bank is not None:
-                noise = noise + _linearisation_noise(bank, slope)
-            covariance, inverse_root = _plausible(predicted, slope, noise, innovations)
+            left_out = _left_out(bank, slope)
+            covariance, inverse_root = _plausible(predicted, slope, noise + left_out, innovations)
+            sharp_root = _inverse_root(slope, covariance, noise)
         except FAILURES:
             return None
-        gain = (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
+        moving = len(predicted.noise)
+        gain = np.vstack(
+            [
+                _gain(slope, covariance[:, :moving], sharp_root),
+                _gain(slope, covariance[:, moving:], inverse_root),
+            ]
+        )
         if not is_iterated:
             # where it is far off, a linearisation tells where the arm is, but not why
             doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
-            gain[len(predicted.noise) :] /= doubt
+            gain[moving:] /= doubt
         moved = deviations + gain @ innovations
         if bank is None:
             after = mean + moved[:, 0]
         else:
-            judged = timing_bank.judged(bank, innovations, inverse_root)
+            judged = timing_bank.judged(bank, innovations, inverse_root, sharp_root)
             change = moved @ judged.weight
             after = mean + change
             bank = judged._replace(deviation=moved - change[:, None])
         rest = np.eye(mean.size) - gain @ slope
-        covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
+        erring = gain @ noise @ gain.T
+        erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T
+        covariance = rest @ covariance @ rest.T + erring
         self._keep_within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
@@ -262,13 +270,20 @@ class ExtendedKalmanFilter:
             mean[part] = np.clip(mean[part], least, greatest)
 
 
-def _linearisation_noise(bank: timing_bank.Bank, slope: Array) -> Array:
+def _left_out(bank: timing_bank.Bank | None, slope: Array) -> Array:
     """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
 
     It grows with how far the hypotheses are from their mean, about which all are linearised.
     """
+    if bank is None:
+        return np.zeros((len(slope), len(slope)))
     expected = slope @ bank.deviation
     return LINEARISED * (expected * bank.weight) @ expected.T
+
+
+def _gain(slope: Array, covariance: Array, inverse_root: Array) -> Array:
+    """Gain (p, k) of p states, of whose covariance the columns (m, p) are given."""
+    return (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
 
 
 def _plausible(

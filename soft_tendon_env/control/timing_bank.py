@@ -82,7 +82,7 @@ def first_bank(size: int, known: Timing, greatest: Timing, lag_share: float) -> 
     )
 
 
-def judged(bank: Bank, innovations: Array, inverse_root: Array) -> Bank:
+def judged(bank: Bank, innovations: Array, inverse_root: Array, sharp_root: Array) -> Bank:
     """Bank after a measurement, by the likelihoods of its innovations.
 
     Innovations beyond their deviations in every hypothesis say nothing of the timing: their
@@ -92,11 +92,12 @@ def judged(bank: Bank, innovations: Array, inverse_root: Array) -> Bank:
         bank: before it.
         innovations: (k, H) of the hypotheses.
         inverse_root: (k, k) L^-1, of the innovations' covariance L L^T.
+        sharp_root: (k, k) likewise, if the linearisation about the mean left nothing out.
     """
-    whitened = inverse_root @ innovations
-    squares = (whitened**2).sum(axis=0)
+    sharp_squares = ((sharp_root @ innovations) ** 2).sum(axis=0)
+    sharp_weight = _normalised(bank.log_likelihood - 0.5 * sharp_squares)
+    squares = ((inverse_root @ innovations) ** 2).sum(axis=0)
     surprise = float(squares.min()) / len(innovations)
-    sharp_weight = _normalised(bank.log_likelihood - 0.5 * squares)
     log_likelihood = bank.log_likelihood - 0.5 * squares / max(surprise, 1.0)
     log_likelihood -= log_likelihood.max()
     return bank._replace(log_likelihood=log_likelihood, sharp_weight=sharp_weight)
