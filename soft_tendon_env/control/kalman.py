@@ -196,28 +196,27 @@ class ExtendedKalmanFilter:
             noise = np.diag(variance)
             left_out = _left_out(bank, slope)
             covariance, inverse_root = _plausible(predicted, slope, noise + left_out, innovations)
-            sharp_root = _inverse_root(slope, covariance, noise)
+            gain = _gain(slope, covariance, inverse_root)
+            moving = len(predicted.noise)
+            if bank is not None:
+                # a measurement tells where the arm is, by whatever timing it came there
+                spread = covariance + (deviations * bank.weight) @ deviations.T
+                spread_root = _inverse_root(slope, spread, noise)
+                gain[:moving] = _gain(slope, spread[:, :moving], spread_root)
+                sharp_root = _inverse_root(slope, covariance, noise)
+                bank = timing_bank.judged(bank, innovations, inverse_root, sharp_root)
         except FAILURES:
             return None
-        moving = len(predicted.noise)
-        gain = np.vstack(
-            [
-                _gain(slope, covariance[:, :moving], sharp_root),
-                _gain(slope, covariance[:, moving:], inverse_root),
-            ]
-        )
         if not is_iterated:
             # where it is far off, a linearisation tells where the arm is, but not why
             doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
             gain[moving:] /= doubt
         moved = deviations + gain @ innovations
-        if bank is None:
-            after = mean + moved[:, 0]
-        else:
-            judged = timing_bank.judged(bank, innovations, inverse_root, sharp_root)
-            change = moved @ judged.weight
-            after = mean + change
-            bank = judged._replace(deviation=moved - change[:, None])
+        change = moved[:, 0]
+        if bank is not None:
+            change = moved @ bank.weight
+            bank = bank._replace(deviation=moved - change[:, None])
+        after = mean + change
         rest = np.eye(mean.size) - gain @ slope
         erring = gain @ noise @ gain.T
         erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T

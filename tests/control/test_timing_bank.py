@@ -44,7 +44,7 @@ def test_likelihoods_multiply():
     judged = bank
     squares = np.zeros(size)
     for innovation in innovations:
-        judged = timing_bank.judged(judged, innovation, root)
+        judged = timing_bank.judged(judged, innovation, root, root)
         squares += ((root @ innovation) ** 2).sum(axis=0)
     likelihood = np.exp(-0.5 * squares)
     np.testing.assert_allclose(judged.weight, likelihood / likelihood.sum(), rtol=1e-9)
@@ -54,7 +54,7 @@ def test_innovations_that_surprise_everybody_tell_less():
     bank = timing_bank.first_bank(2, Timing(None, 0.0), GREATEST, 0.0)
     innovations = np.full((3, bank.timing.latency.size), 20.0)
     innovations[:, 0] = 10.0
-    judged = timing_bank.judged(bank, innovations, np.eye(3))
+    judged = timing_bank.judged(bank, innovations, np.eye(3), np.eye(3))
     # as if innovations were a tenth as large
     assert judged.weight[1] / judged.weight[0] == pytest.approx(np.exp(-0.5 * 3 * (4.0 - 1.0)))
     assert judged.sharp_weight[0] == pytest.approx(1.0)

@@ -9,8 +9,8 @@ from soft_tendon_env.control import controllers_of
 from soft_tendon_env.control.command_filter import Timing
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.policies.controller_policy import (
-    _memories,
     _greatest_timing,
+    _memories,
     _periods_ahead,
     _target_coordinates,
     _target_poses,

@@ -93,6 +93,8 @@ def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, opt
         "scene": "three_tendon",
         "quadrature.intervals": 4,
         "effects.gravity.acceleration": [0.0, 0.0, -3.0],
+        # timing that is known: of an unknown one the first motion is told as it comes
+        "effects.actuators.delay": 0.0,
         **more,
     }
     env, policy = made("filtered:tracking", scene=scene, **{"fidelity": "scene", **options})
