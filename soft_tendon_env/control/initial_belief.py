@@ -22,7 +22,7 @@ from soft_tendon_env.tools.types import Array
 LOST = 0.3
 """Standard deviation of scaled coordinates where the filter has lost the arm."""
 LOST_RATE = 5.0
-"""The same of their rates [1/s]."""
+"""Standard deviation of the rates [1/s] of scaled coordinates where the filter has lost the arm."""
 RATE = 10.0
 """Uncertainty of rates [1/s] in units of that of scaled coordinates, at rest."""
 

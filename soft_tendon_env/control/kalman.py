@@ -59,7 +59,7 @@ what the model has wrong."""
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
-"""The same of its lags [s]."""
+"""Standard deviation [s] of its lags, likewise."""
 
 
 class ExtendedKalmanFilter:
@@ -137,7 +137,14 @@ class ExtendedKalmanFilter:
         )
 
     def diagnosis(self, estimate: Estimate) -> Diagnosis:
-        """What an estimate has found out about the arm, with standard deviations."""
+        """Computes what an estimate has found out about the arm, with standard deviations.
+
+        Args:
+            estimate: of this filter.
+
+        Returns:
+            Values and standard deviations in SI units.
+        """
         return diagnosis(self.space, estimate.memory)
 
     def _next(self, last: Belief, measured: Measurement) -> Belief | None:

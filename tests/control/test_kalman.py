@@ -213,6 +213,33 @@ def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, arm):
     np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * np.abs(q).max())
 
 
+def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(arm):
+    """Jumps of a resting arm that no load makes: the estimate moves with them, its loads do not."""
+    found = filter_of(arm, EVERYTHING)
+    sent = np.zeros((found.history, 3))
+    told = measurement(arm, Simulation(arm).state, sent, 0.0, EVERYTHING)
+    last = found.estimate(told, None)
+    direction = arm.coordinate_scale() * np.array([1.0, -0.5, 0.3])
+    moved, loads = [], []
+    for size in (0.003, 0.03, 0.3):
+        state = Simulation(arm).reset(size * direction, np.zeros(3))
+        told = measurement(arm, state, sent, PERIOD, EVERYTHING)
+        estimate = found.estimate(told, last)
+        moved.append(estimate.q / (size * direction))
+        loads.append(np.linalg.norm(estimate.memory.mean[found.space.layout.load]))
+    np.testing.assert_allclose(moved[1], moved[0], rtol=0.1)
+    np.testing.assert_allclose(moved[2], moved[0], rtol=0.1)
+    assert loads[0] > loads[1] > loads[2]
+
+
+def test_an_unknown_timing_does_not_hide_where_the_arm_is(arm):
+    """A first motion of which nobody knows when it was commanded, by exact sensors."""
+    found = filter_of(arm, EVERYTHING, latency=None, lag=None)
+    estimates, q, q_dot = live(found, arm, 12, (0.03, 0.0))
+    assert estimates[3].memory.bank is not None
+    assert np.abs(scaled_errors(arm, estimates, q, q_dot)[:, 0]).max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -60,6 +60,14 @@ def test_innovations_that_surprise_everybody_tell_less():
     assert judged.sharp_weight[0] == pytest.approx(1.0)
 
 
+def test_the_sharp_weights_take_the_motions_as_they_are_linearised():
+    bank = timing_bank.first_bank(1, Timing(None, 0.0), Timing(0.004, 0.0), 0.5)
+    innovations = np.array([[0.0, 2.0]])
+    judged = timing_bank.judged(bank, innovations, np.array([[0.1]]), np.eye(1))
+    assert judged.sharp_weight[1] / judged.sharp_weight[0] == pytest.approx(np.exp(-2.0))
+    assert judged.weight[1] / judged.weight[0] == pytest.approx(np.exp(-0.02))
+
+
 def test_the_unlikely_are_given_up():
     bank = timing_bank.first_bank(2, Timing(None, 0.0), GREATEST, 0.0)
     log_likelihood = np.zeros(bank.timing.latency.size)

@@ -85,6 +85,27 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
 
 
 @pytest.mark.parametrize(
+    ("seed", "regime"),
+    [
+        (1, "state"),
+        *(pytest.param(seed, "state", marks=pytest.mark.slow) for seed in range(2, 8)),
+        *(pytest.param(seed, "sensors", marks=pytest.mark.slow) for seed in range(1, 5)),
+    ],
+)
+def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_loads(seed, regime):
+    """All at once, also the latency, where the first motion bends the arm within 0.2 s."""
+    wrong = {
+        "stiffness": [0.8, 1.2],
+        "damping": [0.5, 2.0],
+        "payload": [0.0, 0.02],
+        "tension_gain": [0.9, 1.1],
+        "latency": [0.0, 0.06],
+    }
+    env, policy = made("filtered:predictive@fast", regime=regime, randomize=wrong)
+    assert position_error(env, policy, seed) < 4e-3
+
+
+@pytest.mark.parametrize(
     ("more", "options"),
     [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
 )
