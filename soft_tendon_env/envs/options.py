@@ -150,8 +150,8 @@ class Options(Configuration):
         reward: weight of each reward term, a number or a table with `weight` and `scale`; None
             takes the task's. Reach takes "sparse" (the default) or "dense".
         threshold: distance [m] to the goal within which Reach, or another task with a goal, counts
-            as successful; None takes a hundredth of the rod's length. Drawn goals are farther than that from where the tip
-            begins.
+            as successful; None takes a hundredth of the rod's length. Drawn goals are farther than
+            that from where the tip begins.
         randomize: domain randomization, parameters that are drawn at every reset.
         tip_speed_limit: tip speed [m/s] above which an episode ends early and counts as diverged;
             None sets no limit. It is for training: a policy that has made the arm oscillate gains
@@ -493,15 +493,15 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     if task.goal is None and options.threshold is not None:
         _fail(
             "threshold",
-            f"is {options.threshold:g}, which tasks with a goal have, such as Reach: {task.name} has"
-            " none",
+            f"is {options.threshold:g}, which tasks with a goal have, such as Reach, and"
+            f" {task.name} has none",
         )
     describes_arm = any(group.of_arm for group in groups_of(options, task).values())
     if options.history and not describes_arm:
         _fail(
             "history",
-            f"is {options.history}, and the observation has no group that describes the arm, so that"
-            " no past is observed",
+            f"is {options.history}, and the observation has no group that describes the arm: no past"
+            " is observed",
         )
     if options.reward is None:
         return
