@@ -500,8 +500,8 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     if options.history and not describes_arm:
         _fail(
             "history",
-            f"is {options.history}, and the observation has no group that describes the arm: no past"
-            " is observed",
+            f"is {options.history}, and the observation has no group that describes the arm:"
+            " no past is observed",
         )
     if options.reward is None:
         return
