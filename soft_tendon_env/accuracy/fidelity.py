@@ -18,7 +18,7 @@ from soft_tendon_env.accuracy.candidates import bare_rod, known_fields, snapshot
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.accuracy.kept_trials import choose
-from soft_tendon_env.accuracy.loads import covers, has_strengths, reaches, scaled_effects
+from soft_tendon_env.accuracy.loads import covers, has_strengths, reaches, scaled_effects, tried_effects
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
@@ -183,7 +183,7 @@ def _is_within(choice: Choice, asked: Accuracy, scene: Scene) -> bool:
 
     The next coarser preset has no more coordinates then: this choice would have been near enough.
     """
-    largest = scaled_effects(scene.effects.everywhere(), reaches(scene)[0])
+    largest = scaled_effects(tried_effects(scene.effects), reaches(scene)[0])
     is_under_all = covers(Effects(**(choice.loads or {})), largest)
     return choice.error <= asked.share and choice.speaks_of_all and is_under_all
 
