@@ -722,9 +722,9 @@ def test_presets_keep_their_promise_where_rubbing_tendons_are_let_out(coefficien
     )
     rises = np.linspace(0.0, 1.4, 60)[:, None]
     tensions = np.concatenate([rises, rises[:20:-1]])
-    tips = tip_path(build_model(exact, "scene"), tensions)
+    tips = tip_path(build_model(exact), tensions)
     for preset in ("fast", "standard"):
-        path = tip_path(build_model(scene, preset), tensions)
+        path = tip_path(build_model(at_fidelity(scene, preset)), tensions)
         assert distance(path, tips) <= PRESETS[preset].share * rod_length(scene), preset
 
 
