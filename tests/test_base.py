@@ -13,8 +13,7 @@ from soft_tendon_env import (
     static_equilibrium,
     tension_for_tip_pose,
 )
-from soft_tendon_env.control import Reference, controllers_of
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
+from soft_tendon_env.control import ExtendedKalmanFilter, Reference, Setting, controllers_of
 from soft_tendon_env.control.protocol import ControllerInput, Measurement
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.policies.agent import load_agent

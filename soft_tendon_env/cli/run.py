@@ -40,7 +40,7 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
 POLICY = (
-    "a controller's name behind filtered: or adaptive:; an agent's folder; agent, ppo, sac, dagger,"
+    "a controller's name behind filtered:; an agent's folder; agent, ppo, sac, dagger,"
     " apg; module:name"
 )
 

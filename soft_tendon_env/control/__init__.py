@@ -5,7 +5,8 @@ protocol.py has their interfaces, catalogue.py all of them by name.
 
 from soft_tendon_env.control.avoidance import Avoidance
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, controllers_of
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting, Uncertainty
+from soft_tendon_env.control.diagnosis import Diagnosis, Quantity
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter
 from soft_tendon_env.control.objectives import (
     LinearError,
     Objective,
@@ -25,6 +26,7 @@ from soft_tendon_env.control.protocol import (
     Measurement,
     Reference,
 )
+from soft_tendon_env.control.uncertainty import Setting, Uncertainty
 
 __all__ = [
     "CONTROLLERS",
@@ -32,6 +34,7 @@ __all__ = [
     "Controller",
     "ControllerInput",
     "ControllerOutput",
+    "Diagnosis",
     "Effort",
     "Entry",
     "Estimate",
@@ -43,6 +46,7 @@ __all__ = [
     "Posture",
 ]
 __all__ += [
+    "Quantity",
     "Reference",
     "Setting",
     "Shape",

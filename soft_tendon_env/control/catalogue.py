@@ -231,8 +231,8 @@ PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     ),
 }
 """Tuned controllers: which one, what its description adds, and its numbers. The robust one was
-found by `soft-tendon tune predictive` for `adaptive:`, the other is for water, see
-benchmarks/scenes.toml."""
+found by `soft-tendon tune predictive` on arms that differ from the model, the other is for water,
+see benchmarks/scenes.toml."""
 
 
 def tip_pose_objective(model: Model) -> TipPose:

@@ -20,21 +20,31 @@ VELOCITIES = ("tip_twist", "strain_rate")  # among the fields of Measurement
 
 
 class Layout(NamedTuple):
-    """Slices of the filter's state, of m = 2 n + 2 n_a + 7 entries."""
+    """Slices of the filter's state, of m entries."""
 
     z: slice  # scaled coordinates (n,)
     v: slice  # their rates (n,) [1/s]
     offset: slice  # tensions that are added (n_a,) [N]
     gain: slice  # gains of the tendons (n_a,), less 1
     tip: slice  # twist (6,) from the model's tip to the arm's
+    load: slice  # forces in the world frame (3 places,) [N], see force_errors
+    stiffness: slice  # (1,) its factor, less 1
+    damping: slice  # (1,) likewise
+    payload: slice  # (1,) [kg] at the tip, without its weight
     latency: slice  # (1,) [s]
+    lag: slice  # (1,) [s]
+
+    @property
+    def size(self) -> int:
+        """Number of entries m."""
+        return int(self.lag.stop)
 
 
-def layout_of(model: Model) -> Layout:
-    """Layout of the state of a model's filter."""
+def layout_of(model: Model, places: int) -> Layout:
+    """Layout of the state of a model's filter, with loads at so many places."""
     n = model.coordinate_count
     n_a = model.tendon_count
-    borders = np.cumsum([0, n, n, n_a, n_a, 6, 1]).tolist()
+    borders = np.cumsum([0, n, n, n_a, n_a, 6, 3 * places, 1, 1, 1, 1, 1]).tolist()
     return Layout(*map(slice, borders[:-1], borders[1:]))
 
 
@@ -84,18 +94,24 @@ class SensorModel:
 
     Args:
         model: what the filter believes of the arm.
+        layout: of the state.
         observed: fields of Measurement that are there, besides the tip's pose.
         sensors: (s,) [m] arc lengths of the strain sensors.
         noise: standard deviations of the sensors.
     """
 
     def __init__(
-        self, model: Model, observed: tuple[str, ...], sensors: Array, noise: SensorNoise
+        self,
+        model: Model,
+        layout: Layout,
+        observed: tuple[str, ...],
+        sensors: Array,
+        noise: SensorNoise,
     ) -> None:
         self.model = model
         self.observed = observed
         self.sensors = sensors
-        self._layout = layout_of(model)
+        self._layout = layout
         self._scale = model.coordinate_scale()
         self._variance = noise_variances(model, noise, sensors.size)
 

@@ -1,98 +1,65 @@
 """Extended Kalman filter on the reduced model, for the state of an arm.
 
-It takes whatever is measured of the arm, and estimates offsets and gains of its inputs too.
+It takes whatever is measured of the arm, and estimates what the model has wrong, as slow random
+walks: loads along the arm, stiffness, damping, a payload, offsets and gains of the tendons
+(offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), the displacement between the
+model's tip and the measured one, latency and lag of the actuators.
 
-The motion is predicted by the model's own simulation, its covariance by the Jacobians that come
-with it. The filter also estimates what the model has wrong, as slow random walks: a tension that is
-added (offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), a gain of every tendon, the
-displacement between the model's tip and the measured one, and the latency of the commands, if it is
-not known.
+What is measured updates the belief in Joseph's form, which keeps the covariance symmetric and
+positive definite, with the slope H of what is expected and the variances R of its noise:
+
+    K = P H^T (H P H^T + R)^-1,    P+ = (1 - K H) P (1 - K H)^T + K R K^T
+
+It holds for any K: innovations that no hypothesis explains change less of what the model has wrong,
+or a quick motion, of which a linearisation is far off, would be taken for loads and lag.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
 
-from soft_tendon_env.control.innovations import SensorModel, layout_of
-from soft_tendon_env.control.protocol import (
-    FAILURES,
-    Estimate,
-    InputError,
-    Measurement,
-    SensorNoise,
-)
+from soft_tendon_env.control import timing_bank
+from soft_tendon_env.control.belief import Belief, StateSpace
+from soft_tendon_env.control.belief_prediction import UNIFORM, BeliefPrediction
+from soft_tendon_env.control.command_filter import Timing, remembered_commands
+from soft_tendon_env.control.diagnosis import Diagnosis, diagnosis
+from soft_tendon_env.control.initial_belief import InitialBelief
+from soft_tendon_env.control.innovations import SensorModel
+from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
-from soft_tendon_env.control.smith_predictor import whole_periods
+from soft_tendon_env.control.uncertainty import GREATEST_LAG, GREATEST_LATENCY, Setting
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.simulation import Rollout, Simulation
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
-IMPLAUSIBLE = 1e3  # scaled coordinates or rates, beyond which a filter begins anew
-# mean square of the innovations, in their standard deviations, above which the forces that the
-# model lacks are taken for greater
+IMPLAUSIBLE = 1e3
+"""Scaled coordinates or rates, beyond which a filter has lost the arm."""
+EVIDENCE = 5.0
+"""Logarithm of the likelihood ratio above which loads have jumped, though they seldom do."""
 SURPRISE = 4.0
-LEAST_GAIN = 0.5  # of a tendon
-GREATEST_GAIN = 2.0
-
-
-class Uncertainty(NamedTuple):
-    """Standard deviations of the model's errors.
-
-    They are those at the beginning, and of their change in 1 s, unless said otherwise.
-
-    Tensions are in units of those of a single tendon that bend the arm by 1 rad.
-    """
-
-    # white generalised forces, held over a period each, as a share of those that bend the arm by 1
-    # rad
-    force: float = 1.5e-3
-    tension: float = 2e-3  # white tensions, held over a period each
-    # more white tensions, as a share of the change of commands that may arrive in a period of
-    # uncertain latency
-    timing: float = 1.0
-    offset: float = 0.02  # tensions that are added
-    offset_start: float = 0.01
-    offset_time: float = 5.0  # [s] in which they are forgotten
-    gain: float = 0.025  # gains of the tendons
-    gain_start: float = 0.03
-    gain_time: float = 30.0  # [s] in which they are forgotten
-    # displacement of the tip, as a share of the rod's length; a radian counts as this length
-    tip: float = 1.5e-3
-    tip_start: float = 2e-3
-    latency: float = 5e-4  # [s]
-    latency_start: float = 8e-3
-    # coordinates, in units of `coordinate_scale`; their rates ten times that
-    state_start: float = 1e-2
-
-
-USUAL = Uncertainty()
-
-
-class Setting(NamedTuple):
-    """Sensors and actuators of an estimator, besides its assumed model."""
-
-    period: float  # [s] from one estimate to the next
-    tension: ArrayLike  # (n_a,) [N] that hold the arm when an episode begins
-    observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
-    # (s,) [m] arc lengths of the strain sensors, if strains or their rates are observed
-    sensors: ArrayLike = ()
-    noise: SensorNoise = SensorNoise()
-    latency: float = 0.0  # [s] of commands, or the first estimate of it
-    uncertainty: Uncertainty = USUAL
-
-
-class Belief(NamedTuple):
-    """Mean and covariance of a filter, and the internal states of the effects."""
-
-    mean: Array  # (m,), see innovations.Layout
-    covariance: Array  # (m, m)
-    # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
-    noise: Array
-    effects: Array  # internal states of the model's effects
+"""Mean square of the innovations, in their standard deviations, above which forces were greater."""
+LEAST_FACTOR = 0.5
+"""Least gain of a tendon, and factor of the stiffness."""
+GREATEST_FACTOR = 2.0
+"""Greatest of them."""
+LEAST_DAMPING = 0.2
+"""Least factor of the damping."""
+GREATEST_DAMPING = 4.0
+"""Greatest of it."""
+FIRST_ITERATIONS = 4
+"""Gauss-Newton steps of the first update, before which loads have bent the arm far."""
+MOST_PREDICTIONS = 5
+"""Predictions of a period, each about the mean of the hypotheses that the last one found."""
+SAME_WEIGHT = 0.2
+"""Probability that may go from hypotheses to others without another prediction."""
+LINEARISED = 0.2
+"""Share of the variance of hypotheses about their mean that a linearisation leaves out."""
+DOUBT = 2.0
+"""Mean square of the best innovations, in their standard deviations, above which they say less of
+what the model has wrong."""
+CERTAIN_LATENCY = 2e-3
+"""Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
+CERTAIN_LAG = 4e-3
+"""Standard deviation [s] of its lags, likewise."""
 
 
 class ExtendedKalmanFilter:
@@ -101,56 +68,35 @@ class ExtendedKalmanFilter:
     Args:
         model: of the arm, as the filter assumes it.
         setting: sensors and actuators.
-        greatest_latency: [s] of one that is estimated, None: the setting's is known.
 
     Raises:
         TypeError: for arrays that are not of numbers.
         ValueError: for arrays of another shape, and numbers below 0.
     """
 
-    def __init__(
-        self, model: Model, setting: Setting, greatest_latency: float | None = None
-    ) -> None:
-        period = setting.period
-        uncertainty = setting.uncertainty
-        self.model = model
-        self.period = period
-        self.latency = setting.latency
-        self.greatest_latency = greatest_latency
-        self.uncertainty = uncertainty
-        self.start = checked_array("tension", setting.tension, (model.tendon_count,))
-        checked_number("latency", self.latency, 0.0, "a number, at least 0")
-        for name, value in uncertainty._asdict().items():
+    def __init__(self, model: Model, setting: Setting) -> None:
+        tension = checked_array("tension", setting.tension, (model.tendon_count,))
+        for name in ("latency", "lag"):
+            seconds = getattr(setting, name)
+            if seconds is not None:
+                checked_number(name, seconds, 0.0, "a number, at least 0, or None")
+        for name, value in setting.uncertainty._asdict().items():
             checked_number(f"uncertainty.{name}", value, 0.0, "a number, at least 0")
-        self.needs = tuple(setting.observed)
-        longest = self.latency if greatest_latency is None else greatest_latency
-        # commands that acted in the last period: two, where one took over from another
-        self.history = whole_periods(longest, period)[0] + 2
         sensors = checked_array("sensors", setting.sensors, (None,))
-        self._sensor_model = SensorModel(model, self.needs, sensors, setting.noise)
-        self._simulation = Simulation(model)
-        self._rest = static_equilibrium(model, self.start).q
-        # units of the state's entries
-        self._layout = layout_of(model)
-        self._scale = model.coordinate_scale()
-        self._tension = _bending_tension(model)
-        self._tip_unit = np.repeat([1.0, model.length], 3)
-        # change of the state in a period: the variance of its walks, and what is not forgotten
-        walks = self._variances(
-            z=0.0,
-            v=0.0,
-            offset=uncertainty.offset * self._tension,
-            gain=uncertainty.gain,
-            tip=uncertainty.tip * self._tip_unit,
-            latency=uncertainty.latency,
+        self.model = model
+        self.needs = tuple(setting.observed)
+        self.known = Timing(setting.latency, setting.lag)
+        self.greatest = Timing(
+            GREATEST_LATENCY if setting.latency is None else setting.latency,
+            GREATEST_LAG if setting.lag is None else setting.lag,
         )
-        self._drift = walks * period
-        self._keep = np.ones(self._drift.size)
-        times = np.array([uncertainty.offset_time, uncertainty.gain_time])  # 0 s forgets at once
-        offset_kept, gain_kept = np.exp(-period / times)
-        self._keep[self._layout.offset] = offset_kept
-        self._keep[self._layout.gain] = gain_kept
-        self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
+        self.history = remembered_commands(*self.greatest, setting.period) + 1
+        self.space = StateSpace(model)
+        self._initial = InitialBelief(self.space, setting, tension, self.greatest)
+        self._prediction = BeliefPrediction(self.space, setting, self.history)
+        self._sensor_model = SensorModel(
+            model, self.space.layout, self.needs, sensors, setting.noise
+        )
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """Estimates the state after a period: prediction and update.
@@ -162,209 +108,240 @@ class ExtendedKalmanFilter:
             last: estimate of the period before, None when an episode begins.
 
         Returns:
-            Coordinates, rates and tip pose, errors of the inputs, and the latency if it is
-            estimated.
+            Coordinates, rates and tip pose, errors of inputs and forces, and the timing of
+            commands if it is estimated.
         """
-        predicted = self._first() if last is None else self._predict(last.memory, measured)
-        updated = self._update(predicted, measured)
-        if updated is None:
-            updated = self._update(self._first(), measured) or self._first()
-        mean = updated.mean
-        layout = self._layout
-        q = self._scale * mean[layout.z]
-        is_latency_known = self.greatest_latency is None
+        belief = None
+        if last is not None:
+            belief = self._next(last.memory, measured)
+            if belief is None:
+                belief = self._update(self._initial.lost(last.memory), measured)
+        if belief is None:
+            belief = self._begin(measured)
+        mean = belief.mean
+        layout = self.space.layout
+        q, q_dot = self.space.coordinates(mean)
+        spread = 0.0
+        if belief.bank is not None:
+            _, deviations = belief.bank.moments()
+            spread = float(np.hypot(*deviations))
         return Estimate(
             q=q,
-            q_dot=self._scale * mean[layout.v],
-            tip_pose=moved_pose(self.model.tip_pose(q), mean[layout.tip]),
+            q_dot=q_dot,
+            tip_pose=moved_pose(belief.locality.terms.tip_pose, mean[layout.tip]),
             input_error=InputError(1.0 + mean[layout.gain], mean[layout.offset]),
-            latency=None if is_latency_known else float(mean[layout.latency][0]),
-            memory=updated,
+            force_error=self.space.force_error(mean, belief.locality),
+            timing=self.space.timing(mean) if None in self.known else None,
+            timing_spread=spread,
+            memory=belief,
         )
 
-    def _first(self) -> Belief:
-        """Belief when an episode begins: the arm at rest under the tensions that hold it."""
-        start = self.uncertainty
-        variance = self._variances(
-            z=start.state_start,
-            v=10.0 * start.state_start,
-            offset=start.offset_start * self._tension,
-            gain=start.gain_start,
-            tip=start.tip_start * self._tip_unit,
-            latency=start.latency_start,
-        )
-        mean = np.zeros(variance.size)
-        mean[self._layout.z] = self._rest / self._scale
-        mean[self._layout.latency] = self.latency
-        motion = 2 * self._scale.size
-        effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(
-            mean=mean,
-            covariance=np.diag(variance),
-            noise=np.zeros((motion, motion)),
-            effects=effects,
-        )
+    def diagnosis(self, estimate: Estimate) -> Diagnosis:
+        """Computes what an estimate has found out about the arm, with standard deviations.
 
-    def _variances(self, **deviations: float | Array) -> Array:
-        """Variances (m,) of the state from standard deviations of the parts of Layout.
+        Args:
+            estimate: of this filter.
 
-        A latency that is known has none.
+        Returns:
+            Values and standard deviations in SI units.
         """
-        variance = np.zeros(self._layout.latency.stop)
-        for name, part in self._layout._asdict().items():
-            variance[part] = np.asarray(deviations[name]) ** 2
-        if self.greatest_latency is None:
-            variance[self._layout.latency] = 0.0
-        return variance
+        return diagnosis(self.space, estimate.memory)
 
-    def _predict(self, last: Belief, measured: Measurement) -> Belief:
-        """Belief after a period; the first one where the model has no such motion."""
-        layout = self._layout
-        mean = last.mean
-        gain = 1.0 + mean[layout.gain]
-        offset = mean[layout.offset]
-        (latency,) = mean[layout.latency]
-        tension, seconds = self._acting(float(latency), measured)
-        try:
-            self._simulation.reset(
-                self._scale * mean[layout.z],
-                self._scale * mean[layout.v],
-                time=measured.time - self.period,
-                effects=last.effects,
-            )
-            driven = (gain * tension + offset)[None]
-            with erring_actuators():  # gain and offset may exceed the limits
-                rollout = self._simulation.rollout(driven, seconds, forces=self._forces)
-        except FAILURES:
-            return self._first()
-        white = self._white_tension(last, measured)
-        transition, noise = self._linearise(rollout, tension, seconds, gain, white)
-        after = mean.copy()
-        after[layout.z] = rollout.q[1] / self._scale
-        after[layout.v] = rollout.q_dot[1] / self._scale
-        # P+ = F P F^T + Q: Q is of white forces and tensions, and of the walks
-        covariance = transition @ last.covariance @ transition.T
-        covariance[: len(noise), : len(noise)] += noise
-        covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(
-            mean=self._keep * after,
-            covariance=covariance,
-            noise=noise,
-            effects=rollout.effects[1],
-        )
+    def _next(self, last: Belief, measured: Measurement) -> Belief | None:
+        """Belief a period later; None where the model has no such motion.
 
-    def _acting(self, latency: float, measured: Measurement) -> tuple[Array, Array]:
-        """Commands that acted over the last period, where they arrive late by `latency` [s].
-
-        They are two tensions (2, n_a) [N], one after the other, and for how long each acted (2,)
-        [s].
+        Hypotheses on the timing are linearised about their mean. Where a measurement shows that it
+        was far off, the prediction is made anew about the mean that is found.
         """
-        whole, rest = whole_periods(latency, self.period)
-        newest = len(measured.sent) - 1 - whole
-        tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]
-        return tension, np.array([rest, self.period - rest])
+        weight = None if last.bank is None else last.bank.weight
+        updated = None
+        for _ in range(MOST_PREDICTIONS):
+            predicted = self._prediction.predict(last, measured, weight)
+            updated = None if predicted is None else self._update(predicted, measured)
+            if updated is None or updated.bank is None or weight is None:
+                return updated
+            before = weight
+            weight = updated.bank.sharp_weight
+            if 0.5 * np.abs(weight - before).sum() < SAME_WEIGHT:
+                break
+        return None if updated is None else self._settled(updated)
 
-    def _white_tension(self, last: Belief, measured: Measurement) -> Array:
-        """Standard deviations (n_a,) [N] of white tensions.
+    def _begin(self, measured: Measurement) -> Belief:
+        """Belief when an episode begins: at rest under the tensions and loads that hold the arm.
 
-        They are more where commands change while their latency is uncertain.
+        As loads bend it far, the statics are linearised anew about where the update finds it.
         """
-        latency = self._layout.latency
-        latency_deviation = np.sqrt(last.covariance[latency, latency][0, 0])
-        periods = latency_deviation / self.period
-        change = np.ptp(measured.sent, axis=0)
-        of_timing = self.uncertainty.timing * periods * change
-        always = self.uncertainty.tension * self._tension
-        return np.hypot(always, of_timing)
+        first = self._initial.at_rest(self._initial.rest)
+        belief = first
+        point = None
+        for _ in range(FIRST_ITERATIONS):
+            updated = self._update(first, measured, point)
+            if updated is None:
+                break
+            belief = updated
+            point = updated.mean
+            q, _ = self.space.coordinates(point)
+            first = self._initial.at_rest(q)
+        return belief
 
-    def _linearise(
-        self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array
-    ) -> tuple[Array, Array]:
-        """Linearised motion over a period, in whose parts (2,) [s] tensions (2, n_a) acted.
+    def _update(
+        self, predicted: Belief, measured: Measurement, point: Array | None = None
+    ) -> Belief | None:
+        """Update: the belief after a measurement; None where there is no such state.
 
-        The transition (m, m) of deviations, and the covariance (2 n, 2 n) that white forces and
-        tensions, of deviations `white` (n_a,) [N], add to the motion.
+        What is expected is linearised about a state `point` (m,), by default the predicted mean.
         """
-        layout = self._layout
-        unit = np.tile(self._scale, 2)  # of coordinates and rates
-        by_tension = rollout.by_tension[0] / unit[:, None]
-        by_force = rollout.by_force[0] / unit[:, None]
-        moved = np.column_stack([by_tension * white, by_force])
-        # tension of the period by offsets, by gains and by latency: a later command keeps the
-        # earlier tension for longer
-        mean_tension = seconds @ acted / self.period
-        by_offset = np.eye(gain.size)
-        by_gain = np.diag(mean_tension)
-        by_latency = gain * (acted[0] - acted[1]) / self.period
-        driven = by_tension @ np.column_stack([by_offset, by_gain, by_latency])
-        motion = slice(unit.size)
-        inputs = slice(layout.offset.start, layout.gain.stop)
-        transition = np.eye(layout.latency.stop)
-        by_motion = rollout.by_state[0] * unit / unit[:, None]
-        transition[motion, motion] = by_motion
-        transition[motion, inputs] = driven[:, :-1]
-        transition[motion, layout.latency] = driven[:, -1:]
-        return transition * self._keep[:, None], moved @ moved.T
-
-    def _update(self, predicted: Belief, measured: Measurement) -> Belief | None:
-        """Update: the belief after a measurement; None where there is no such state."""
         mean = predicted.mean
-        covariance = predicted.covariance
+        bank = predicted.bank
+        is_iterated = point is not None
+        point = mean if point is None else point
+        deviations = np.zeros((mean.size, 1)) if bank is None else bank.deviation
         try:
-            innovation, slope, variance = self._sensor_model.innovations(mean, measured)
-            spread, weight = _gain(slope, covariance, variance, innovation)
-            surprise = innovation @ weight[:, -1] / innovation.size
-            if surprise > SURPRISE:
-                # of the motion, not of what the model has wrong in the long run
-                motion = slice(len(predicted.noise))
-                excess = surprise / SURPRISE - 1.0
-                covariance = covariance.copy()
-                covariance[motion, motion] += excess * predicted.noise
-                spread, weight = _gain(slope, covariance, variance, innovation)
+            innovation, slope, variance = self._sensor_model.innovations(point, measured)
+            expected = slope @ (mean - point)
+            innovations = (innovation - expected)[:, None] - slope @ deviations
+            noise = np.diag(variance)
+            left_out = _left_out(bank, slope)
+            covariance, inverse_root = _plausible(predicted, slope, noise + left_out, innovations)
+            gain = _gain(slope, covariance, inverse_root)
+            moving = len(predicted.noise)
+            if bank is not None:
+                # a measurement tells where the arm is, by whatever timing it came there
+                spread = covariance + (deviations * bank.weight) @ deviations.T
+                spread_root = _inverse_root(slope, spread, noise)
+                gain[:moving] = _gain(slope, spread[:, :moving], spread_root)
+                sharp_root = _inverse_root(slope, covariance, noise)
+                bank = timing_bank.judged(bank, innovations, inverse_root, sharp_root)
         except FAILURES:
             return None
-        after = mean + spread.T @ weight[:, -1]
-        covariance = covariance - spread.T @ weight[:, :-1]
-        self._keep_plausible(after)
+        if not is_iterated:
+            # where it is far off, a linearisation tells where the arm is, but not why
+            doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
+            gain[moving:] /= doubt
+        moved = deviations + gain @ innovations
+        change = moved[:, 0]
+        if bank is not None:
+            change = moved @ bank.weight
+            bank = bank._replace(deviation=moved - change[:, None])
+        after = mean + change
+        rest = np.eye(mean.size) - gain @ slope
+        erring = gain @ noise @ gain.T
+        erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T
+        covariance = rest @ covariance @ rest.T + erring
+        self._keep_within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
             return None
         try:
-            self.model.tip_pose(self._scale * after[self._layout.z])
+            locality = self.space.locality(*self.space.coordinates(after))
         except FAILURES:  # the model has no such shape
             return None
-        return Belief(
+        return predicted._replace(
             mean=after,
             covariance=0.5 * (covariance + covariance.T),  # symmetric, also after round-off
-            noise=predicted.noise,
-            effects=predicted.effects,
+            bank=bank,
+            locality=locality,
         )
 
-    def _keep_plausible(self, mean: Array) -> None:
-        """Cuts gains and latency of a state (m,) off at their bounds, in place."""
-        gain = self._layout.gain
-        mean[gain] = np.clip(mean[gain], LEAST_GAIN - 1.0, GREATEST_GAIN - 1.0)
-        if self.greatest_latency is not None:
-            latency = self._layout.latency
-            mean[latency] = np.clip(mean[latency], 0.0, self.greatest_latency)
+    def _settled(self, belief: Belief) -> Belief:
+        """Belief whose bank has lost the unlikely hypotheses.
+
+        Where the timing is certain enough, the whole bank becomes part of the covariance, by the
+        second moment of its deviations.
+        """
+        if belief.bank is None:
+            return belief
+        bank = timing_bank.pruned(belief.bank)
+        _, deviations = bank.moments()
+        if deviations.latency > CERTAIN_LATENCY or deviations.lag > CERTAIN_LAG:
+            return belief._replace(bank=bank)
+        covariance = belief.covariance + (bank.deviation * bank.weight) @ bank.deviation.T
+        for name, seconds in self.known._asdict().items():
+            if seconds is None:
+                part = getattr(self.space.layout, name)
+                covariance[part, part] += (UNIFORM * timing_bank.LATENCY_STEP) ** 2
+        return belief._replace(covariance=covariance, bank=None)
+
+    def _keep_within_bounds(self, mean: Array) -> None:
+        """Cuts factors, payload and timing of a state (m,) off at their bounds, in place."""
+        layout = self.space.layout
+        for part, least, greatest in (
+            (layout.gain, LEAST_FACTOR - 1.0, GREATEST_FACTOR - 1.0),
+            (layout.stiffness, LEAST_FACTOR - 1.0, GREATEST_FACTOR - 1.0),
+            (layout.damping, LEAST_DAMPING - 1.0, GREATEST_DAMPING - 1.0),
+            (layout.payload, 0.0, self.space.mass),
+            (layout.latency, 0.0, self.greatest.latency),
+            (layout.lag, 0.0, self.greatest.lag),
+        ):
+            mean[part] = np.clip(mean[part], least, greatest)
 
 
-def _bending_tension(model: Model) -> Array:
-    """Tensions (n_a,) [N] of single tendons that bend the arm by 1 rad."""
-    rest = np.zeros(model.coordinate_count)
-    terms = model.terms(rest, rest)
-    answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
-    # twice the energy that a unit of each stores; none, of a tendon along the axis
-    energy = np.einsum("ij,ij->j", terms.actuation, answer)
-    energy = np.maximum(energy, np.finfo(float).tiny)
-    return np.sqrt(model.bending_energy / energy)
+def _left_out(bank: timing_bank.Bank | None, slope: Array) -> Array:
+    """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
+
+    It grows with how far the hypotheses are from their mean, about which all are linearised.
+    """
+    if bank is None:
+        return np.zeros((len(slope), len(slope)))
+    expected = slope @ bank.deviation
+    return LINEARISED * (expected * bank.weight) @ expected.T
 
 
-def _gain(
-    slope: Array, covariance: Array, variance: Array, innovation: Array
+def _gain(slope: Array, covariance: Array, inverse_root: Array) -> Array:
+    """Gain (p, k) of p states, of whose covariance the columns (m, p) are given."""
+    return (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
+
+
+def _plausible(
+    predicted: Belief, slope: Array, noise: Array, innovations: Array
 ) -> tuple[Array, Array]:
-    """H P, and (H P H^T + R)^-1 (H P, innovations)."""
-    spread = slope @ covariance
-    innovation_covariance = spread @ slope.T + np.diag(variance)
-    columns = np.column_stack([spread, innovation])
-    return spread, np.asarray(np.linalg.solve(innovation_covariance, columns))
+    """Covariance (m, m) under which innovations (k, H) are plausible, and L^-1 of theirs.
+
+    Loads have jumped where that is far more likely. Where all hypotheses are surprised still, the
+    forces of the last period are taken for as much greater. Raises LinAlgError.
+    """
+    covariance = predicted.covariance
+    inverse_root = _inverse_root(slope, covariance, noise)
+    whitened = inverse_root @ innovations
+    best = int((whitened**2).sum(axis=0).argmin())
+    # a command that comes at another time than is believed looks like a jump
+    is_timed = predicted.bank is None
+    if is_timed and _evidence(inverse_root @ slope @ predicted.jump, whitened[:, best]) > EVIDENCE:
+        covariance = covariance + predicted.jump @ predicted.jump.T
+        inverse_root = _inverse_root(slope, covariance, noise)
+    surprise = _least_square(inverse_root, innovations)
+    if surprise > SURPRISE:
+        motion = slice(len(predicted.noise))
+        covariance = covariance.copy()
+        covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
+        inverse_root = _inverse_root(slope, covariance, noise)
+    return covariance, inverse_root
+
+
+def _evidence(jump: Array, innovation: Array) -> float:
+    """Logarithm of how much likelier an innovation is if a jump adds to its covariance.
+
+    With white innovations w (k,) and J (k, p) of unknown jumps, of deviation 1 each, w has the
+    covariance 1 + J J^T instead of 1:
+
+        log ratio = (J^T w)^T (1 + J^T J)^-1 (J^T w) / 2 - log det (1 + J^T J) / 2
+    """
+    information = np.eye(jump.shape[1]) + jump.T @ jump
+    root = np.linalg.cholesky(information)
+    whitened = solve_triangular(root, jump.T @ innovation, lower=True)
+    return float(0.5 * whitened @ whitened - np.log(np.diag(root)).sum())
+
+
+def _inverse_root(slope: Array, covariance: Array, noise: Array) -> Array:
+    """L^-1 of the innovations' covariance H P H^T + R = L L^T. Raises LinAlgError."""
+    innovation_covariance = slope @ covariance @ slope.T + noise
+    root = np.linalg.cholesky(innovation_covariance)
+    if not np.isfinite(root).all():
+        raise np.linalg.LinAlgError("the covariance of the innovations is not finite")
+    return np.asarray(solve_triangular(root, np.eye(len(noise)), lower=True))
+
+
+def _least_square(inverse_root: Array, innovations: Array) -> float:
+    """Least mean square of innovations (k, H) in their standard deviations."""
+    squares = ((inverse_root @ innovations) ** 2).sum(axis=0)
+    return float(squares.min()) / len(innovations)

@@ -6,9 +6,9 @@ Every period the last plan is played through the model (exactly: with the simula
 the motion linearised about that (`Simulation.rollout`), and the plan improved by one quadratic
 program with bounds: the real-time iteration of Diehl, Bock and Schlöder (2005). What the model does
 not know is estimated and allowed for: tensions that would explain how the last period differed from
-its prediction (a momentum observer, unless an estimator has found an InputError), and the
-displacement between the tip that is measured and that of the model. Internal states of effects
-begin at rest with the episode and are advanced by the model.
+its prediction (a momentum observer, unless an estimator has found errors of inputs and forces), the
+lag of the actuators, and the displacement between the tip that is measured and that of the model.
+Internal states of effects begin at rest with the episode and are advanced by the model.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import Allocation, Rows, allocate
+from soft_tendon_env.control.command_filter import lagged_plan
 from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
+from soft_tendon_env.control.force_errors import corrected_rollout
 from soft_tendon_env.control.objectives import LinearError, Objective, Posture
 from soft_tendon_env.control.protocol import (
     FAILURES,
@@ -66,6 +68,8 @@ class Tuning(NamedTuple):
 
 
 DEFAULT = Tuning()
+# more weight of smoothness for every period by which the arrival of commands is uncertain
+CAUTION = 4.0
 # relative singular value below which motions are not explained by tensions
 EXPLAINED = 1e-6
 
@@ -103,8 +107,6 @@ class Predictive(ModelController):
         self._change = np.eye(plan_size) - np.eye(plan_size, k=-size)
         self._effort = tuning.effort**2
         self._smoothness = tuning.smoothness**2 * self._change.T
-        effort_penalty = self._effort * np.eye(plan_size)
-        self._penalty = effort_penalty + self._smoothness @ self._change
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
@@ -120,16 +122,16 @@ class Predictive(ModelController):
         try:
             effects = None if memory is None else memory.effects
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
-            acting_plan = error.gain * plan + error.offset
-            with erring_actuators():  # which may exceed the limits
-                rollout = self._simulation.rollout(acting_plan, self._interval)
+            acting_plan = self._acting(plan, error, now)
+            rollout = corrected_rollout(
+                self._simulation, acting_plan, self._interval, now.force_error
+            )
         except FAILURES:
             return self.hold(now)
         multipliers = None if memory is None else memory.multipliers
         allocation = self._improvement(rollout, plan, last, error.gain, now, multipliers)
         better = plan + allocation.x.reshape(plan.shape)
-        acting = error.gain * better[0] + error.offset
-        rates, effects = self._predicted(acting)
+        rates, effects = self._predicted(self._acting(better, error, now)[0])
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,
@@ -181,8 +183,11 @@ class Predictive(ModelController):
         change = self._change @ tension
         change[: last.size] -= last
         unit = np.trace(hessian) / tension.size
-        hessian = hessian + unit * self._penalty
-        penalty_gradient = self._effort * tension + self._smoothness @ change
+        caution = (1.0 + CAUTION * now.timing_spread / self.period) ** 2
+        smoothness = caution * self._smoothness
+        penalty = self._effort * np.eye(tension.size) + smoothness @ self._change
+        hessian = hessian + unit * penalty
+        penalty_gradient = self._effort * tension + smoothness @ change
         gradient = gradient + unit * penalty_gradient
         least = np.tile(self.least, self.horizon) - tension
         greatest = np.tile(self.greatest, self.horizon) - tension
@@ -220,13 +225,27 @@ class Predictive(ModelController):
         tension, *_ = np.linalg.lstsq(mobility, push @ unexplained, rcond=EXPLAINED)
         return np.asarray(memory.disturbance + self.observer * tension)
 
+    def _acting(self, plan: Array, error: InputError, now: ControllerInput) -> Array:
+        """Mean tensions (N, n_a) [N] of the intervals that a plan makes the actuators give."""
+        tension = plan
+        if now.actuators is not None:
+            by_plan, by_start = self._lagged(now)
+            tension = by_plan @ plan + np.outer(by_start, now.actuators.tension)
+        return error.gain * tension + error.offset
+
+    def _lagged(self, now: ControllerInput) -> tuple[Array, Array]:
+        """Mean tensions of intervals by those of a plan (N, N), and by that which acts now (N,)."""
+        if now.actuators is None:
+            return np.eye(self.horizon), np.zeros(self.horizon)
+        return lagged_plan(now.actuators.lag, self._interval, self.horizon)
+
     def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
         n = now.q.size
         size = gain.size
         N = self.horizon
         linear = self._linear_errors(rollout, now)
-        # change of coordinates and rates by the plan's tensions, interval by interval
+        # change of coordinates and rates by the tensions that act, interval by interval
         change = np.zeros((2 * n, N * size))
         slopes = list[Array]()
         remaining = list[Array]()
@@ -238,7 +257,10 @@ class Predictive(ModelController):
             slopes.append(linear[k + 1].jacobian @ change[:n])
             planned = self._decay ** (k + 1) * linear[0].error
             remaining.append(linear[k + 1].error - planned)
-        slope = np.concatenate(slopes)
+        # by the tensions that act, then by those of the plan
+        by_plan, _ = self._lagged(now)
+        by_acting = np.concatenate(slopes).reshape(-1, N, size)
+        slope = np.einsum("ekt,kj->ejt", by_acting, by_plan).reshape(-1, N * size)
         errors = np.concatenate(remaining)
         return slope.T @ slope, -slope.T @ errors
 

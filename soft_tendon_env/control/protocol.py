@@ -14,6 +14,8 @@ from typing import Annotated, Any, NamedTuple, Protocol
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.control.command_filter import Timing
+from soft_tendon_env.control.force_errors import ForceError
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -55,6 +57,13 @@ class InputError(NamedTuple):
     offset: Array  # (n_a,) [N]
 
 
+class LaggingActuators(NamedTuple):
+    """Actuators that follow their commands with a first-order lag."""
+
+    lag: float  # [s] time constant
+    tension: Array  # (n_a,) [N] that acts when the next command arrives
+
+
 class ControllerInput(NamedTuple):
     """State of one arm and its reference at the beginning of a control period.
 
@@ -69,6 +78,9 @@ class ControllerInput(NamedTuple):
     time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
     # where an estimator finds one: a controller that allows for it needs no observer of its own
     input_error: InputError | None = None
+    force_error: ForceError | None = None  # likewise, of the model's generalised forces
+    actuators: LaggingActuators | None = None  # None: they follow at once
+    timing_spread: float = 0.0  # [s] by which the arrival of commands is uncertain
     # (n_a,) [N] by which actuators let tensions change in a period; None: by any amount
     greatest_change: Array | None = None
 
@@ -194,7 +206,9 @@ class Estimate(NamedTuple):
     q_dot: Array  # (n,)
     tip_pose: Array | None = None  # (4, 4) where the estimator knows better than the measurement
     input_error: InputError | None = None
-    latency: float | None = None  # [s] of commands, where it is estimated
+    force_error: ForceError | None = None
+    timing: Timing | None = None  # [s] of commands, where it is estimated
+    timing_spread: float = 0.0  # [s] by which that is uncertain, as long as it is far from found
     memory: Any = None
 
 

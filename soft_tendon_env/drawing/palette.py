@@ -40,7 +40,7 @@ LEARNED = {
     "tqc": OLIVE,
     "apg": TEAL,
 }
-FILTERS = {"filtered": 0.8, "filter": 0.8, "adaptive": 0.6}
+FILTERS = {"filtered": 0.8, "filter": 0.8}
 """Shares of the lightness, of policies behind a filter."""
 SIBLINGS = (1.0, 0.75, 1.25, 0.5, 1.45, 0.62)
 """Shares of the lightness, of policies that are alike otherwise, such as trainings by one

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.control.smith_predictor import whole_periods
+from soft_tendon_env.control.command_filter import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

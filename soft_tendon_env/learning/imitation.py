@@ -17,11 +17,11 @@ from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from torch import Tensor
 
 from soft_tendon_env.control.catalogue import tip_pose_objective
+from soft_tendon_env.control.command_filter import whole_periods
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPosition
 from soft_tendon_env.control.protocol import Controller, ControllerInput, Reference
 from soft_tendon_env.control.shape_tracking import ShapeTracking
-from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.episodes import Episodes

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
+from soft_tendon_env.control.arrival_predictor import ArrivalPredictor
 from soft_tendon_env.control.catalogue import LOOKS_AHEAD, Entry, controllers_of, valid_controllers
-from soft_tendon_env.control.kalman import USUAL, Setting, Uncertainty
+from soft_tendon_env.control.command_filter import SAME, Timing, whole_periods
+from soft_tendon_env.control.diagnosis import Diagnosis
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter
 from soft_tendon_env.control.own_cost import Given, own_cost
-from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
+from soft_tendon_env.control.uncertainty import USUAL, Setting, Uncertainty
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.tasks import TASKS, TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
@@ -58,7 +61,7 @@ def observation_options(
     controller: str | Entry,
     task: str,
     period: float = 0.02,
-    latency: float = 0.0,
+    latency: float | None = None,
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
@@ -68,7 +71,8 @@ def observation_options(
         controller: of CONTROLLERS, or an entry like those there.
         task: "TipPose", ...
         period: of control [s].
-        latency: known input delay [s] that the controller compensates, see `make_policy`.
+        latency: known input delay [s] that the controller compensates, see `make_policy`; None: it
+            is estimated, if the estimator does.
         estimator: of ESTIMATORS, which finds the coordinates; None: they are observed.
         regime: of REGIMES, what a Kalman filter observes, by default "sensors".
 
@@ -81,7 +85,8 @@ def observation_options(
     estimator_entry = _among("estimator", estimator, ESTIMATORS)
     reference = _among("task", task, TASKS).measured_reference
     entry = _controller(controller, task)
-    ahead = _periods_ahead(entry, latency, period, estimator_entry)
+    greatest = _greatest_timing(Timing(latency, None), estimator_entry)
+    ahead = _periods_ahead(entry, greatest.latency, period)
     options: dict[str, Any] = {"action": "tension"}
     options["preview"] = [period * k for k in range(1, ahead + 1)]
     if estimator is not None or regime is not None:
@@ -107,9 +112,8 @@ def make_policy(
         env: environment made with `observation_options`.
         model: the assumed model, by default the environment's own before randomisation. Where
             coordinates are observed, it should have the same.
-        latency: known input delay [s], which the controller compensates (Smith predictor), by
-            default that of the actuators in its model; with estimator="adaptive" the first estimate
-            of it.
+        latency: known input delay [s], which the controller compensates, by default that of the
+            actuators in its model; without actuators there an estimator finds it.
         estimator: of ESTIMATORS, finds the coordinates from the other observations and the known
             noise of the sensors; None: they are observed.
         uncertainty: process noise and first uncertainty of a Kalman filter.
@@ -138,22 +142,22 @@ def make_policy(
             f" environment's has {episodes.model.coordinate_count}, which are observed: it should"
             " have the same strain parametrisation"
         )
-    believed, delay = _under_tensions(model)
-    if latency is None:
-        latency = delay
-    late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
+    believed, known = _under_tensions(model)
+    if latency is not None:
+        late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
+        known = known._replace(latency=late)
     entry = _controller(controller, episodes.task.name)
     if objectives is not None:
         entry = _with_objectives(entry, objectives, believed, episodes)
-    ahead = _periods_ahead(entry, late, episodes.period, estimator_entry)
+    greatest = _greatest_timing(known, estimator_entry)
+    ahead = _periods_ahead(entry, greatest.latency, episodes.period)
     _check_preview(entry, episodes, ahead)
-    greatest = late
-    if estimator_entry is not None and estimator_entry.greatest_latency:
-        greatest = estimator_entry.greatest_latency
-    predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
+    predictor = None
+    if max(greatest) > 0.0:
+        predictor = ArrivalPredictor(believed, greatest, episodes.period)
     made = None
     if estimator_entry is not None:
-        setting = _setting(episodes, late, uncertainty)
+        setting = _setting(episodes, known, uncertainty)
         made = estimator_entry.make(believed, setting)
     law = entry.make(believed, episodes.limits.copy(), episodes.period)
     return ControllerPolicy(law, env, model if differs else None, made, predictor)
@@ -184,8 +188,8 @@ def _with_objectives(
     return entry.with_cost(own_cost(objectives, model, told))
 
 
-def _setting(episodes: Episodes, latency: float, uncertainty: Uncertainty) -> Setting:
-    """Values of the environment that an estimator knows; latency: of commands [s]."""
+def _setting(episodes: Episodes, known: Timing, uncertainty: Uncertainty) -> Setting:
+    """Values of the environment that an estimator knows, with the timing of commands [s]."""
     measured = []
     for group, field in PARAMETERS.items():
         is_measured = field in protocol.Measurement._fields
@@ -197,41 +201,49 @@ def _setting(episodes: Episodes, latency: float, uncertainty: Uncertainty) -> Se
         tuple(measured),
         episodes.sensors.copy(),
         episodes.options.randomize.noise,
-        latency,
+        known.latency,
+        known.lag,
         uncertainty,
     )
 
 
-def _under_tensions(model: Model) -> tuple[Model, float]:
+def _under_tensions(model: Model) -> tuple[Model, Timing]:
     """Model of the same arm whose commands are tensions that arrive at once.
 
     Returns:
-        The model, and the delay of the actuators [s] that it leaves out.
+        The model, and what is known of the timing of commands besides the model's own lag: the
+        delay of its actuators, which it leaves out. A model without actuators knows nothing.
     """
     effects = model.scene.effects
     changes: dict[str, Any] = {}
     for name, effect in effects.chosen().items():
         if effect.command_unit != "N":
             changes[f"effects.{name}"] = None
-    delay = 0.0 if effects.actuators is None else effects.actuators.delay
-    if delay:
-        changes["effects.actuators.delay"] = 0.0
+    known = Timing(None, None)
+    if effects.actuators is not None:
+        known = Timing(effects.actuators.delay, 0.0)
+        if effects.actuators.delay:
+            changes["effects.actuators.delay"] = 0.0
     if changes:
         model = build_model(model.scene.replace(changes))
-    return model, delay
+    return model, known
 
 
-def _periods_ahead(
-    entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None
-) -> int:
+def _greatest_timing(known: Timing, estimator: EstimatorEntry | None) -> Timing:
+    """Greatest latency and lag [s] that the controller is to make up for: known, or estimated."""
+    estimated = Timing(0.0, 0.0) if estimator is None else estimator.greatest_timing
+    return Timing(
+        estimated.latency if known.latency is None else known.latency,
+        estimated.lag if known.lag is None else known.lag,
+    )
+
+
+def _periods_ahead(entry: Entry, latency: float, period: float) -> int:
     """Control periods ahead of now for which a controller should be told the target.
 
-    They make up for a latency [s] too, or for the greatest that the estimator finds.
+    They make up for a latency [s] too.
     """
-    greatest = latency
-    if estimator is not None and estimator.greatest_latency:
-        greatest = estimator.greatest_latency
-    late, rest = whole_periods(greatest, period)
+    late, rest = whole_periods(latency, period)
     return entry.looks_ahead + late + (rest > 0.0)
 
 
@@ -300,7 +312,7 @@ class ControllerPolicy:
         env: Any,
         model: Model | None = None,
         estimator: protocol.Estimator | None = None,
-        predictor: SmithPredictor | None = None,
+        predictor: ArrivalPredictor | None = None,
     ) -> None:
         """Makes the policy for the environment."""
         self.controller = controller
@@ -403,6 +415,33 @@ class ControllerPolicy:
             return actions[0], tuple(after)
         return np.stack(actions), tuple(after)
 
+    def estimate(self, state: tuple[RowMemory, ...]) -> tuple[Diagnosis, ...]:
+        """Returns what the Kalman filter has found out about the arms, in SI units.
+
+        Loads, a payload, gains, stiffness, damping, latency and lag, each with its interval.
+
+        Args:
+            state: which `predict` returned.
+
+        Returns:
+            A diagnosis for every row.
+
+        Raises:
+            TypeError: the policy has no Kalman filter.
+            ValueError: nothing has been estimated yet.
+        """
+        if not isinstance(self.estimator, ExtendedKalmanFilter):
+            raise TypeError(
+                f"{type(self.estimator).__name__} makes no diagnosis: only the Kalman filter does,"
+                " as in filtered:predictive"
+            )
+        diagnoses = []
+        for memory in state:
+            if memory.estimate is None:
+                raise ValueError("state has no estimate yet: it should be what predict() returned")
+            diagnoses.append(self.estimator.diagnosis(memory.estimate))
+        return tuple(diagnoses)
+
     def _decide(
         self, groups: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory
     ) -> tuple[Any, RowMemory]:
@@ -424,10 +463,12 @@ class ControllerPolicy:
             target,
             time,
             estimate.input_error,
-            self._greatest_change,
+            estimate.force_error,
+            timing_spread=estimate.timing_spread,
+            greatest_change=self._greatest_change,
         )
         if self.predictor is not None:
-            now = self.predictor.predict(now, memory.sent, estimate.latency)
+            now = self.predictor.predict(now, memory.sent, estimate.timing)
         of_controller = None if memory.decision is None else memory.decision.memory
         decision = self.controller.act(now, of_controller)
         action, asked, command = self._command(
@@ -455,7 +496,8 @@ class ControllerPolicy:
             if name in self._zeros:
                 value = value + self._zeros[name]
             fields[name] = value
-        sent = np.array(memory.sent).reshape(-1, self._start.size)
+        history = self.estimator.history
+        sent = np.array(memory.sent[-history:] if history else ()).reshape(-1, self._start.size)
         measurement = protocol.Measurement(pose, sent, time, **fields)
         return self.estimator.estimate(measurement, memory.estimate)
 

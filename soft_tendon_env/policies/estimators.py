@@ -10,13 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
+from soft_tendon_env.control.command_filter import Timing
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter
 from soft_tendon_env.control.protocol import Estimator
+from soft_tendon_env.control.uncertainty import GREATEST_LAG, GREATEST_LATENCY, Setting
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.registry import Registry, register
 
-GREATEST_LATENCY = 0.08  # [s] that an estimate of an unknown latency reaches
+NO_TIMING = Timing(0.0, 0.0)
 PARAMETERS: Mapping[str, str] = {
     "tip_twist": "tip_twist",
     "tendon_lengths": "tendon_length",
@@ -35,15 +37,9 @@ class EstimatorEntry:
 
     prefix: str  # what stands before a controller's name in the name of its policy, "filtered:"
     make: Callable[[Model, Setting], Estimator]
-    greatest_latency: float = 0.0  # [s] of commands that it estimates by itself; 0: it does not
+    # greatest latency and lag [s] of commands that it estimates by itself; 0: it does not
+    greatest_timing: Timing = NO_TIMING
     filters: bool = False  # whether it is a Kalman filter: entries of its Uncertainty can be tuned
-
-
-def _adaptive_filter(model: Model, setting: Setting) -> Estimator:
-    first = setting.latency or GREATEST_LATENCY / 4
-    return ExtendedKalmanFilter(
-        model, setting._replace(latency=first), max(GREATEST_LATENCY, first)
-    )
 
 
 def _checked_estimator(
@@ -51,7 +47,7 @@ def _checked_estimator(
     make: Any,
     *,
     prefix: str = "",
-    greatest_latency: float = 0.0,
+    greatest_timing: Timing = NO_TIMING,
     filters: bool = False,
 ) -> EstimatorEntry:
     """Entry of a state estimator, see EstimatorEntry.
@@ -60,7 +56,7 @@ def _checked_estimator(
         name: of the estimator.
         make: a class or function of a model and a Setting that makes it.
         prefix: before the names of controllers, by default the name with a colon.
-        greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
+        greatest_timing: latency and lag [s] of commands that it estimates; 0: it does not.
         filters: whether it is a Kalman filter.
 
     Returns:
@@ -86,17 +82,17 @@ def _checked_estimator(
             raise ValueError(
                 f"the prefix {prefix!r} is that of the estimator {other!r}: choose another"
             )
-    return EstimatorEntry(prefix, make, greatest_latency, filters)
+    return EstimatorEntry(prefix, make, greatest_timing, filters)
 
 
 ESTIMATORS: Registry[EstimatorEntry] = Registry("estimator", _checked_estimator)
-"""State estimators by name: extended Kalman filter, and the same with unknown latency."""
+"""State estimators by name."""
 
-register("estimator", "kalman", ExtendedKalmanFilter, prefix="filtered:", filters=True)
 register(
     "estimator",
-    "adaptive",
-    _adaptive_filter,
-    greatest_latency=GREATEST_LATENCY,
+    "kalman",
+    ExtendedKalmanFilter,
+    prefix="filtered:",
+    greatest_timing=Timing(GREATEST_LATENCY, GREATEST_LAG),
     filters=True,
 )

@@ -18,8 +18,8 @@ import gymnasium as gym
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control.catalogue import Entry, controllers_of, valid_controllers
-from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.control.own_cost import Given
+from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
@@ -248,8 +248,8 @@ class Controller(PolicyName):
     """A controller of the catalogue.
 
     NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds
-    them; adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY assumes a model
-    of another fidelity than the arm's.
+    them, with loads and the timing of commands. NAME@FIDELITY assumes a model of another fidelity
+    than the arm's.
     """
 
     name: str
@@ -298,7 +298,7 @@ class Controller(PolicyName):
         """regime: information regime of the estimator, see `observation_options`."""
         options = Options.parse(dict(given), "options")
         actuators = given_scene(options.scene).effects.actuators
-        late = 0.0 if actuators is None else actuators.delay
+        late = None if actuators is None else actuators.delay or None
         own = observation_options(
             self.entry,
             self.task,
@@ -524,8 +524,8 @@ def load_policy(name: str, env: Any, objectives: Sequence[Given] | None = None) 
     See `policy_options` for these options.
 
     Args:
-        name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its
-            model has another fidelity; an agent's folder; "agent" or another of those that ship for
+        name: a controller's or filtered:NAME, with @FIDELITY behind it where its model has another
+            fidelity; an agent's folder; "agent" or another of those that ship for
             the environment's task, see agents/trained; module:name of what makes one.
         env: single or vector environment of this package.
         objectives: a cost of your own, for a predictive controller alone, see `make_policy`.

@@ -151,11 +151,11 @@ class ControllerSearch(Search):
     """Search for parameters of a controller.
 
     Its cost is the geometric mean over all settings in all information regimes.
-    Parameters are the keyword arguments of its class, and those of control.kalman.Uncertainty with
-    "estimator." before them.
+    Parameters are the keyword arguments of its class, and those of control.uncertainty.Uncertainty
+    with "estimator." before them.
     """
 
-    policy: str  # name of the controller, such as adaptive:predictive@fast
+    policy: str  # name of the controller, such as filtered:predictive@fast
     task: TaskName = "TipPose"
     # what is observed, with noise; none: what the controller needs, exactly
     regimes: RegimeNames = ()

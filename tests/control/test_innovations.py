@@ -8,6 +8,7 @@ from soft_tendon_env.control.innovations import SensorModel, layout_of, noise_va
 from soft_tendon_env.control.protocol import Measurement, SensorNoise
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 
+PLACES = 4
 SENSORS = np.array([0.1, 0.2])
 FIELDS = ("tip_twist", "tendon_length", "strain", "strain_rate")
 SIZES = {"tip_twist": 6, "tendon_length": 3, "strain": 12, "strain_rate": 12}
@@ -29,7 +30,7 @@ def model(build):
 
 @pytest.fixture
 def sensor_model(model):
-    return SensorModel(model, FIELDS, SENSORS, SensorNoise())
+    return SensorModel(model, layout_of(model, PLACES), FIELDS, SENSORS, SensorNoise())
 
 
 @pytest.fixture
@@ -37,8 +38,8 @@ def mean(model, random_state):
     """The state of a filter in motion, with a displaced tip."""
     q, q_dot = random_state(model, 0)
     scale = model.coordinate_scale()
-    layout = layout_of(model)
-    state = np.zeros(layout.latency.stop)
+    layout = layout_of(model, PLACES)
+    state = np.zeros(layout.size)
     state[layout.z] = q / scale
     state[layout.v] = q_dot / scale
     state[layout.offset] = 0.1
@@ -48,7 +49,7 @@ def mean(model, random_state):
 
 def exact_measurement(model, mean):
     """What the sensors of an arm in the state of a filter say."""
-    layout = layout_of(model)
+    layout = layout_of(model, PLACES)
     scale = model.coordinate_scale()
     q, q_dot = scale * mean[layout.z], scale * mean[layout.v]
     terms = model.terms(q, q_dot)
@@ -75,10 +76,10 @@ def rows_of(name):
 
 
 def test_the_layout_has_every_entry_once(model):
-    """2 n + 2 n_a + 7 entries, in the order of its fields."""
-    layout = layout_of(model)
+    """In the order of its fields."""
+    layout = layout_of(model, PLACES)
     sizes = [part.stop - part.start for part in layout]
-    assert sizes == [3, 3, 3, 3, 6, 1]
+    assert sizes == [3, 3, 3, 3, 6, 3 * PLACES, 1, 1, 1, 1, 1]
     assert layout.z.start == 0
     assert all(a.stop == b.start for a, b in zip(layout, layout[1:], strict=False))
 
@@ -101,7 +102,7 @@ def test_innovations_are_what_is_measured_less_what_is_expected(model, sensor_mo
 
 def test_jacobians_are_the_slopes_of_what_is_expected(model, sensor_model, mean):
     """Column by column; velocities by the rates alone, what coordinates change of them is noise."""
-    layout = layout_of(model)
+    layout = layout_of(model, PLACES)
     measured = exact_measurement(model, mean)
     _, jacobian, _ = sensor_model.innovations(mean, measured)
     step = 1e-5
@@ -153,7 +154,7 @@ def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
 
 def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mean):
     """By a share of what is expected of them, as the Jacobian at other coordinates is another."""
-    layout = layout_of(model)
+    layout = layout_of(model, PLACES)
     still = mean.copy()
     still[layout.v] = 0.0
     measured = exact_measurement(model, mean)
@@ -168,7 +169,7 @@ def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mea
 
 
 def test_without_sensors_of_strains_there_are_none(model, mean):
-    blind = SensorModel(model, ("tendon_length",), np.zeros(0), NOISE)
+    blind = SensorModel(model, layout_of(model, PLACES), ("tendon_length",), np.zeros(0), NOISE)
     measured = exact_measurement(model, mean)._replace(strain=None, strain_rate=None)
     innovation, jacobian, variance = blind.innovations(mean, measured)
     assert innovation.shape == variance.shape == (9,)

@@ -224,7 +224,7 @@ def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
 def test_policies_that_are_drawn_together_differ():
     variants = (
         "filtered:predictive",
-        "adaptive:predictive",
+        "filtered:predictive",
         "robust_predictive",
         "long_horizon_predictive",
     )

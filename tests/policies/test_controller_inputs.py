@@ -6,8 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.control import controllers_of
+from soft_tendon_env.control.command_filter import Timing
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.policies.controller_policy import (
+    _greatest_timing,
     _memories,
     _periods_ahead,
     _target_coordinates,
@@ -84,27 +86,29 @@ def test_rows_that_begin_have_no_memory():
 @pytest.mark.parametrize(
     ("latency", "estimator", "periods"),
     [
+        (None, None, 2),
         (0.0, None, 2),
         (0.02, None, 3),
         (0.03, None, 4),
         (0.0, "kalman", 2),
         (0.03, "kalman", 4),
-        (0.0, "adaptive", 6),  # up to 80 ms
+        (None, "kalman", 6),  # up to 80 ms
     ],
 )
 def test_targets_are_told_for_as_long_as_commands_are_late(latency, estimator, periods):
     """Two periods of feedback, and as many as commands may be late, begun ones too."""
     entry = controllers_of("TipPose")["tracking"]
     found = None if estimator is None else ESTIMATORS[estimator]
-    assert _periods_ahead(entry, latency, 0.02, found) == periods
+    greatest = _greatest_timing(Timing(latency, None), found)
+    assert _periods_ahead(entry, greatest.latency, 0.02) == periods
 
 
 def test_controllers_believe_in_tensions_that_arrive_at_once(build):
     """The delay of the actuators is told apart; without one the model is the arm's."""
     late = build("three_tendon", {"effects.actuators.delay": 0.03})
-    model, delay = _under_tensions(late)
-    assert delay == 0.03
+    model, known = _under_tensions(late)
+    assert known == (0.03, 0.0)
     assert model.scene.effects.actuators.delay == 0.0
     assert model.scene.segments == late.scene.segments
     prompt = build("three_tendon")
-    assert _under_tensions(prompt) == (prompt, 0.0)
+    assert _under_tensions(prompt) == (prompt, (None, None))

@@ -42,7 +42,7 @@ def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
 @pytest.mark.parametrize("latency", [pytest.param(0.0, marks=pytest.mark.slow), 0.055])
 def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     env, policy = made(
-        "adaptive:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
+        "filtered:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
     )
     assert position_error(env, policy) < 2e-3
     observation, _ = env.reset(seed=3)
@@ -50,7 +50,7 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     for _ in range(100):
         action, state = policy.predict(observation, state)
         observation, *_ = env.step(action)
-    assert state[0].estimate.latency == pytest.approx(latency, abs=0.01)
+    assert state[0].estimate.timing.latency == pytest.approx(latency, abs=0.01)
 
 
 @pytest.mark.slow
@@ -64,12 +64,12 @@ def test_errors_of_the_arm_are_allowed_for():
         "latency": 0.015,
         "noise": NOISE,
     }
-    env, policy = made("adaptive:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
+    env, policy = made("filtered:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
     assert position_error(env, policy) < 4e-3
 
 
 def test_an_unknown_latency_is_made_up_for_where_goals_jump():
-    env, policy = made("adaptive:predictive@fast", task="Reach", regime="sensors", target=None)
+    env, policy = made("filtered:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
 
 
@@ -85,6 +85,27 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
 
 
 @pytest.mark.parametrize(
+    ("seed", "regime"),
+    [
+        (1, "state"),
+        *(pytest.param(seed, "state", marks=pytest.mark.slow) for seed in range(2, 8)),
+        *(pytest.param(seed, "sensors", marks=pytest.mark.slow) for seed in range(1, 5)),
+    ],
+)
+def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_loads(seed, regime):
+    """All at once, also the latency, where the first motion bends the arm within 0.2 s."""
+    wrong = {
+        "stiffness": [0.8, 1.2],
+        "damping": [0.5, 2.0],
+        "payload": [0.0, 0.02],
+        "tension_gain": [0.9, 1.1],
+        "latency": [0.0, 0.06],
+    }
+    env, policy = made("filtered:predictive@fast", regime=regime, randomize=wrong)
+    assert position_error(env, policy, seed) < 4e-3
+
+
+@pytest.mark.parametrize(
     ("more", "options"),
     [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
 )
@@ -93,6 +114,8 @@ def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, opt
         "scene": "three_tendon",
         "quadrature.intervals": 4,
         "effects.gravity.acceleration": [0.0, 0.0, -3.0],
+        # timing that is known: of an unknown one the first motion is told as it comes
+        "effects.actuators.delay": 0.0,
         **more,
     }
     env, policy = made("filtered:tracking", scene=scene, **{"fidelity": "scene", **options})

@@ -17,7 +17,7 @@ def here(tmp_path, monkeypatch):
     for file in ("agent_1/weights.npz", "run/config.json", "run/best/weights.npz"):
         (tmp_path / file).touch()
     (tmp_path / "best.toml").write_text(
-        'policy = "adaptive:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" ='
+        'policy = "filtered:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" ='
         " 0.002 }\n"
     )
     (tmp_path / "odd.toml").write_text('policy = "tracking"\nparameters = { effort = 0.01 }\n')
@@ -27,7 +27,7 @@ def here(tmp_path, monkeypatch):
     ("text", "kind", "known"),
     [
         ("tracking", Controller, {"name": "tracking", "estimator": None, "belief": None}),
-        ("adaptive:tracking", Controller, {"name": "tracking", "estimator": "adaptive"}),
+        ("filtered:tracking", Controller, {"name": "tracking", "estimator": "kalman"}),
         ("filtered:tracking@fast", Controller, {"estimator": "kalman", "belief": "fast"}),
         (
             "best.toml",

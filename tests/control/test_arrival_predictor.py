@@ -1,11 +1,12 @@
-"""Smith predictor: what it predicts is what the arm does under the commands in transit."""
+"""Arrival predictor: what it predicts is what the arm does under the commands in transit."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.control import ControllerInput, InputError, Reference
+from soft_tendon_env.control.arrival_predictor import ArrivalPredictor
+from soft_tendon_env.control.command_filter import Timing, lagged_plan, mean_weights
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.control.smith_predictor import SmithPredictor, whole_periods
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
@@ -37,28 +38,6 @@ def moving(model, random_state):
     return now, simulation
 
 
-@pytest.mark.parametrize(
-    ("delay", "whole", "rest"),
-    [
-        (0.0, 0, 0.0),
-        (0.005, 0, 0.005),
-        (0.02, 1, 0.0),
-        (0.05, 2, 0.01),
-        (3 * 0.02, 3, 0.0),  # 0.06 / 0.02 is less than 3 in floating point
-        (0.07, 3, 0.01),
-        (0.02 * (1.0 - 1e-12), 1, 0.0),
-        (0.02 * (1.0 + 1e-12), 1, 0.0),
-    ],
-)
-def test_delays_are_whole_periods_and_a_rest(delay, whole, rest):
-    periods, seconds = whole_periods(delay, PERIOD)
-    assert periods == whole
-    assert seconds == pytest.approx(rest, abs=1e-12)
-    assert seconds >= 0.0
-    if rest == 0.0:
-        assert seconds == 0.0
-
-
 @pytest.mark.parametrize(("latency", "acting"), LATE)
 @pytest.mark.parametrize("error", [None, ERROR], ids=["exact", "erring"])
 def test_the_prediction_is_the_motion_under_the_commands_in_transit(
@@ -72,20 +51,36 @@ def test_the_prediction_is_the_motion_under_the_commands_in_transit(
         if error is not None:
             tension = error.gain * tension + error.offset
         arm.step(tension, seconds)
-    known = SmithPredictor(model, latency, PERIOD)
-    assert known.history == len(LATE[-1][1]) or latency < 0.05
-    told = SmithPredictor(model, 0.05, PERIOD).predict(now, SENT, latency)
+    known = ArrivalPredictor(model, Timing(latency, 0.0), PERIOD)
+    assert known.history == len(LATE[-1][1]) + 1 or latency < 0.05
+    estimated = ArrivalPredictor(model, Timing(0.05, 0.0), PERIOD)
+    told = estimated.predict(now, SENT, Timing(latency, 0.0))
     for predicted in (known.predict(now, SENT[-known.history :]), told):
-        np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(predicted.q_dot, arm.state.q_dot, rtol=1e-9, atol=1e-12)
+        # a lag of a microsecond stands for none
+        np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(predicted.q_dot, arm.state.q_dot, rtol=1e-3, atol=1e-4)
         assert predicted.time == pytest.approx(0.7 + latency)
         np.testing.assert_allclose(predicted.reference.ahead, np.array([0.0, 0.1]) - latency)
-        np.testing.assert_allclose(predicted.tip_pose, arm.tip_pose, atol=1e-9)
+        np.testing.assert_allclose(predicted.tip_pose, arm.tip_pose, atol=1e-5)
+        assert predicted.actuators is None
 
 
-def test_commands_in_transit_are_kept_for_as_long_as_they_act(model):
-    for latency, count in ((0.0, 1), (0.01, 1), (0.02, 2), (0.05, 3)):
-        assert SmithPredictor(model, latency, PERIOD).history == count
+def test_a_lag_acts_on(model, moving):
+    """Commands in transit are filtered, and the plan begins with the tension that acts then."""
+    now, arm = moving
+    lag, latency = 0.015, 0.02
+    predicted = ArrivalPredictor(model, Timing(latency, lag), PERIOD).predict(now, SENT)
+    commands = np.array(SENT)
+    mean = mean_weights(Timing(latency, lag), PERIOD, len(SENT), 0.0, PERIOD) @ commands
+    arm.step(mean, PERIOD)
+    np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-6, atol=1e-9)
+    acting = mean_weights(Timing(latency, lag), PERIOD, len(SENT), latency, 0.0) @ commands
+    assert predicted.actuators.lag == lag
+    np.testing.assert_allclose(predicted.actuators.tension, acting)
+    # the command that arrives last is not reached yet
+    by_plan, by_start = lagged_plan(lag, PERIOD, 1)
+    assert 0.0 < by_start[0] < 1.0
+    assert by_plan[0, 0] == pytest.approx(1.0 - by_start[0])
 
 
 def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
@@ -93,7 +88,7 @@ def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
     now, _ = moving
     displacement = np.array([0.1, -0.2, 0.05, 0.01, 0.02, -0.01])
     beside = now._replace(tip_pose=moved_pose(now.tip_pose, displacement))
-    predictor = SmithPredictor(model, 0.05, PERIOD)
+    predictor = ArrivalPredictor(model, Timing(0.05, 0.0), PERIOD)
     straight, displaced = (predictor.predict(each, SENT) for each in (now, beside))
     moved = np.linalg.solve(now.tip_pose, straight.tip_pose)
     np.testing.assert_allclose(displaced.tip_pose, beside.tip_pose @ moved, atol=1e-9)
@@ -103,4 +98,4 @@ def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
 def test_a_model_without_such_a_motion_leaves_what_is_measured(model, moving):
     now, _ = moving
     lost = now._replace(q=np.full(3, 1e4))
-    assert SmithPredictor(model, 0.05, PERIOD).predict(lost, SENT) is lost
+    assert ArrivalPredictor(model, Timing(0.05, 0.0), PERIOD).predict(lost, SENT) is lost

@@ -1,0 +1,157 @@
+"""Generalised forces that a model lacks, and motions that are corrected for them.
+
+They are loads in the world frame at places along the arm, and errors of stiffness, damping and tip
+mass:
+
+    Q = Q_0 - S q - D v - M v_dot
+
+Rollouts of the model have the derivatives by generalised forces, so that Q costs no simulation of
+its own.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.simulation import Rollout, Simulation
+from soft_tendon_env.model.tension_limits import erring_actuators
+from soft_tendon_env.model.terms import Terms
+from soft_tendon_env.tools.types import Array
+
+PLACES = (0.25, 0.5, 0.75, 1.0)
+"""Places of the loads, as shares of the rod's length: gravity, payloads and pushes together."""
+POINTS = 2
+"""Gauss points of an interval of the model's grid, where its strains are."""
+
+
+class ForceError(NamedTuple):
+    """Force that a model lacks, linear in the motion: Q = constant - S q - D v - M v_dot."""
+
+    constant: Array  # (n,)
+    stiffness: Array  # S (n, n)
+    damping: Array  # D (n, n)
+    inertia: Array  # M (n, n)
+    held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see held_tension
+
+
+class LoadJacobian:
+    """Jacobian of loads at places: generalised forces J^T f of forces f in the world frame.
+
+    The velocity of a place X is the integral of R(s) (xi_dot + phi_dot x ...), over 0 <= s <= X:
+
+        p_dot(X) = int_0^X R v_dot + (R kappa_dot) x (p(X) - p(s)) ds
+
+    Args:
+        model: of the arm.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        grid = model.grid
+        length = grid.length[grid.real]
+        self._points = grid.points[grid.real].ravel()
+        self._weights = np.repeat(length / POINTS, POINTS)
+        # at the nearest borders, of intervals before which the integral is whole
+        ends = grid.start[grid.real] + length
+        asked = model.length * np.array(PLACES)
+        nearest = np.abs(ends - asked[:, None]).argmin(axis=1)
+        self._intervals = np.unique(nearest) + 1
+        self.places = np.minimum(ends[self._intervals - 1], model.length)
+
+    def at(self, q: Array) -> Array:
+        """The matrix J^T (n, 3 places) at coordinates q (n,).
+
+        Raises StrainLimitError.
+        """
+        _, strain_slope = self._model.strain_at(q, self._points)
+        sections = np.concatenate([self._points, self.places])
+        poses = self._model.backbone_at(q, sections)
+        count = self._points.size
+        rotation = poses[:count, :3, :3] * self._weights[:, None, None]
+        turns = rotation @ strain_slope[:, :3]
+        stretches = rotation @ strain_slope[:, 3:]
+        levers = poses[count:, None, :3, 3] - poses[None, :count, :3, 3]
+        columns = []
+        for place, intervals in enumerate(self._intervals):
+            inside = slice(POINTS * intervals)
+            turned = np.cross(turns[inside], levers[place, inside, :, None], axis=1)
+            columns.append((stretches[inside] + turned).sum(axis=0).T)
+        return np.hstack(columns)
+
+
+def held_tension(terms: Terms, force: Array) -> Array:
+    """Tensions (n_a,) [N] whose statics are nearest to those of a generalised force (n,).
+
+    They are the u of least (Q - B u)^T K^-1 (Q - B u): what of a load tensions can make.
+    """
+    stiffness = terms.stiffness + terms.external_stiffness
+    softened = np.linalg.solve(stiffness, np.column_stack([terms.actuation, force]))
+    compliance = terms.actuation.T @ softened
+    tension, *_ = np.linalg.lstsq(compliance[:, :-1], compliance[:, -1], rcond=1e-6)
+    return np.asarray(tension)
+
+
+def corrected_rollout(
+    simulation: Simulation, tension: Array, duration: Array | float, error: ForceError | None
+) -> Rollout:
+    """Rollout of a simulation under tensions and a force that its model lacks.
+
+    The tensions that come nearest to the force are played with the others: only the rest of it is
+    linearised.
+
+    Args:
+        simulation: from whose state it begins.
+        tension: (N, n_a) [N], or (N, parts, n_a).
+        duration: of a period [s], or of its parts.
+        error: None: the model lacks nothing, and has no derivatives by forces.
+
+    Returns:
+        The motion and its derivatives.
+
+    Raises:
+        SimulationDiverged, StrainLimitError, LinAlgError: the model has no such motion.
+    """
+    with erring_actuators():  # tensions that stand for errors may exceed the limits
+        if error is None:
+            return simulation.rollout(tension, duration)
+        every_force = np.eye(error.constant.size)
+        rollout = simulation.rollout(tension + error.held, duration, forces=every_force)
+    return _corrected(rollout, error, float(np.sum(duration)))
+
+
+def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
+    """Rollout of a model, corrected for a force that it lacks.
+
+    Over a period the force is held at Q = c - E_0 x - E_1 x+, of the mean motion and the mean
+    acceleration, and x+ = x_m(x) + B Q with the model's x_m is solved for x+.
+    """
+    n = rollout.q.shape[1]
+    mean = np.hstack([error.stiffness, error.damping]) / 2.0
+    change = np.hstack([np.zeros_like(error.inertia), error.inertia]) / period
+    by_start = mean - change
+    by_end = mean + change
+    motion = np.hstack([rollout.q, rollout.q_dot])
+    moved = np.zeros_like(motion)
+    by_force = rollout.by_force
+    inverses = np.linalg.inv(np.eye(2 * n) + by_force @ by_end)
+    for k in range(len(by_force)):
+        start = motion[k] + moved[k]
+        unforced = motion[k + 1] + rollout.by_state[k] @ moved[k]
+        unforced -= rollout.by_tension[k] @ error.held
+        end = inverses[k] @ (unforced + by_force[k] @ (error.constant - by_start @ start))
+        moved[k + 1] = end - motion[k + 1]
+    tip_pose = rollout.tip_pose.copy()
+    for k in range(1, len(tip_pose)):
+        tip_pose[k] = moved_pose(tip_pose[k], rollout.tip_jacobian[k] @ moved[k, :n])
+    if not np.isfinite(moved).all():
+        raise np.linalg.LinAlgError("the force that the model lacks leaves it no motion")
+    return rollout._replace(
+        q=rollout.q + moved[:, :n],
+        q_dot=rollout.q_dot + moved[:, n:],
+        tip_pose=tip_pose,
+        by_state=inverses @ (rollout.by_state - by_force @ by_start),
+        by_tension=inverses @ rollout.by_tension,
+        by_force=inverses @ by_force,
+    )

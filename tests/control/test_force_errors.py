@@ -1,0 +1,127 @@
+"""Forces that a model lacks: the motion with them is that of a model that has them."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control.belief import tip_acceleration
+from soft_tendon_env.control.force_errors import (
+    ForceError,
+    LoadJacobian,
+    corrected_rollout,
+    held_tension,
+)
+from soft_tendon_env.model.simulation import Simulation
+
+PERIOD = 0.02
+FORCE = np.array([0.02, -0.04, 0.03])  # [N] at the tip
+MASS = 0.004  # [kg] there
+TENSION = np.array([[1.0, 0.5, 0.0], [1.2, 0.4, 0.1]])
+
+
+@pytest.fixture(scope="module")
+def model(build):
+    return build("three_tendon", {"quadrature.intervals": 4})
+
+
+@pytest.fixture
+def motion(model, random_state):
+    return random_state(model, 0)
+
+
+def lacking(model, q, **parts):
+    """A force error of some parts."""
+    n = q.size
+    nothing = np.zeros((n, n))
+    error = ForceError(np.zeros(n), nothing, nothing, nothing, np.zeros(model.tendon_count))
+    return error._replace(**parts)
+
+
+def test_loads_at_the_tip_have_its_jacobian(model, motion):
+    q, q_dot = motion
+    terms = model.terms(q, q_dot)
+    jacobian = LoadJacobian(model)
+    assert jacobian.places[-1] == pytest.approx(model.length)
+    in_world = terms.tip_pose[:3, :3] @ terms.tip_jacobian[3:]
+    off = jacobian.at(q)[:, -3:].T - in_world
+    assert np.abs(off).max() < 0.01 * np.abs(in_world).max()
+
+
+def test_loads_along_the_arm_have_the_slopes_of_its_backbone(model, motion):
+    q, _ = motion
+    jacobian = LoadJacobian(model)
+    step = 1e-5 * model.coordinate_scale()
+    for column, change in enumerate(np.diag(step)):
+        sections = [model.backbone_at(q + sign * change, jacobian.places) for sign in (1, -1)]
+        moved = (sections[0] - sections[1])[:, :3, 3] / (2.0 * step[column])
+        row = jacobian.at(q)[column].reshape(-1, 3)
+        assert np.abs(row - moved).max() < 0.01 * np.abs(moved).max()
+
+
+@pytest.mark.parametrize("is_split", [False, True], ids=["linear", "with tensions"])
+def test_motions_under_a_load_are_those_of_a_model_that_has_it(model, motion, is_split):
+    q, q_dot = motion
+    loaded = model.with_scene(model.scene.replace({"effects.tip_load.force": FORCE.tolist()}))
+    simulation = Simulation(loaded)
+    simulation.reset(q, q_dot)
+    expected = simulation.rollout(TENSION, PERIOD)
+    constant = LoadJacobian(model).at(q)[:, -3:] @ FORCE
+    held = np.zeros(3)
+    if is_split:
+        held = held_tension(model.terms(q, q_dot), constant)
+    error = lacking(model, q, constant=constant, held=held)
+    simulation = Simulation(model)
+    simulation.reset(q, q_dot)
+    without = simulation.rollout(TENSION, PERIOD)
+    corrected = corrected_rollout(simulation, TENSION, PERIOD, error)
+    for name in ("q", "q_dot"):
+        size = np.abs(getattr(expected, name)[-1] - getattr(without, name)[-1]).max()
+        off = np.abs(getattr(corrected, name)[-1] - getattr(expected, name)[-1]).max()
+        assert off < 0.2 * size
+    tip = corrected.tip_pose[-1, :3, 3]
+    way = np.linalg.norm(expected.tip_pose[-1, :3, 3] - without.tip_pose[-1, :3, 3])
+    assert np.linalg.norm(tip - expected.tip_pose[-1, :3, 3]) < 0.2 * way
+
+
+def test_motions_with_a_payload_are_those_of_a_model_that_has_it(model, motion):
+    q, q_dot = motion
+    heavy = model.with_scene(model.scene.replace({"effects.tip_load.mass": MASS}))
+    simulation = Simulation(heavy)
+    simulation.reset(q, q_dot)
+    expected = simulation.rollout(TENSION, PERIOD)
+    terms = model.terms(q, q_dot)
+    tip = terms.tip_jacobian[3:]
+    simulation = Simulation(model)
+    simulation.reset(q, q_dot)
+    without = simulation.rollout(TENSION, PERIOD)
+    turning = tip.T @ tip_acceleration(terms, q_dot, 0.0 * q)
+    error = lacking(model, q, inertia=MASS * tip.T @ tip, constant=-MASS * turning)
+    corrected = corrected_rollout(simulation, TENSION, PERIOD, error)
+    # rates follow an acceleration that is a mean over the period: displacements tell it
+    for k in (1, 2):
+        displaced = np.abs(expected.q[k] - without.q[k]).max()
+        assert np.abs(corrected.q[k] - expected.q[k]).max() < 0.2 * displaced
+
+
+def test_tensions_hold_what_tensions_make(model, motion):
+    """A force that tensions make is theirs; what they cannot make is left as small as can be."""
+    q, q_dot = motion
+    terms = model.terms(q, q_dot)
+    tension = np.array([0.3, -0.2, 0.5])
+    np.testing.assert_allclose(held_tension(terms, terms.actuation @ tension), tension, atol=1e-6)
+    force = LoadJacobian(model).at(q)[:, -2]
+    held = held_tension(terms, force)
+    left = force - terms.actuation @ held
+    np.testing.assert_allclose(
+        terms.actuation.T @ np.linalg.solve(terms.stiffness, left), 0.0, atol=1e-8
+    )
+
+
+def test_a_model_that_lacks_nothing_moves_as_it_does(model, motion):
+    q, q_dot = motion
+    simulation = Simulation(model)
+    simulation.reset(q, q_dot)
+    expected = simulation.rollout(TENSION, PERIOD)
+    for error in (None, lacking(model, q)):
+        rollout = corrected_rollout(simulation, TENSION, PERIOD, error)
+        np.testing.assert_allclose(rollout.q, expected.q, atol=1e-12)
+        np.testing.assert_allclose(rollout.by_state, expected.by_state, atol=1e-12)
