@@ -19,7 +19,7 @@ from filelock import FileLock
 from soft_tendon_env.accuracy import trial
 from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
-from soft_tendon_env.accuracy.loads import covers
+from soft_tendon_env.accuracy.loads import covers, tried_effects
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import compiling_for
 from soft_tendon_env.scene.scene import Scene
@@ -82,7 +82,7 @@ def kept_choice(folder: Path, key: str, scene: Scene, least: int = 0) -> Choice 
 
 
 def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
-    codes = effect_digests(scene.effects.everywhere())
+    codes = effect_digests(tried_effects(scene.effects))
     for path in sorted(folder.glob(f"{key}_*.json")):
         try:
             record = read_json(path)
@@ -112,7 +112,7 @@ def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
     path = folder / f"{key}_{_digest_of(loads)}.json"
 
     record = choice._asdict()
-    record["codes"] = effect_digests(scene.effects.everywhere())
+    record["codes"] = effect_digests(tried_effects(scene.effects))
     text = json.dumps(record)
     with contextlib.suppress(OSError), replacing(path) as temporary:
         temporary.write_text(text)

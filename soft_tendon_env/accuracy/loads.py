@@ -22,6 +22,20 @@ ROUNDING = 1e-9
 """Relative size by which a load may exceed the largest one that was tried, and still be equal."""
 
 
+def tried_effects(effects: Effects) -> Effects:
+    """Effects that a trial has: those that act on the arm everywhere, and friction of its tendons.
+
+    Obstacles and what lies between commands and tensions are left out. Friction lies along the
+    tendons: what it takes bends coordinates that tensions alone leave at zero, and holds them bent
+    when tendons are let out.
+    """
+    tried = dict(effects.everywhere().chosen())
+    friction = effects.tendon_friction
+    if friction is not None and friction.coefficient > 0.0:
+        tried["tendon_friction"] = friction
+    return Effects(**tried)
+
+
 def has_strengths(effects: Effects) -> bool:
     """Whether any effect has a size that is not zero."""
     for effect in effects.chosen().values():
@@ -62,7 +76,7 @@ def load_cases(scene: Scene, reach: float, seed: int) -> list[Effects]:
     They are those of the scene, `reach` times as strong ones, and weaker ones. Raises
     ConfigurationError.
     """
-    own = scene.effects.everywhere()
+    own = tried_effects(scene.effects)
     if reach == 1.0:
         return [own]
     greatest = scaled_effects(own, reach)
@@ -75,7 +89,7 @@ def reaches(scene: Scene) -> tuple[float, ...]:
 
     1: these loads alone, where more have no unique reference.
     """
-    own = scene.effects.everywhere()
+    own = tried_effects(scene.effects)
     if not has_strengths(own):
         return (1.0,)
     try:
@@ -88,7 +102,7 @@ def reaches(scene: Scene) -> tuple[float, ...]:
 def covers(tried: Effects, loads: Effects) -> bool:
     """Whether effects are between none and those that were tried, in all that they have."""
     greatest = tried.chosen()
-    for name, effect in loads.everywhere().chosen().items():
+    for name, effect in tried_effects(loads).chosen().items():
         if name not in greatest or not _is_weaker(effect, greatest[name]):
             return False
     return True

@@ -3,7 +3,8 @@
 The tip is within a share of its length of the converged reference.
 
 A trial is made once, in seconds, under loads up to a multiple of the scene's and within its tension
-limits. The arm is without obstacles, and without what lies between commands and tensions.
+limits. The arm is without obstacles, and without what lies between commands and tensions, but for
+the friction of tendons.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from soft_tendon_env.accuracy.input_motions import (
     slack_tensions,
     tension_limits,
 )
-from soft_tendon_env.accuracy.loads import load_cases, reaches
+from soft_tendon_env.accuracy.loads import load_cases, reaches, tried_effects
 from soft_tendon_env.accuracy.progress import Progress
 from soft_tendon_env.accuracy.reference import (
     Ladder,
@@ -119,7 +120,7 @@ class Trial:
 
         reach: multiple of the scene's loads that inputs have. Raises ConfigurationError.
         """
-        self.scene = scene.replace({"effects": scene.effects.everywhere()})
+        self.scene = scene.replace({"effects": tried_effects(scene.effects)})
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
         self._progress = Progress(scene.name) if progress is None else progress

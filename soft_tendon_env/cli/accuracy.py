@@ -10,6 +10,7 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy.fidelity import PRESETS, at_fidelity, build_model
 from soft_tendon_env.accuracy.input_motions import HOLD
+from soft_tendon_env.accuracy.loads import tried_effects
 from soft_tendon_env.accuracy.reference import trajectory
 from soft_tendon_env.accuracy.trial import Trial
 from soft_tendon_env.cli.errors import mistakes, writable_folder
@@ -51,8 +52,7 @@ def run(settings: Accuracy) -> None:
     with mistakes():
         scene = settings.changed_scene()
         out = writable_folder(Path(settings.out))
-        # Without obstacles, and without what lies between commands and tensions.
-        scene = scene.replace({"effects": scene.effects.everywhere()})
+        scene = scene.replace({"effects": tried_effects(scene.effects)})
         recommended = None
         if settings.within is not None:
             recommended = at_fidelity(scene, length_text(settings.within))

@@ -80,10 +80,10 @@ def run(settings: Arena) -> None:
     """Play what is missing, print and write."""
     with mistakes():
         require("pictures")
+        check_cluster(settings.cluster)
         out = Path(settings.out)
         cells, notes = settings.cells()
         experiment = Experiment(cells, out / "cells")
-        check_cluster(settings.cluster)
         writable_folder(out)
     episodes = f"{settings.episodes} episodes of {settings.seconds:g} s"
     for note in notes:

@@ -45,13 +45,14 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     folder = Path(out)
     with mistakes():
         require("pictures")
+        # before arms are made, which may take a trial of each
+        check_cluster(settings.cluster)
         files = {task: agents_of(task, policies) for task in tasks}
         arms = {}
         experiments = {}
         for task in tasks:
             arms[task] = comparison.shared_arms(settings, task, files[task])
             experiments[task] = comparison.compare(settings, task, arms[task], folder / "cells")
-        check_cluster(settings.cluster)
         writable_folder(folder)
     from soft_tendon_env.evaluation.pictures import draw_errors
 

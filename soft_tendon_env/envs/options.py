@@ -87,7 +87,10 @@ def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
         settings[name] = getattr(target, name)
     more: dict[str, Any] = {}
     if "of" in settings:
-        more["of"] = [at_difficulty(part, difficulty) for part in settings["of"]]
+        parts = settings["of"]
+        set_parts = [at_difficulty(part, difficulty) for part in parts]
+        if any(after is not before for before, after in zip(parts, set_parts, strict=True)):
+            more["of"] = set_parts
     if isinstance(target, DrawnShapes):
         more = {}
         for name, value in DIFFICULTIES[difficulty].items():
@@ -122,7 +125,8 @@ class Options(Configuration):
         action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times
             the control period, 2 N by default, from those asked for before; "tension" maps it to
             the tension limits.
-        tension_rate: largest rate of change [N/s] of actions that are increments.
+        tension_rate: largest rate of change [N/s] of actions that are increments. For those that
+            are tensions it means nothing: `rate_limit` bounds both.
         rate_limit: largest rate of change [N/s] that the actuators let commands have, whatever
             policy asks for them; None sets no limit, so that actions that are tensions may jump.
             A command that is asked for goes as far towards it in a control period as the limit
@@ -136,17 +140,18 @@ class Options(Configuration):
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of
             observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control
-            periods (1 to 10,000). The default is 0.1 and 0.2 s, or one and two control periods
-            where a period is longer than that.
+            periods (1 to 10,000), in the groups whose names end in `preview`. The default is 0.1
+            and 0.2 s, or one and two control periods where a period is longer than that.
         history: number of past control periods that are observed too, for the groups that describe
             the arm.
         sensors: arc lengths [m] of strain sensors, or their number; then each is in the middle of
-            one of as many equal parts of the rod.
+            one of as many equal parts of the rod. The groups `strain` and `strain_rate` observe
+            them, and estimators measure them whatever is observed.
         reward: weight of each reward term, a number or a table with `weight` and `scale`; None
             takes the task's. Reach takes "sparse" (the default) or "dense".
-        threshold: distance [m] to the goal within which Reach counts as successful; None takes a
-            hundredth of the rod's length. Drawn goals are farther than that from where the tip
-            begins.
+        threshold: distance [m] to the goal within which Reach, or another task with a goal, counts
+            as successful; None takes a hundredth of the rod's length. Drawn goals are farther than
+            that from where the tip begins.
         randomize: domain randomization, parameters that are drawn at every reset.
         tip_speed_limit: tip speed [m/s] above which an episode ends early and counts as diverged;
             None sets no limit. It is for training: a policy that has made the arm oscillate gains
@@ -478,12 +483,25 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     if farthest > length:
         _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
     target = options.target or usual_target(task)
-    leaves_nothing_open = checked_target(None, options, task, scene) is target
+    leaves_nothing_open = checked_target(target, options, task, scene) is target
     if leaves_nothing_open and options.difficulty is not None:
         _fail(
             "difficulty",
             f"is {options.difficulty!r}, and the target {target.type!r} leaves neither fraction nor"
             " knot_period open",
+        )
+    if task.goal is None and options.threshold is not None:
+        _fail(
+            "threshold",
+            f"is {options.threshold:g}, which tasks with a goal have, such as Reach, and"
+            f" {task.name} has none",
+        )
+    describes_arm = any(group.of_arm for group in groups_of(options, task).values())
+    if options.history and not describes_arm:
+        _fail(
+            "history",
+            f"is {options.history}, and the observation has no group that describes the arm:"
+            " no past is observed",
         )
     if options.reward is None:
         return

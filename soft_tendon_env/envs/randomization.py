@@ -85,7 +85,7 @@ class Randomization(Configuration):
             that is added to that of the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
-        noise: deviations of the sensors' noise.
+        noise: deviations of the sensors' noise; of strains where there are strain sensors.
         omit: probability with which an episode leaves out each of the above: a number is as the
             scene says, gains are 1, offsets, latency and noise 0. Without it nearly all arms differ
             in every way.

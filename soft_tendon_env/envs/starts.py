@@ -29,15 +29,17 @@ BANK = 64
 BANK_WITH_OMISSIONS = 4 * BANK
 """Number of arms where arms may lack some of the drawn numbers: there are more combinations."""
 
-REDRAWS = 20
-"""How often an arm of the bank is drawn again that begins inside of drawn obstacles."""
+REDRAWS = 200
+"""How often an arm of the bank is drawn again that obstacles keep from beginning at rest: where one
+draw in 20 can begin, one arm in 30,000 is left without."""
+
+FIRST_REDRAWS = 20
+"""How often the first one is: few, since a draw that cannot begin may take seconds, and ranges of
+which almost none can are to be told of soon."""
 
 DRAWS = 4
 """Numbers that an episode takes from its generator before anything else; the first chooses the
 arm."""
-
-OBSTACLES = "effects.contact.obstacles."
-"""How keys of obstacles begin."""
 
 SOFTNESS = re.compile(r"\.(young_modulus|bending)\b")
 """Names of drawn numbers by which an arm is soft where they are small."""
@@ -97,6 +99,8 @@ class Starts:
         self._usual = Drawn(model, self.q)
         self._ranges = options.randomize.ranges(model.scene)
         self._omit = options.randomize.omit
+        self._size = self._bank_size()
+        self._is_among_obstacles = effects.contact is not None
         self._bank = dict[int, Drawn]()
         self.numbers = dict[int, Mapping[str, float]]()
         self._make_bank()
@@ -107,31 +111,33 @@ class Starts:
     def _make_bank(self) -> None:
         """Look at extreme arms, and make the arms that need no search.
 
-        Extreme are those at an end of every range, and the softest and heaviest one.
+        Extreme are those at an end of every range, and the softest and heaviest one. Among
+        obstacles they say nothing of the rest: there one arm shows that draws can begin.
+
+        Raises ConfigurationError.
         """
+        if not self._ranges:
+            return
         for drawn in self._ranges:
-            for end in {drawn.least, drawn.greatest}:
+            ends = [drawn.least]
+            if drawn.greatest > drawn.least:
+                ends.append(drawn.greatest)
+            for end in ends:
                 self._model_with(drawn.changes(end), drawn.name)
-        self._size = self._bank_size()
-        draws_obstacles = self._draws_obstacles()
-        self._redraws = REDRAWS if draws_obstacles else 0
-        # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
-        if self._ranges and not draws_obstacles:
-            count = len(self._ranges)
-            self._make_arm(np.zeros(count))
-            self._make_arm(np.ones(count))
-            self._make_arm(self._softest_and_heaviest())
+        count = len(self._ranges)
+        for shares in (np.zeros(count), np.ones(count), self._softest_and_heaviest()):
+            changes = self._numbers(shares)
+            model = self._model_with(changes)
+            if not self._is_among_obstacles:
+                _, reason = self._at_rest(model, changes)
+                if reason:
+                    raise _no_rest(1, self.tension, reason, changes)
+        if self._is_among_obstacles:
+            self._arm(0, FIRST_REDRAWS)
         needs_search = self._model.arm.effects.load or self.q.any()
         if not needs_search:
             for number in range(self._size):
                 self._arm(number)
-
-    def _draws_obstacles(self) -> bool:
-        """Whether numbers of obstacles are drawn."""
-        for drawn in self._ranges:
-            if any(key.startswith(OBSTACLES) for key in drawn.keys):
-                return True
-        return False
 
     def _softest_and_heaviest(self) -> Array:
         """Shares (ranges,) of every range, 0 to 1, with which an arm yields most to its weight."""
@@ -177,8 +183,8 @@ class Starts:
             shares_of_rows.append(shares)
         return np.array(shares_of_rows)
 
-    def _arm(self, number: int) -> Drawn:
-        """The arm of that number.
+    def _arm(self, number: int, redraws: int = REDRAWS) -> Drawn:
+        """The arm of that number, drawn again at most so often.
 
         Raises ConfigurationError.
         """
@@ -186,49 +192,48 @@ class Starts:
             return self._usual
         if number not in self._bank:
             generator = np.random.default_rng([BANK, number])
-            self._bank[number] = self._draw_arm(generator)
+            self._bank[number] = self._draw_arm(generator, redraws)
         return self._bank[number]
 
-    def _draw_arm(self, random: np.random.Generator) -> Drawn:
-        """An arm with random numbers, drawn again while it begins inside of a drawn obstacle.
+    def _draw_arm(self, random: np.random.Generator, redraws: int) -> Drawn:
+        """An arm with random numbers, drawn again while obstacles keep it from beginning at rest.
 
-        Raises ConfigurationError where the last draw fails too.
+        Raises ConfigurationError where the last draw cannot begin either.
         """
-        left = self._redraws
-        while True:
+        draws = 1
+        if self._is_among_obstacles:
+            draws += redraws
+        for _ in range(draws):
             shares = random.random(len(self._ranges))
             omitted = None
             if self._omit:
                 omitted = random.random(shares.size) < self._omit
-            try:
-                return self._make_arm(shares, omitted)
-            except ConfigurationError:
-                if left == 0:
-                    raise
-                left -= 1
+            changes = self._numbers(shares, omitted)
+            model = self._model_with(changes)
+            arm, reason = self._at_rest(model, changes)
+            if not reason:
+                return arm
+        raise _no_rest(draws, self.tension, reason, changes)
 
-    def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
-        """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones.
-
-        Raises ConfigurationError.
-        """
-        changes: dict[str, float] = {}
+    def _numbers(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> dict[str, float]:
+        """Numbers of the scene so far, 0 to 1, between the ends of every range but omitted ones."""
+        numbers: dict[str, float] = {}
         for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
                 width = drawn.greatest - drawn.least
                 number = drawn.least + width * float(shares[i])
-                changes |= drawn.changes(number)
-        model = self._model_with(changes)
+                numbers |= drawn.changes(number)
+        return numbers
+
+    def _at_rest(self, model: Model, numbers: Mapping[str, float]) -> tuple[Drawn, str]:
+        """The arm of a model with these numbers, at rest; also why it cannot begin, "": it can."""
         is_loaded = model.arm.effects.load or self.tension.any()
-        # drawn obstacles may be where the arm rests
-        rests_as_usual = not is_loaded and not self._redraws
+        # obstacles, or a base that is drawn, may be where the arm rests
+        rests_as_usual = not is_loaded and not self._is_among_obstacles
         if rests_as_usual:
-            return Drawn(model, self.q, changes)
+            return Drawn(model, self.q, numbers), ""
         q, reason = self._settle(model)
-        if reason:
-            why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
-            raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
-        return Drawn(model, q, changes)
+        return Drawn(model, q, numbers), reason
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
         """The model with these numbers of the scene, which the range of that key draws.
@@ -262,6 +267,17 @@ class Starts:
 def _listed(numbers: Mapping[str, float]) -> str:
     """Numbers by their keys, as messages list them."""
     return ", ".join(f"{key} {value:.4g}" for key, value in numbers.items())
+
+
+def _no_rest(
+    draws: int, tension: Array, reason: str, numbers: Mapping[str, float]
+) -> ConfigurationError:
+    """Error of draws none of which can begin, with the numbers of the last and why it cannot."""
+    kind = "can make arms that"
+    if draws > 1:
+        kind = f"makes arms of which {draws} in a row"
+    cannot = f"cannot begin at rest, under {shown_numbers(tension)} N: {reason}"
+    return _problem(("randomize",), f"{kind} {cannot}: {_listed(numbers)}")
 
 
 def _problem(key: Key, text: str) -> ConfigurationError:

@@ -21,7 +21,14 @@ from soft_tendon_env.accuracy.input_motions import (
     tension_limits,
 )
 from soft_tendon_env.accuracy.kept_trials import choose, trial_digest
-from soft_tendon_env.accuracy.loads import REACH, covers, load_cases, reaches, scaled_effects
+from soft_tendon_env.accuracy.loads import (
+    REACH,
+    covers,
+    load_cases,
+    reaches,
+    scaled_effects,
+    tried_effects,
+)
 from soft_tendon_env.accuracy.progress import Progress
 from soft_tendon_env.accuracy.reference import (
     CONVERGING,
@@ -40,7 +47,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
-from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools import files
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -652,6 +659,73 @@ def test_a_motion_that_is_not_certain_is_tried_with_smaller_tensions(monkeypatch
     assert trial.share == 0.25
     (motion,) = [test for test in trial.tests if not test.reference.is_equilibrium]
     np.testing.assert_allclose(motion.tensions, 0.25 * usual)
+
+
+def test_trials_have_the_friction_of_tendons_and_nothing_else_of_actuation():
+    friction = {"coefficient": 0.3, "stiction_speed": 1e-5}
+    springs = {"stiffness": 5e3, "displacement_limits": [-0.1, 0.1], "strength": 10.0}
+    changes = {"effects.tendon_friction": friction, "effects.tendon_elasticity": springs}
+    effects = SHIPPED.replace(changes).effects
+    assert [*tried_effects(effects).chosen()] == ["tendon_friction"]
+    assert covers(tried_effects(effects), effects)
+    other = SHIPPED.replace({"effects.tendon_friction": {**friction, "coefficient": 0.4}}).effects
+    assert not covers(tried_effects(effects), other)
+    assert not covers(Effects(), effects)
+    without = SHIPPED.replace({"effects.tendon_friction": {**friction, "coefficient": 0.0}}).effects
+    assert not tried_effects(without).chosen()
+    assert covers(Effects(), without)
+
+
+@pytest.mark.parametrize(("coefficient", "is_tried"), [(0.0, False), (0.05, False), (0.5, True)])
+def test_errors_of_shipped_fields_hold_for_light_friction(monkeypatch, coefficient, is_tried):
+    tried = []
+    choice = Choice({"type": "statics_based"}, {"least": 6}, {}, 3, 1e-4)
+
+    def choose(scene, asked, least=0):
+        tried.append(scene)
+        return choice
+
+    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", choose)
+    rubbing = SHIPPED.replace({"effects.tendon_friction.coefficient": coefficient})
+    at_fidelity(rubbing, "fast")
+    assert bool(tried) == is_tried
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coefficient", [0.6, 1.0])
+def test_presets_keep_their_promise_where_rubbing_tendons_are_let_out(coefficient):
+    """A bent guide that is pulled and released, against explicit strain."""
+    strains = {"strains": [*STRAINS], "order": 7, "span": "piece"}
+    part = {
+        "length": 0.15,
+        "young_modulus": 1e6,
+        "poisson_ratio": 0.45,
+        "density": 1000.0,
+        "damping": 2e4,
+        "radius": 0.01,
+        "curvature": [0.0, 0.0, 6.0],
+    }
+    tendon = {
+        "routing": {"type": "straight", "offset": [0.008, 0.0]},
+        "tension_limits": [0.0, 1.6],
+    }
+    scene = Scene.model_validate(
+        {
+            "name": "guide",
+            "segments": [part, part],
+            "tendons": [tendon],
+            "effects": {"tendon_friction": {"coefficient": coefficient}},
+        }
+    )
+    exact = scene.replace(
+        {"strain": {"type": "explicit", "modes": [strains]}, "quadrature.intervals": 12}
+    )
+    rises = np.linspace(0.0, 1.4, 60)[:, None]
+    tensions = np.concatenate([rises, rises[:20:-1]])
+    tips = tip_path(build_model(exact), tensions)
+    for preset in ("fast", "standard"):
+        path = tip_path(build_model(at_fidelity(scene, preset)), tensions)
+        assert distance(path, tips) <= PRESETS[preset].share * rod_length(scene), preset
 
 
 @pytest.mark.slow

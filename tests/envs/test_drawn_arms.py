@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from soft_tendon_env import ConfigurationError, Simulation, static_equilibrium
+from soft_tendon_env import ConfigurationError, Simulation, load_scene, static_equilibrium
 from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.contacts import why_inside
 from soft_tendon_env.envs.starts import BANK
@@ -228,18 +228,51 @@ def test_other_keys_that_cannot_be_drawn_are_refused(changes, ranges, message):
         TipPoseEnv(scene={"scene": "three_tendon", **changes}, fidelity="fast", randomize=ranges)
 
 
-def test_arms_rest_beside_drawn_obstacles():
-    ball = {"type": "sphere", "position": [0.25, 0.06, 0.0], "radius": 0.03}
-    ranges = {"effects.contact.obstacles.0.position": [0.25, [0.0, 0.06], 0.0]}
+PILLAR = {"type": "sphere", "position": [0.01, 0.06, 0.0], "radius": 0.03}
+BLOCKED = {
+    "obstacles": (PILLAR, {"effects.contact.obstacles.0.position": [0.01, [0.045, 0.06], 0.0]}),
+    "base": (PILLAR, {"base.position": [0.0, [0.015, 0.03], 0.0]}),
+}
+
+
+@pytest.mark.parametrize("drawn", BLOCKED)
+def test_draws_that_obstacles_keep_from_resting_are_drawn_anew(drawn):
+    obstacle, ranges = BLOCKED[drawn]
     env = TipPoseEnv(
-        scene={"scene": "three_tendon", "effects.contact.obstacles": [ball]},
-        fidelity="fast",
+        scene={"scene": "three_tendon", "effects.contact.obstacles": [obstacle]},
+        fidelity="scene",
         randomize=ranges,
     )
-    places = []
-    for seed in range(4):
-        env.reset(seed=seed)
+    drawn_numbers = set()
+    for seed in range(6):
+        info = env.reset(seed=seed)[1]
         model = env.episodes.arms.model_of(0)
-        places.append(model.scene.effects.contact.obstacles[0].position[1])
         assert why_inside(model, env.episodes.arms.rows.q[0]) == ""
-    assert len({*places}) > 1
+        drawn_numbers.add(tuple(info["drawn"].values()))
+    # more than half of the draws would begin in the pillar
+    assert len(drawn_numbers) > 1
+
+
+def test_ranges_may_have_ends_at_which_gravity_bends_the_arm_into_an_obstacle():
+    scene = {"scene": "paper_among_obstacles", "effects.gravity.acceleration": [0.0, 0.0, 0.0]}
+    ranges = {"stiffness": [0.78, 1.22], "effects.gravity.acceleration": [[-5.7, 5.7]] * 3}
+    softest = {
+        "segments.0.young_modulus": 0.78e6,
+        "effects.gravity.acceleration": [-5.7, -5.7, -5.7],
+    }
+    model = build_model(load_scene("paper_among_obstacles").replace(softest))
+    rest = static_equilibrium(model, np.zeros(10), settle=True)
+    assert "a box" in why_inside(model, rest.q)
+    env = TipPoseEnv(scene=scene, fidelity="scene", randomize=ranges)
+    env.reset(seed=0)
+    assert why_inside(env.episodes.arms.model_of(0), env.episodes.arms.rows.q[0]) == ""
+
+
+def test_ranges_whose_draws_obstacles_never_let_rest_are_refused():
+    ranges = {"base.position": [0.0, [0.03, 0.032], 0.0]}
+    with pytest.raises(ConfigurationError, match=r"21 in a row cannot begin at rest.* a sphere"):
+        TipPoseEnv(
+            scene={"scene": "three_tendon", "effects.contact.obstacles": [PILLAR]},
+            fidelity="scene",
+            randomize=ranges,
+        )

@@ -140,6 +140,22 @@ BAD = [
     (TipPoseEnv, {"preview": 0.1}, r"preview is 0.1: it should be a list of times .*: \[0.1\]"),
     (TipPoseEnv, {"preview": 2}, r"preview is 2: it should be a list of times ahead .*: \[2\]"),
     (TipPoseEnv, {"threshold": 1e-300}, "threshold is 1e-300"),
+    (TipPoseEnv, {"threshold": 0.01}, "threshold is 0.01, which tasks with a goal have"),
+    (
+        TipPoseEnv,
+        {"history": 2, "observation": ["target_error"]},
+        "history is 2, and the observation has no group that describes the arm",
+    ),
+    (
+        TipPoseEnv,
+        {"target": {"type": "hold", "tension": [1.0] * 3, "fraction": 0.5}},
+        r"target\.fraction is 0\.5, and nothing is drawn: leave it out",
+    ),
+    (
+        ReachEnv,
+        {"target": {"type": "hold", "position": [0.2, 0.1, 0.0], "fraction": [0.1, 0.2]}},
+        r"target\.fraction is \[0\.1, 0\.2\], and nothing is drawn",
+    ),
     (TipPoseEnv, {"rate_limit": 0.0}, "rate_limit is 0.0"),
     (
         TipPoseEnv,

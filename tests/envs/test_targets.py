@@ -4,13 +4,24 @@ can hold."""
 import itertools
 import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env import load_scene
+from soft_tendon_env.envs import (
+    TASKS,
+    Options,
+    ReachEnv,
+    ShapeEnv,
+    ShapeVectorEnv,
+    TipPoseEnv,
+    TipPoseVectorEnv,
+)
+from soft_tendon_env.envs.options import check_fit
 from soft_tendon_env.envs.targets.file import FileCourse, TargetWarning
 from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.envs.trajectories import BANK
@@ -163,6 +174,12 @@ DIFFICULT = [
         "the target 'hold' leaves neither",
     ),
     (TipPoseEnv, "hard", {"type": "steps", "fraction": 0.1}, "the target 'steps' leaves neither"),
+    (
+        TipPoseEnv,
+        "hard",
+        {"type": "either", "of": ["circle", {"type": "steps", "fraction": 0.1}]},
+        "the target 'either' leaves neither",
+    ),
     (TipPoseEnv, "hrad", None, "difficulty is 'hrad': it should be 'easy', 'medium' or 'hard'"),
 ]
 
@@ -181,6 +198,15 @@ def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target,
     env.set_target(
         "circle" if kind is TipPoseEnv else "hold"
     )  # of which it sets nothing, or what it sets of others
+
+
+def test_a_difficulty_that_sets_nothing_of_a_tasks_own_target_is_refused():
+    options = Options(**SMALL, difficulty="hard")
+    scene = load_scene("three_tendon")
+    check_fit(options, TASKS["TipPose"], scene)
+    task = replace(TASKS["TipPose"], target="circle")
+    with pytest.raises(ConfigurationError, match="the target 'circle' leaves neither"):
+        check_fit(options, task, scene)
 
 
 @pytest.mark.parametrize("limits", [None, [-2.0, 4.0], [1.0, 4.0]])

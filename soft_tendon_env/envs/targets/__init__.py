@@ -8,17 +8,17 @@ whatever other times are asked for with it. `examples/own_target.py` is one from
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
 from soft_tendon_env.tools.registry import TableRegistry
 from soft_tendon_env.tools.types import Array
 
@@ -230,6 +230,14 @@ class GivenShapes(DrawnShapes):
     """Base of targets that are shapes at rest under a `tension` (n_a) [N], or else random ones."""
 
     tension: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _fraction_is_drawn_from(self) -> Self:
+        usual = type(self).model_fields["fraction"].default
+        if not self.is_random and self.fraction != usual:
+            text = f"is {shown(self.fraction)}, and nothing is drawn: leave it out"
+            raise ConfigurationError([Problem(("fraction",), text)])
+        return self
 
     @property
     def is_random(self) -> bool:
