@@ -36,7 +36,9 @@ class TrialInput(NamedTuple):
     def bound(self) -> float:
         """Bound of the reference's error [m] as far as it is certain."""
         errors = self.reference.errors
-        return float(errors[self.rows]) if self.rows < len(errors) else np.inf
+        if self.rows < len(errors):
+            return float(errors[self.rows])
+        return np.inf
 
     def distance(self, path: Array | None) -> float:
         """Largest distance [m] of a path from the reference as far as that is certain."""

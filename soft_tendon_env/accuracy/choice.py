@@ -79,7 +79,10 @@ class Choice(NamedTuple):
         """
         changed = scene.replace({"strain": strain})
         has_fields = "fields" in strain.get("passive", ())
-        order = SMOOTH_FIELDS if has_fields else changed.strain.highest_order
+        if has_fields:
+            order = SMOOTH_FIELDS
+        else:
+            order = changed.strain.highest_order
 
         # as many along the rod, whatever its pieces
         spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
@@ -134,7 +137,10 @@ class Choice(NamedTuple):
             seconds, bound = known[-1]
             parts.append(f"{100 * bound:.2g} % after {seconds:.2g} s")
         if len(known) < len(self.growth):
-            last = known[-1][0] if known else 0.0
+            if known:
+                last = known[-1][0]
+            else:
+                last = 0.0
             parts.append(f"not known after {last:.2g} s")
         return ", ".join(parts)
 
@@ -170,5 +176,8 @@ def describe_strain(strain: dict[str, Any]) -> str:
     kind = "explicit strain"
     if "modes" not in strain:
         kind = f"passive {', '.join(first['strains'])}"
-    span = "the rod" if first["span"] == "rod" else "each part"
+    if first["span"] == "rod":
+        span = "the rod"
+    else:
+        span = "each part"
     return f"{kind} up to order {first['order']} over {span}"

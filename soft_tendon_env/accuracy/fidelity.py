@@ -120,7 +120,9 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     if fidelity is None and not is_strain_open:
         return _with_open_parts(scene, _parts_without_strain(scene, DEFAULT))
     parts = _parts(scene, fidelity or DEFAULT)
-    return _with_open_parts(scene, parts) if fidelity is None else scene.replace(parts)
+    if fidelity is None:
+        return _with_open_parts(scene, parts)
+    return scene.replace(parts)
 
 
 def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
@@ -175,7 +177,9 @@ def _chosen(scene: Scene, asked: Accuracy, fidelity: str) -> Choice:
     coarser = _chosen(scene, PRESETS[name], name)
     if choice.coordinates < coarser.coordinates:
         choice = choose(scene, asked, coarser.coordinates)
-    return choice if choice.error <= coarser.error else coarser
+    if choice.error <= coarser.error:
+        return choice
+    return coarser
 
 
 def _is_within(choice: Choice, asked: Accuracy, scene: Scene) -> bool:

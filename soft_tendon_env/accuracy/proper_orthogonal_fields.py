@@ -162,7 +162,10 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
             return None
         # the first sample is the same in all motions
         wrenches = residual_wrenches(model, motion.q[1:])
-        weight = WILD if run.kind == "wild" else 1.0
+        if run.kind == "wild":
+            weight = WILD
+        else:
+            weight = 1.0
         return weight * wrenches.reshape(len(wrenches), -1)
 
     runs = [Run(kind, number) for number in range(RUNS) for kind in TRAINED]

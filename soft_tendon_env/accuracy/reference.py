@@ -98,7 +98,10 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
 
     start: where it begins, if `start_at_rest` is known.
     """
-    beginning = start_at_rest(model) if start is None else start
+    if start is None:
+        beginning = start_at_rest(model)
+    else:
+        beginning = start
     if beginning is None:
         return None
     try:
@@ -115,7 +118,10 @@ def pieces(model: Model, tensions: Array, start: State | None) -> Iterator[Traje
     state = start
     for begin in range(0, len(tensions), PIECE):
         rows = tensions[begin : begin + PIECE]
-        motion = None if state is None else trajectory(model, rows, state)
+        if state is None:
+            motion = None
+        else:
+            motion = trajectory(model, rows, state)
         if motion is None:
             return
         yield motion
@@ -126,7 +132,9 @@ def continued(tips: Array | None, piece: Trajectory) -> Array:
     """Positions of the tip (samples, 3) [m] with those of the next piece of its motion."""
     positions = piece.tip_pose[:, :3, 3]
     # a piece begins with the last sample of the one before
-    return positions if tips is None else np.concatenate([tips, positions[1:]])
+    if tips is None:
+        return positions
+    return np.concatenate([tips, positions[1:]])
 
 
 def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
@@ -136,9 +144,13 @@ def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array
     """
     if tensions.ndim == 1:
         rest = static_equilibrium(model, tensions)
-        return rest.tip_pose[None, :3, 3] if rest.converged else None
+        if not rest.converged:
+            return None
+        return rest.tip_pose[None, :3, 3]
     motion = trajectory(model, tensions, start)
-    return None if motion is None else motion.tip_pose[:, :3, 3]
+    if motion is None:
+        return None
+    return motion.tip_pose[:, :3, 3]
 
 
 def distance(path: Array | None, reference: Array | None) -> float:
@@ -167,7 +179,9 @@ class Ladder:
         while len(self._rungs) <= depth:
             # the next one starts its equilibria from those of the last
             count = len(self._rungs)
-            coarser = self._rungs[-1] if count else None
+            coarser = None
+            if count:
+                coarser = self._rungs[-1]
             level = LEVELS[count]
             steps = step_tolerance(self.scene, level, self.tolerance)
             model = reference_model(self.scene, level, steps)
@@ -200,7 +214,10 @@ class Rung:
     @cached_property
     def slack_rest(self) -> Array | None:
         """Coordinates (n,) of a slowly loaded arm with slack tendons; None: it falls over first."""
-        coarse = None if self.coarser is None else self.coarser.slack_rest
+        if self.coarser is None:
+            coarse = None
+        else:
+            coarse = self.coarser.slack_rest
         return self.rest(slack_tensions(self.model.scene), coarse)
 
     @cached_property
@@ -282,13 +299,18 @@ class ReferenceMotion:
     @property
     def is_whole(self) -> bool:
         """Whether the motion is known to its end."""
-        samples = 1 if self.is_equilibrium else len(self.tensions) + 1
+        if self.is_equilibrium:
+            samples = 1
+        else:
+            samples = len(self.tensions) + 1
         return self.tips is not None and len(self.tips) == samples
 
     @property
     def error(self) -> float:
         """Bound of the tips' error [m]; inf where the motion is not known to its end."""
-        return float(self.errors[-1]) if self.is_whole else np.inf
+        if self.is_whole:
+            return float(self.errors[-1])
+        return np.inf
 
     def rows_within(self, error: float) -> int:
         """Rows of tensions through which the tips' error is at most so large [m]."""
@@ -302,7 +324,10 @@ class ReferenceMotion:
 
     def size_at(self, depth: int) -> float:
         """Expected cost of a level, in units that are the same for all inputs."""
-        rows = REST_ROWS if self.is_equilibrium else len(self.tensions)
+        if self.is_equilibrium:
+            rows = REST_ROWS
+        else:
+            rows = len(self.tensions)
         return rows * self.ladder.rung(depth).model.coordinate_count ** 2.0
 
     def refine(self) -> None:
@@ -317,7 +342,10 @@ class ReferenceMotion:
     def _refine_rest(self, rung: Rung) -> None:
         before = self.tips
         self._q = rung.rest(self.tensions, self._q)
-        self.tips = None if self._q is None else rung.model.tip_pose(self._q)[None, :3, 3]
+        if self._q is None:
+            self.tips = None
+        else:
+            self.tips = rung.model.tip_pose(self._q)[None, :3, 3]
         self.errors = np.full(1, np.inf)
         # the first level has nothing that it could be compared with
         if before is not None:

@@ -122,7 +122,10 @@ class Trial:
         self.scene = scene.replace({"effects": scene.effects.everywhere()})
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
-        self._progress = Progress(scene.name) if progress is None else progress
+        if progress is None:
+            self._progress = Progress(scene.name)
+        else:
+            self._progress = progress
         everything = self._inputs()
         self.inputs = len(everything)
         self.missing = 0
@@ -151,7 +154,9 @@ class Trial:
             loaded = self.scene.replace({"effects": effects})
             ladders.append(Ladder(loaded, REFERENCE * self.unit))
 
-        turns = TURNS if len(self.cases) > 1 else (OWN,)
+        turns: tuple[int, ...] = (OWN,)
+        if len(self.cases) > 1:
+            turns = TURNS
         inputs = []
         for group in (rests, motions):
             for place, tensions in enumerate(group):
@@ -213,7 +218,9 @@ class Trial:
 
     def _certain_rows(self, reference: ReferenceMotion) -> int:
         """Rows of tensions through which a reference can be judged by."""
-        return 0 if reference.is_equilibrium else reference.rows_within(CERTAIN * self.unit)
+        if reference.is_equilibrium:
+            return 0
+        return reference.rows_within(CERTAIN * self.unit)
 
     def _is_certain(self, reference: ReferenceMotion) -> bool:
         """Whether a motion is certain for long enough."""
@@ -244,7 +251,10 @@ class Trial:
 
     def _can_judge(self, motion: ReferenceMotion) -> bool:
         """Whether a model could be within what is asked for by this reference, to its end."""
-        part = 1.0 / MARGIN if motion.is_equilibrium else CERTAIN
+        if motion.is_equilibrium:
+            part = 1.0 / MARGIN
+        else:
+            part = CERTAIN
         return motion.error <= part * self.unit
 
     def _refine(self, motions: list[ReferenceMotion]) -> None:
@@ -264,7 +274,10 @@ class Trial:
         models = CaseModels(self.cases, model)
         worst = 0.0 if self.tests else np.inf
         for test in list(self.tests):
-            enough = self._enough(test) if is_bounded else np.inf
+            if is_bounded:
+                enough = self._enough(test)
+            else:
+                enough = np.inf
             path = models.path(test, enough + test.bound)
             self._decide(test, path, enough)
             error = test.bound
@@ -283,7 +296,10 @@ class Trial:
 
     def _enough(self, test: TrialInput) -> float:
         """Largest distance [m] of a tip that is near enough."""
-        margin = LARGER_LOADS_MARGIN if test.case == GREATEST else MARGIN
+        if test.case == GREATEST:
+            margin = LARGER_LOADS_MARGIN
+        else:
+            margin = MARGIN
         return self.unit / margin
 
     def _decide(self, test: TrialInput, path: Array | None, enough: float) -> None:

@@ -116,5 +116,8 @@ def run(settings: Arena) -> None:
 def _hours(cell: Cell) -> float:
     """Time [h] that a cell is expected to take a core."""
     policy = PolicyName.parse(cell.policy, cell.task)
-    pace = CONTROLLER_PACE if isinstance(policy, Controller) else AGENT_PACE
+    if isinstance(policy, Controller):
+        pace = CONTROLLER_PACE
+    else:
+        pace = AGENT_PACE
     return len(cell.seeds) * cell.seconds * pace / 3600.0

@@ -86,7 +86,9 @@ def library_version(name: str) -> str:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return f"not installed: {install_command(OPTIONAL[name])}"
-    return f"{version}, {torch_build()}" if name == "torch" else version
+    if name == "torch":
+        return f"{version}, {torch_build()}"
+    return version
 
 
 def torch_build() -> str:

@@ -88,7 +88,10 @@ def export_arm(settings: Export) -> None:
         scene = load_scene(settings.agent_or_scene)
         path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
         writable_folder(path.parent)
-    links = LINKS if settings.links is None else settings.links
+    if settings.links is None:
+        links = LINKS
+    else:
+        links = settings.links
     mujoco_chain(scene, links).write(path, encoding="utf-8")
     left_out = ", ".join(exportable(scene)[1]) or "nothing"
     print(f"written: {path} ({links} links)\nleft out: {left_out}\n")
@@ -120,7 +123,10 @@ def export_policy(settings: Export) -> None:
     """Write the agent as ONNX and compare it with the original. Raises UserError where the file is
     another policy."""
     name = settings.agent_or_scene
-    task = TIP_POSE if settings.task is None else settings.task
+    if settings.task is None:
+        task = TIP_POSE
+    else:
+        task = settings.task
     path = Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")

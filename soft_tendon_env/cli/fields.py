@@ -50,7 +50,10 @@ def run(settings: Fields) -> None:
                 f" {scene.name}{SUFFIX}"
             )
     fields = make_passive_fields(scene)
-    path = fields_path(scene) if out is None else Path(out)
+    if out is None:
+        path = fields_path(scene)
+    else:
+        path = Path(out)
     fields.save(path)
     without_fields = {
         "type": "statics_based",
@@ -66,7 +69,10 @@ def run(settings: Fields) -> None:
     if count is None:
         print("\nno number of fields is enough")
         return
-    file = "" if out is None else f', file = "{path.name}"'
+    if out is None:
+        file = ""
+    else:
+        file = f', file = "{path.name}"'
     entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
     print(f"\nIn the scene, under [strain]: {entry}")
 
@@ -76,7 +82,10 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [measured_number(1e3 * fields.errors[kind][i]) for kind in USUAL]
-        singular_value = f"{fields.singular_values[count - 1]:.2g}" if count else "-"
+        if count:
+            singular_value = f"{fields.singular_values[count - 1]:.2g}"
+        else:
+            singular_value = "-"
         rows.append((str(bare + count), str(count), singular_value, *errors))
     intro = (
         f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a"

@@ -64,7 +64,9 @@ class ArmSettings(Configuration):
         """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
         scene = load_scene(self.scene)
         with from_set():
-            return scene.replace(parsed_changes(self.set)) if self.set else scene
+            if self.set:
+                return scene.replace(parsed_changes(self.set))
+            return scene
 
 
 @contextmanager
@@ -224,7 +226,10 @@ def _check_keys(command: str, kind: type[Configuration], unknown: Sequence[str])
         if get_close_matches(f"--{name.replace('_', '-')}", flags, cutoff=SIMILAR):
             continue
         if not value:
-            value = unknown[i + 1] if i + 1 < len(unknown) else "VALUE"
+            if i + 1 < len(unknown):
+                value = unknown[i + 1]
+            else:
+                value = "VALUE"
         key = name.replace("-", "_")
         raise Mistake(
             f"--{name} is no option of {command}: for a key of that name write --set {key}={value}"
@@ -244,7 +249,10 @@ def _as_given(kind: type[Configuration], key: Key, arguments: Sequence[str]) -> 
         else:
             option = "--set"
     # A position follows its option as it is: --policies[1].
-    separator = ": " if rest and isinstance(rest[0], str) else ""
+    if rest and isinstance(rest[0], str):
+        separator = ": "
+    else:
+        separator = ""
     return f"{option}{separator}{dotted(rest)}"
 
 

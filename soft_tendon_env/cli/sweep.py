@@ -80,7 +80,10 @@ def run(settings: Sweep) -> None:
         if settings.cluster:
             extras.append("rllib")
         require(*extras)
-        jobs = [] if settings.only_plot else settings.jobs()
+        if settings.only_plot:
+            jobs = []
+        else:
+            jobs = settings.jobs()
         writable_folder(Path(settings.out))
         from soft_tendon_env.learning.curves import show_curves
 

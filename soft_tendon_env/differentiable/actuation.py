@@ -118,4 +118,6 @@ class TensorActuation:
 
 def _tensor(values: Any) -> Any:
     """A tensor with a copy of an array; None of None."""
-    return None if values is None else torch.tensor(values)
+    if values is None:
+        return None
+    return torch.tensor(values)

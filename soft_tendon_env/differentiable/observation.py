@@ -1,6 +1,6 @@
 """Observations in PyTorch: the groups of the environments, on tensors in place of arrays."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -77,7 +77,9 @@ class TensorObservation:
         """
         groups = self._episodes.layout.groups
         # a group that uses NumPy does so from its first values on
-        watch = nullcontext() if self._is_tried else _NoArrays()
+        watch: AbstractContextManager[Any] = _NoArrays()
+        if self._is_tried:
+            watch = nullcontext()
         with watch:
             parts = [_tensor_values(name, group, observed) for name, group in groups.items()]
         self._is_tried = True

@@ -121,7 +121,10 @@ def _shades(kind: str, share: float) -> Iterator[RGB]:
 
     They are in the order in which they are taken.
     """
-    colour = LEARNED[kind] if kind in LEARNED else MODEL_BASED[kind]
+    if kind in LEARNED:
+        colour = LEARNED[kind]
+    else:
+        colour = MODEL_BASED[kind]
     for sibling in SIBLINGS:
         lightness = share * sibling
         # no lightness is changed by way of HLS that need not be: its numbers are rounded

@@ -207,7 +207,10 @@ class ArmRenderer:
             position = picture.target_pose[:3, 3]
             positions = position[None]
             # a point has no axes
-            directions = picture.target_pose[:3, :3].T if picture.has_axes else nothing
+            if picture.has_axes:
+                directions = picture.target_pose[:3, :3].T
+            else:
+                directions = nothing
             length = AXES * self._model.length
             for direction in directions:
                 end = position + length * direction

@@ -176,7 +176,9 @@ def surface(
 
 def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
     """Obstacles of a scene's effects."""
-    return () if effects.contact is None else tuple(effects.contact.obstacles)
+    if effects.contact is None:
+        return ()
+    return tuple(effects.contact.obstacles)
 
 
 def _square() -> Array:

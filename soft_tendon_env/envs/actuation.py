@@ -152,7 +152,9 @@ class Actuation:
         # a command that comes within a period shares it with the one before
         whole, _ = whole_periods(latency, period)
         self._kept = whole + 2
-        self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
+        self.in_transit = None
+        if latency:
+            self.in_transit = np.tile(start, (rows, self._kept, 1))
         self._periods_late = np.zeros(rows, dtype=np.int64)
         self._durations = np.tile([0.0, period], (rows, 1))
 

@@ -153,7 +153,10 @@ class Arms:
         else:
             tape.material[members] = self._changes[members]
         rows = self._batch
-        scheme = self._scheme if begins else self._goes_on
+        if begins:
+            scheme = self._scheme
+        else:
+            scheme = self._goes_on
 
         def step(part: Indices, scratch: Scratch) -> None:
             batch.step_rows(
@@ -413,7 +416,9 @@ class Arms:
         if self._pool is None:
             return None
         process, pool = self._pool
-        return pool if process == os.getpid() else None
+        if process != os.getpid():
+            return None
+        return pool
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None, "_adjoint_memory": None}

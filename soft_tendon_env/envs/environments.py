@@ -462,7 +462,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         final_info: dict[str, Any] = {}
         for key, value in info.items():
             is_mask = key.startswith("_")
-            final_info[key] = value & ended if is_mask else value
+            if is_mask:
+                final_info[key] = value & ended
+            else:
+                final_info[key] = value
         self._begin(begun)
         new_info = self._info(~ended)
         new_info["final_obs"] = final_obs
@@ -478,7 +481,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         masks = {}
         for name in info:
             is_reward = name.startswith("reward_")
-            masks[f"_{name}"] = stepped if is_reward else everywhere
+            if is_reward:
+                masks[f"_{name}"] = stepped
+            else:
+                masks[f"_{name}"] = everywhere
         return info | masks
 
     def _drawn(self, begun: Indices) -> dict[str, Any]:
@@ -555,7 +561,9 @@ class GoalRewards(EpisodesEnv):
             ValueError: for other shapes.
         """
         reward = self.episodes.goal_reward(achieved_goal, desired_goal)
-        return float(reward) if reward.ndim == 0 else reward
+        if reward.ndim == 0:
+            return float(reward)
+        return reward
 
 
 class TipPoseEnv(TendonRodEnv):
@@ -608,7 +616,9 @@ def _make_classes(name: str, task: Task) -> None:
         present = classes.get(name + suffix)
         if present is not None and present.task is task:
             continue
-        bases = (GoalRewards, base) if task.goal else (base,)
+        bases: tuple[type, ...] = (base,)
+        if task.goal:
+            bases = (GoalRewards, base)
         attributes = {"task": task, "__doc__": doc, "__module__": __name__}
         classes[name + suffix] = type(name + suffix, bases, attributes)
 

@@ -141,7 +141,10 @@ class Targets:
         self.ahead = period * np.array(ahead, dtype=np.float64)
         self.trajectories = TargetTrajectories(arms, period, ahead, task.shapes)
         # goals are drawn away from where the tip begins
-        away = options.threshold_of(arms.model.length) if task.goal else 0.0
+        if task.goal:
+            away = options.threshold_of(arms.model.length)
+        else:
+            away = 0.0
         self.draws = TargetDraws(setting, self.trajectories, period, away)
         self.generators = dict[int, np.random.Generator]()
         usual = Beginning(self.settled(None))
@@ -574,7 +577,10 @@ class Episodes:
             begins=durations is None,
         )
         applied = commands[:, -1]
-        tension = self.arms.reading.tension.copy() if self._transmits else applied
+        if self._transmits:
+            tension = self.arms.reading.tension.copy()
+        else:
+            tension = applied
         now = LastPeriod(tension, applied, action, action - self._last.action)
         if members.size == self.size:
             self.step_count += 1

@@ -79,7 +79,10 @@ def _quantities(options: Options, arm: ArmScales) -> Iterator[OptionQuantity]:
     yield OptionQuantity("period", "control_period", period, period)
     longest = max(options.preview, default=0.0)
     # a few slow control periods ahead may be long
-    share = longest if longest > 10.0 * period else 0.0
+    if longest > 10.0 * period:
+        share = longest
+    else:
+        share = 0.0
     yield OptionQuantity("preview", "preview", longest, share)
     drawn = options.randomize
     latency = drawn.latency[1]

@@ -198,7 +198,9 @@ class Options(Configuration):
                 "should be the name of a shipped scene, the path of a TOML file, a Scene, or a"
                 " table as of scene_to_dict"
             )
-        return scene_to_dict(scene) if isinstance(scene, Scene) else scene
+        if isinstance(scene, Scene):
+            return scene_to_dict(scene)
+        return scene
 
     @field_validator("preview", mode="before")
     @classmethod
@@ -210,7 +212,9 @@ class Options(Configuration):
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
-        return weights_of(reward) if isinstance(reward, dict) else reward
+        if isinstance(reward, dict):
+            return weights_of(reward)
+        return reward
 
     def sensor_places(self, scene: Scene) -> Array:
         """Returns the arc lengths of the strain sensors.
@@ -415,7 +419,9 @@ def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
     except ConfigurationError:
         # an end that cannot be is told with its key, when the arms are drawn
         return None
-    return columns if columns != extrapolation_columns(scene) else None
+    if columns == extrapolation_columns(scene):
+        return None
+    return columns
 
 
 def given_scene(scene: Any) -> Scene:

@@ -56,7 +56,10 @@ def _as_range(value: Any) -> Any:
 
     Raises ValueError.
     """
-    ends = value if isinstance(value, tuple) else (value, value)
+    if isinstance(value, tuple):
+        ends = value
+    else:
+        ends = (value, value)
     are_numbers = len(ends) == 2 and all(type(end) in (int, float) for end in ends)
     if not are_numbers or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
         raise ValueError(f"should be a number, or (least, greatest), within ±{GREATEST:g}")
@@ -164,7 +167,10 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
         if key in ranges:
             text = f"is {key}, which is drawn already: leave one of them out"
             raise ConfigurationError([Problem((name,), text)])
-        ranges[key] = {kind: value} if kind else value
+        if kind:
+            ranges[key] = {kind: value}
+        else:
+            ranges[key] = value
     return ranges
 
 

@@ -141,7 +141,10 @@ class TargetTrajectories:
     def _next_periods(self, row: int) -> Indices:
         """Control periods (m,) of a row's course that are to be sampled next."""
         start = self._until[row]
-        count = CHUNK if start else FIRST_CHUNK + self._longest
+        if start:
+            count = CHUNK
+        else:
+            count = FIRST_CHUNK + self._longest
         return np.asarray(self._first[row] + np.arange(start, start + count))
 
     def _keep(

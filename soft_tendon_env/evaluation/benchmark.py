@@ -251,7 +251,10 @@ def misfit(
     beyond = [name for name in groups if name not in allowed.allowed]
     if beyond:
         return f"it observes {', '.join(beyond)}"
-    count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
+    if isinstance(parsed.sensors, int):
+        count = parsed.sensors
+    else:
+        count = len(parsed.sensors)
     if "strain" in groups and count > allowed.sensors:
         return f"it has {count} strain sensors"
     return ""
@@ -270,7 +273,10 @@ def standings_by_regime(
         of_regime = standings.setdefault(label.regime, {})
         member = experiment.scores(label)
         key = (label.policy, label.setting)
-        before = of_regime[key].scores if key in of_regime else []
+        if key in of_regime:
+            before = of_regime[key].scores
+        else:
+            before = []
         of_regime[key] = Standing([*before, member])
     return dict(standings)
 
@@ -389,7 +395,10 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy
             settings_by_side.setdefault(_side(mean), []).append(setting)
         parts = []
         for side, settings in sorted(settings_by_side.items()):
-            where = "all" if len(settings) == len(gap) else ", ".join(settings)
+            if len(settings) == len(gap):
+                where = "all"
+            else:
+                where = ", ".join(settings)
             parts.append(f"{side} in {where}")
         if parts:
             texts.append(f" By {label}: {'; '.join(parts)}.")

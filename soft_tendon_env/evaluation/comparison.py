@@ -55,7 +55,9 @@ def shared_arms(
         for name in by_seed.values():
             policy = PolicyName.parse(name, task)
             policies[name] = policy
-            arm = policy.arm if isinstance(policy, Agent) else None
+            arm = None
+            if isinstance(policy, Agent):
+                arm = policy.arm
             if arm:
                 arms[name] = arm
     shared = _shared_arm(arms, settings.options)
@@ -189,7 +191,10 @@ def numbers_table(
         ((policy, model),) = models.items()
         by_error = {error: summaries[policy, error] for error in errors}
         return summary_table("model error", by_error, dict.fromkeys(errors, model))
-    error = NOMINAL if NOMINAL in errors else errors[0]
+    if NOMINAL in errors:
+        error = NOMINAL
+    else:
+        error = errors[0]
     by_policy = {policy: summaries[policy, error] for policy in files}
     return summary_table(f"policy ({error})", by_policy, models)
 
@@ -252,7 +257,9 @@ def record_side_by_side(
         label: of the progress bar.
         new: the file has no episode of these arms yet.
     """
-    place: Literal["beside"] | None = "beside" if new else None
+    place: Literal["beside"] | None = None
+    if new:
+        place = "beside"
     envs = {
         name: recording.RecordRollout(env, file, flush_period=None, name=name, place=place)
         for name, (_, env) in players.items()

@@ -46,7 +46,10 @@ class Condition:
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
         if changes:
-            base = scene if isinstance(scene, Mapping) else {"scene": scene}
+            if isinstance(scene, Mapping):
+                base = scene
+            else:
+                base = {"scene": scene}
             options["scene"] = {**base, **changes}
         options |= self.others
         drawn = plain(given.get("randomize", {}))

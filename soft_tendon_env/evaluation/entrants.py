@@ -43,7 +43,9 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     beside its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
     trained alike.
     """
-    folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
+    folder = None
+    if isinstance(policy, Agent):
+        folder = find_agent(policy.text, policy.task)
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
     seed = read_run(folder).get("seed")

@@ -112,7 +112,9 @@ def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | Non
     if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
     scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
-    return scene if isinstance(policy, Controller) and policy.belief else at_fidelity(scene, BELIEF)
+    if isinstance(policy, Controller) and policy.belief:
+        return scene
+    return at_fidelity(scene, BELIEF)
 
 
 def _files_in(value: Any) -> Iterator[str]:
@@ -151,7 +153,10 @@ def measure(cell: Cell) -> list[EpisodeScore]:
     """
     policy, env = cell.open()
     try:
-        together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
+        if cell.rows:
+            together = [cell.seeds]
+        else:
+            together = [(seed,) for seed in cell.seeds]
         return [
             score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)
         ]

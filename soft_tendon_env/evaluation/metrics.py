@@ -189,7 +189,10 @@ def has_settled(
 ) -> bool:
     """Whether all of the last samples (m,) are below a bound, for STAY at least."""
     outside = np.flatnonzero(~(error < below))
-    first = outside[-1] + 1 if outside.size else 0
+    if outside.size:
+        first = outside[-1] + 1
+    else:
+        first = 0
     return bool((len(error) - 1 - first) * period >= STAY - 1e-9)
 
 
@@ -218,7 +221,9 @@ def chatter(tension: Array, period: float) -> float:
 
 def root_mean_square(values: Array) -> float:
     """Root mean square of all entries; NaN without any."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+    if values.size:
+        return float(np.sqrt(np.mean(np.square(values))))
+    return math.nan
 
 
 OTHER_NUMBERS = ("return", "seconds")

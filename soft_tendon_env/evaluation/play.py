@@ -130,7 +130,10 @@ def play_steps(
     """
     rows = len(seeds)
     # of an int Gymnasium would make the seeds of rows itself
-    seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]
+    if isinstance(env, gym.vector.VectorEnv):
+        seed: Any = list(seeds)
+    else:
+        seed = seeds[0]
     observation, _ = env.reset(seed=seed)
     state = None
     ended = np.ones(rows, dtype=bool)
@@ -167,7 +170,9 @@ def play(
         )
         course.append(sample)
         for row in map(int, np.flatnonzero(step.ended)):
-            cause = episodes.cause(row) if episodes.diverged[row] else None
+            cause = None
+            if episodes.diverged[row]:
+                cause = episodes.cause(row)
             reached = None
             # an episode that diverged did not reach its goal, wherever the tip was
             if episodes.task.goal:

@@ -83,7 +83,9 @@ def bootstrap_interval(
     tail = (1.0 - CONFIDENCE) / 2.0
     low = ordered[math.ceil(tail * RESAMPLES) - 1]
     high = ordered[math.ceil((1.0 - tail) * RESAMPLES) - 1]
-    return (low, high) if ordered.ndim > 1 else (float(low), float(high))
+    if ordered.ndim > 1:
+        return (low, high)
+    return (float(low), float(high))
 
 
 @dataclass(frozen=True)

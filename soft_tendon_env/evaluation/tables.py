@@ -57,7 +57,10 @@ def with_seeds(name: str, count: int | None) -> str:
 
 def summary_cells(summary: Summary) -> dict[str, str]:
     """Cells of a row by the headings of their columns."""
-    flag = f" {FLAG}" if summary.diverged > 0 else ""
+    if summary.diverged > 0:
+        flag = f" {FLAG}"
+    else:
+        flag = ""
     cells = dict[str, str]()
     for name, error in summary.errors.items():
         unit = error_unit(name)
@@ -98,7 +101,9 @@ def error_text(standing: Standing) -> str:
     mean, _ = tails(standing.values(key))
     text = f"{number(factor * interquartile)} / {number(factor * mean)}"
     bad = float(np.mean([score.bad for score in standing.episodes]))
-    return f"{text}, {100 * bad:.0f} % bad" if bad else text
+    if bad:
+        return f"{text}, {100 * bad:.0f} % bad"
+    return text
 
 
 def error_table(standings: Standings) -> str:

@@ -61,7 +61,9 @@ class Measurement(NamedTuple):
 def _target_length(observed: Observed) -> Array:
     """Tendon lengths (rows, n_a) [m] of the target less those at rest, (rows, 0) without them."""
     lengths = observed.target.tendon_length
-    return observed.target_length if lengths.size else lengths[:, 0]
+    if lengths.size:
+        return observed.target_length
+    return lengths[:, 0]
 
 
 MEASUREMENTS: Mapping[str, Measurement] = {
@@ -448,7 +450,10 @@ class _ControlPeriod(torch.nn.Module):
             goes_on = is_running[..., None]
             history = torch.where(goes_on, history, now)
         seen, history = self.observation.complete(observed, flat, history)
-        parts = seen if isinstance(seen, dict) else {BOX: seen}
+        if isinstance(seen, dict):
+            parts = seen
+        else:
+            parts = {BOX: seen}
         return parts, history
 
     def _network(self, parts: Parts, rows: Parts) -> tuple[Tensor, Tensor | None]:

@@ -99,9 +99,15 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
             " or estimate fewer"
         )
     x = np.zeros(prior.size)
-    deviation = FIRST_SIGMA * length if sigma is None else sigma
+    if sigma is None:
+        deviation = FIRST_SIGMA * length
+    else:
+        deviation = sigma
     # without priors a deviation scales all squares alike, and the estimate stays
-    rounds = MOST_ROUNDS if sigma is None and prior.any() else 1
+    if sigma is None and prior.any():
+        rounds = MOST_ROUNDS
+    else:
+        rounds = 1
     for _ in range(rounds):
         estimate = _solve(readings, x, deviation, prior)
         x = estimate.x

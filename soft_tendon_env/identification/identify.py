@@ -109,9 +109,15 @@ def identify(
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise is {noise}: it should be a positive number of metres")
-    files = [data] if isinstance(data, str | os.PathLike) else [*data]
+    if isinstance(data, str | os.PathLike):
+        files = [data]
+    else:
+        files = [*data]
     paths = [Path(file) for file in files]
-    placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
+    if isinstance(markers, MarkerSet):
+        placed = markers
+    else:
+        placed = load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
     fit_part, judge_part = _read_parts(paths, str(held_out), fit_to, scene, placed)
@@ -329,7 +335,10 @@ def randomize(estimate: Estimate) -> dict[str, Any]:
             interval = [low, high]
             # a common factor of numbers that differ
             is_factor = parameter.of_scene.is_factor
-            table[parameter.name] = {"factor": interval} if is_factor else interval
+            if is_factor:
+                table[parameter.name] = {"factor": interval}
+            else:
+                table[parameter.name] = interval
         elif parameter.quantity is Quantity.COMMAND_DELAY:
             table["latency"] = [0.0, high - value]
         elif parameter.quantity is Quantity.COMMAND_GAIN:

@@ -143,7 +143,10 @@ def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
         }
         for key, size in sizes.items():
             if size > longest:
-                hint = "; is it in mm?" if size > MILLIMETRES * length else ""
+                if size > MILLIMETRES * length:
+                    hint = "; is it in mm?"
+                else:
+                    hint = ""
                 text = f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"
                 problems.append(Problem(("markers", name, key), text))
     if problems:

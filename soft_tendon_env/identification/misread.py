@@ -38,7 +38,10 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     few = _few(readings.recordings)
     # readings are ranked at the scene's own numbers, and only the best of them is fitted
     text, read = _best_reading(plants, few)
-    estimate_x = np.zeros(len(plants.parameters)) if x is None else x
+    if x is None:
+        estimate_x = np.zeros(len(plants.parameters))
+    else:
+        estimate_x = x
     simulated = _simulate(plants, few, estimate_x)
     distance = _distance(simulated, few)
     try:
@@ -50,7 +53,10 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     least = max(fitted_distance, EXACT * plants.model.length)
     if not BETTER * least < distance:
         return None
-    better = f"{distance / least:.2g} times better" if np.isfinite(distance) else "only"
+    if np.isfinite(distance):
+        better = f"{distance / least:.2g} times better"
+    else:
+        better = "only"
     return (
         f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. Set it"
         " right in [columns] or [frame] of the markers' file, or in the scene; the estimate means"

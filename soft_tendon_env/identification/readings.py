@@ -206,7 +206,10 @@ class Readings:
                 coordinates = x.copy()
                 coordinates[i] = value
                 # an arm that stays keeps its poses, which take nearly all of the time
-                moved_poses = self._poses(coordinates, near) if moves else poses
+                if moves:
+                    moved_poses = self._poses(coordinates, near)
+                else:
+                    moved_poses = poses
                 residuals.append(self.residual(coordinates, moved_poses))
             low_residual, high_residual = residuals
             change = high_residual - low_residual
@@ -286,7 +289,9 @@ class Readings:
         simulated = list[Array]()  # coordinates (n,) of each sample
         with erring_actuators():  # by the gains and offsets that are looked for
             for i, (model, command) in enumerate(arms):
-                moved = _moved(model, command[0], near[i]) if near else None
+                moved = None
+                if near:
+                    moved = _moved(model, command[0], near[i])
                 if moved is None:
                     simulated += self._simulate(model, command, i)
                 else:
@@ -413,4 +418,6 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
 def mean_of_finite(values: Iterable[float]) -> float:
     """Mean of the values that are there, NaN without any."""
     finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else np.nan
+    if finite:
+        return float(np.mean(finite))
+    return np.nan

@@ -228,7 +228,10 @@ def _iso_seconds(where: str, name: str, text: str) -> float:
             f"{where}: {name} is {text!r}: it should be a number, or a time by ISO 8601"
         ) from error
     # a time without a zone is read as UTC: only differences matter
-    in_zone = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    if moment.tzinfo:
+        in_zone = moment
+    else:
+        in_zone = moment.replace(tzinfo=UTC)
     return in_zone.timestamp()
 
 

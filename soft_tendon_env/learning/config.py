@@ -219,7 +219,10 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     """
     table = read_toml(path)
     overrides = parsed_changes(changes)
-    source = f"{path}, changed" if changes or more else str(path)
+    if changes or more:
+        source = f"{path}, changed"
+    else:
+        source = str(path)
     twice = overrides.keys() & more.keys()
     if twice:
         raise ValueError(f"--set has {min(twice)}, which is given twice")

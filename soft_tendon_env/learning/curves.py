@@ -61,7 +61,10 @@ def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
             raise ValueError(f"{folder} has runs of several tasks: {task}, {task_of_run}")
         task = task_of_run
         runs.append({row["steps"]: row for row in rows})
-    steps = sorted(set.intersection(*map(set, runs))) if runs else []
+    if runs:
+        steps = sorted(set.intersection(*map(set, runs)))
+    else:
+        steps = []
     if not steps:
         raise ValueError(f"{folder} has no step at which all seeds were evaluated")
     common = [[run[step] for step in steps] for run in runs]

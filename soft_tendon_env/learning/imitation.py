@@ -18,7 +18,7 @@ from torch import Tensor
 
 from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
-from soft_tendon_env.control.objectives import TipPosition
+from soft_tendon_env.control.objectives import TipPosition, TrackedObjective
 from soft_tendon_env.control.protocol import Controller, ControllerInput, Reference
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.smith_predictor import whole_periods
@@ -170,7 +170,9 @@ class Teacher:
         arm = (model, limits, episodes.period)
         if episodes.task.shapes:
             return ShapeTracking(*arm, settling_time=self._settling_time)
-        objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
+        objective: TrackedObjective = tip_pose_objective(model)
+        if episodes.task.goal:
+            objective = TipPosition()
         feedforward = StaticFeedforward(*arm, objective)
         tracking = TipTracking(*arm, objective, settling_time=self._settling_time)
         return ReferenceGovernor(feedforward, tracking)

@@ -78,19 +78,28 @@ class TrainingMonitor(ABC):
 
         checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
         """
-        record = {} if checkpoint is None else read_checkpoint(checkpoint)
+        if checkpoint is None:
+            record = {}
+        else:
+            record = read_checkpoint(checkpoint)
         self.training = training
         self.folder = folder
         self.began = record.get("steps_done", 0)
         self._before = record.get("seconds_learned", 0.0)
         self._untimed = 0.0
         self._csv = folder / "evaluations.csv"
-        rows = read_numbers(self._csv, COLUMNS) if self._csv.exists() else []
+        if self._csv.exists():
+            rows = read_numbers(self._csv, COLUMNS)
+        else:
+            rows = []
         # what follows was learned by an agent that is lost
         self.curve = [row for row in rows if row["steps"] <= self.began]
         # which may be further than the last checkpoint
         best = find_checkpoint(folder / "best")
-        self._best = None if best is None else quality(read_json(best / CONFIG)["evaluated"])
+        if best is None:
+            self._best = None
+        else:
+            self._best = quality(read_json(best / CONFIG)["evaluated"])
         self.envs = gym.make_vec(
             IDS[training.task],
             num_envs=training.evaluation.episodes,

@@ -135,7 +135,10 @@ class RecurrentPolicy(ActorCriticPolicy):
     def _read_memory(self, state: Any, rows: int) -> Tensor:
         """The memory (rows, size) of a state, zeros for None."""
         shape = (rows, self.memory)
-        memory = torch.zeros(shape) if state is None else torch.as_tensor(state)
+        if state is None:
+            memory = torch.zeros(shape)
+        else:
+            memory = torch.as_tensor(state)
         if memory.shape != shape:
             raise ValueError(
                 f"state should be what predict gave for these rows, of shape {shape}, not"

@@ -67,7 +67,10 @@ class RunnerEnv(VectorWrapper):
 
         RLlib's are one apart from runner to runner: most arms would be there twice.
         """
-        own_seed = None if seed is None else self._first_seed
+        if seed is None:
+            own_seed = None
+        else:
+            own_seed = self._first_seed
         observation, _ = self.env.reset(seed=own_seed, options=options)
         return observation, {}
 

@@ -104,7 +104,10 @@ def _early_turn(phase: float) -> float:
 def _pace(scene: Scene, arm: ArmScales) -> float:
     """The pace of an arm [s], in DIGITS."""
     tip_load = scene.effects.tip_load
-    payload = 0.0 if tip_load is None else tip_load.mass
+    if tip_load is None:
+        payload = 0.0
+    else:
+        payload = tip_load.mass
     period = 2.0 * math.pi / arm.rate * math.sqrt(1.0 + TIP_SHARE * payload / arm.mass)
     return _rounded(max(1.0, SLOW * period))
 
@@ -131,8 +134,12 @@ def in_si_units(value: Any, sizes: Mapping[str, float], key: Key = ()) -> Any:
         return {name: in_si_units(entry, sizes, (*key, name)) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         entries = [in_si_units(entry, sizes, (*key, place)) for place, entry in enumerate(value)]
-        return tuple(entries) if isinstance(value, tuple) else entries
-    share = SHARE.fullmatch(value) if isinstance(value, str) else None
+        if isinstance(value, tuple):
+            return tuple(entries)
+        return entries
+    share = None
+    if isinstance(value, str):
+        share = SHARE.fullmatch(value)
     if share is None:
         return value
     number, unit, divisor = share.groups(default="rad")
@@ -141,7 +148,9 @@ def in_si_units(value: Any, sizes: Mapping[str, float], key: Key = ()) -> Any:
             text = f"is {shown(value)}, a share of the arm's {name!r}: {not_among(name, sizes)}"
             raise ConfigurationError([Problem(key, text)])
     size = float(number) * sizes[unit] / sizes[divisor]
-    return _rounded(size) if unit in ROUNDED else size
+    if unit in ROUNDED:
+        return _rounded(size)
+    return size
 
 
 def resolved(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -265,8 +274,13 @@ def _count_posture(table: dict[str, Any]) -> None:
     Raises ConfigurationError.
     """
     hyperparameters = table.get("hyperparameters", {})
-    policy = hyperparameters.get("policy_kwargs", {}) if isinstance(hyperparameters, dict) else {}
-    group = policy.get("posture") if isinstance(policy, dict) else None
+    if isinstance(hyperparameters, dict):
+        policy = hyperparameters.get("policy_kwargs", {})
+    else:
+        policy = {}
+    group = None
+    if isinstance(policy, dict):
+        group = policy.get("posture")
     if not isinstance(group, str) or table.get("task") not in TASKS:
         return
     entries = _entries_by_group(TASKS[table["task"]], table["options"])

@@ -70,7 +70,10 @@ def checkpoint_to_resume(
         )
     if checkpoint is None and not begun.exists():
         return None
-    record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
+    if checkpoint is None:
+        record = read_json(begun)
+    else:
+        record = read_checkpoint(checkpoint)
     _check_same(folder, training, engine, record)
     return checkpoint
 

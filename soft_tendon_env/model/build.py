@@ -45,7 +45,10 @@ def build_model(scene: Scene) -> Model:
         sufficient = estimate
     else:
         estimate = test.error_estimate(intervals)
-        sufficient = test.search(intervals) if estimate.problem else estimate
+        if estimate.problem:
+            sufficient = test.search(intervals)
+        else:
+            sufficient = estimate
     # the model is made all the same: it may do for what it is asked
     if estimate.problem:
         warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=2)

@@ -43,7 +43,9 @@ def effects_inside(scene: Scene) -> bool:
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
     effects = scene.effects
-    return effects.outside() if effects_inside(scene) else effects
+    if effects_inside(scene):
+        return effects.outside()
+    return effects
 
 
 def coordinate_count(scene: Scene) -> int:

@@ -143,7 +143,10 @@ class _TipSearch:
             starts = [checked_array("start", start, self.slack.shape)]
         solutions = list[InverseEquilibrium]()
         for tension in starts:
-            efforts = EFFORTS if tension is self.slack else EFFORTS[NEAR:]
+            first_effort = NEAR
+            if tension is self.slack:
+                first_effort = 0
+            efforts = EFFORTS[first_effort:]
             within_limits = np.clip(tension, self.least, self.greatest)
             optimum = self.descend(within_limits, efforts)
             solution = self.solution(optimum)

@@ -154,7 +154,9 @@ class LoadPath:
         if not stray <= soft * STRAY:
             balance.obstacle = "the equilibria bend away from steps of any size"
             return None
-        return ahead if balance.is_continuous(q, q_ahead) else None
+        if not balance.is_continuous(q, q_ahead):
+            return None
+        return ahead
 
     def equilibrium(self, q: Array, part: float) -> Linearised | None:
         """The equilibrium under this part of the load to which Newton's method leads.
@@ -167,9 +169,15 @@ class LoadPath:
         """
         balance = self.balance
         tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
-        slow = SLOW if balance.size > FEW else 0.0
+        if balance.size > FEW:
+            slow = SLOW
+        else:
+            slow = 0.0
         linearised = balance.linearise(q, part)
-        current = None if linearised is None else linearised.evaluation
+        if linearised is None:
+            current = None
+        else:
+            current = linearised.evaluation
         last_size = np.inf
         # what the last correction leads to is looked at too
         for _ in range(MOST_CORRECTIONS + 1):
@@ -188,7 +196,10 @@ class LoadPath:
                 return None
             if size > slow * last_size and not is_own:
                 linearised = balance.linearise(current.q, part)
-                current = None if linearised is None else linearised.evaluation
+                if linearised is None:
+                    current = None
+                else:
+                    current = linearised.evaluation
             else:
                 current = balance.at(current.q + change, part)
                 last_size = size
@@ -216,7 +227,9 @@ class LoadPath:
         h = FIRST_FLOW
         while point is not None and balance.linearisations < self.most:
             if point.evaluation.residual <= RESIDUAL:
-                return point if self._is_stable(point.stability) else None
+                if not self._is_stable(point.stability):
+                    return None
+                return point
             q = point.evaluation.q
             change = _flow(point, h)
             size = balance.angle(change)
@@ -288,7 +301,10 @@ class LoadPath:
     def _is_stable(self, stability: Stability) -> bool:
         """Whether it is; the obstacle where it is not."""
         if not stability.stable:
-            self.balance.obstacle = FLUTTERS if stability.flutters else BUCKLES
+            if stability.flutters:
+                self.balance.obstacle = FLUTTERS
+            else:
+                self.balance.obstacle = BUCKLES
         return stability.stable
 
     def _reason(self, point: Linearised) -> str:

@@ -84,7 +84,10 @@ class Model:
         arm = make_arm(scene, self.grid, self.arm.strain)
         # workspaces serve every arm of the same sizes
         own_kind = _workspace_kind(self.arm)
-        idle = self._idle if _workspace_kind(arm) == own_kind else []
+        if _workspace_kind(arm) == own_kind:
+            idle = self._idle
+        else:
+            idle = []
         return Model(scene, self.grid, arm, idle)
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
@@ -483,8 +486,9 @@ class Model:
         Raises TypeError or ValueError naming `name`.
         """
         # an empty list has no type of its own
-        values = np.zeros(0) if np.size(value) == 0 else value
-        places = checked_array(name, values, (None,))
+        if np.size(value) == 0:
+            value = np.zeros(0)
+        places = checked_array(name, value, (None,))
         if not places.size:
             return places
         least = places.min()
@@ -533,7 +537,10 @@ class Model:
         """
         if block >= 0:
             nearest = nearest_limit(self.arm, self.grid, q, work.strain.xi, reached, block)
-            what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
+            if isinstance(self.arm.strain, Loaded):
+                what = "coordinates and loads"
+            else:
+                what = "coordinates"
             raise StrainLimitError(
                 f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}"
             )
@@ -563,7 +570,10 @@ class Model:
                 f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}"
             )
         strain = self.arm.strain
-        stiffness = strain.stiffness if isinstance(strain, Explicit) else out.stiffness
+        if isinstance(strain, Explicit):
+            stiffness = strain.stiffness
+        else:
+            stiffness = out.stiffness
         out.elastic_force[:] = stiffness @ q
         return out
 

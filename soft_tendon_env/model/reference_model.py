@@ -216,4 +216,6 @@ def rest_near(
             equilibrium, reason = path.rest()
             if reason:
                 return None
-    return None if equilibrium is None else equilibrium.evaluation.q
+    if equilibrium is None:
+        return None
+    return equilibrium.evaluation.q

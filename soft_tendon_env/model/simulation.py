@@ -403,10 +403,15 @@ class Simulation:
         has_parts = np.ndim(duration) > 0
         durations = checked_array("duration", duration, (None,) * np.ndim(duration))
         parts = np.atleast_1d(durations)
-        shape = (None, parts.size, n_a) if has_parts else (None, n_a)
+        shape: tuple[int | None, ...] = (None, n_a)
+        if has_parts:
+            shape = (None, parts.size, n_a)
         played = checked_array("commands", commands, shape)
         no_forces = np.empty((n, 0))
-        others = no_forces if forces is None else checked_array("forces", forces, (n, None))
+        if forces is None:
+            others = no_forces
+        else:
+            others = checked_array("forces", forces, (n, None))
         shortest = float(parts.min(initial=0.0))
         checked_number("duration", shortest, 0.0, "a number of seconds, at least 0")
         whole = float(parts.sum())
@@ -528,7 +533,10 @@ def simulate(
     begin = simulation.state.time
     commands = command_table(model, command, begin, samples, per_sample, control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
-    start = simulation.reset_at_rest() if initial is None else simulation.state
+    if initial is None:
+        start = simulation.reset_at_rest()
+    else:
+        start = simulation.state
     # the first sample is the start
     values = [start.q, start.q_dot, simulation.tip_pose]
     record = Record(*(value[None].repeat(samples + 1, axis=0) for value in values))

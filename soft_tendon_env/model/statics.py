@@ -145,8 +145,14 @@ def _equilibrium(
     q = evaluation.q
     tip = balance.model.tip_pose(q)
     # that of the full load, also where the path ends before
-    loaded = balance.at(q, 1.0) if reason else evaluation
-    residual = np.inf if loaded is None else loaded.residual
+    if reason:
+        loaded = balance.at(q, 1.0)
+    else:
+        loaded = evaluation
+    if loaded is None:
+        residual = np.inf
+    else:
+        residual = loaded.residual
     _warn_of_redundancy(balance, evaluation, tip)
     return Equilibrium(
         q,
@@ -174,7 +180,10 @@ def _warn_of_redundancy(balance: Balance, evaluation: Evaluation, tip: Array) ->
     round_off = 1e-12 * np.abs(u).max()
     if np.abs(left_out).max() <= round_off:
         return
-    q = rest if rests_at_tensions(model) else evaluation.q
+    if rests_at_tensions(model):
+        q = rest
+    else:
+        q = evaluation.q
     try:
         # the arm with a coordinate for each tension
         arm = with_every_tension(model.arm)

@@ -158,7 +158,10 @@ def command_table(
             _warn_of_changes_within_steps(rows, beside, middles, step)
         return rows.reshape(samples, per_sample, tendons)
     # rows that are not alike are refused below, by name
-    kind = None if isinstance(command, np.ndarray) else object
+    if isinstance(command, np.ndarray):
+        kind = None
+    else:
+        kind = object
     if np.asarray(command, dtype=kind).ndim == 1:
         constant = checked_array("command", command, (tendons,))
         return np.tile(constant, (samples, per_sample, 1))

@@ -38,7 +38,10 @@ def nearest_limit(
     strain = arm.strain
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
-    part = reached * q if reached else q
+    if reached:
+        part = reached * q
+    else:
+        part = q
     tau = strain.law.tensions(part)
     chord_size, give = _chords_and_give(arm, grid, xi)
     has_chord = chord_size > 0.0

@@ -128,14 +128,18 @@ def below_for_good(
     It is infinite if the error is not below at the end.
     """
     first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
-    return float(time[first]) if first < time.size else float("inf")
+    if first < time.size:
+        return float(time[first])
+    return float("inf")
 
 
 def when(time: float) -> str:
     """Words for a result of `below_for_good`."""
     if time == 0.0:
         return "always"
-    return "never for good" if np.isinf(time) else f"from {time:.2f} s"
+    if np.isinf(time):
+        return "never for good"
+    return f"from {time:.2f} s"
 
 
 def track(

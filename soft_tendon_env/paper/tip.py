@@ -103,7 +103,10 @@ def reproduce(seconds: float, folder: Path) -> Result:
     motions = dict[str, Motion]()
     # the paper's law, continuous in time
     for name, (scene, passive, inverse) in DESIGNS.items():
-        changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
+        if passive == "none":
+            changes = {}
+        else:
+            changes = {"strain.passive_coordinates": passive}
         models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
         loop = ClosedLoop(models[name], law_of(inverse))
         motions[name] = integrate(loop, duration, f"Figures 5 and 6, {name}")
@@ -197,7 +200,10 @@ def staying_below(
     """
     since = numbers.get("below_1_mm_from_s", np.inf)
     holds = bool(np.isfinite(since))
-    steady = "" if holds or "late_rms_mm" not in numbers else "steady-state error: "
+    if holds or "late_rms_mm" not in numbers:
+        steady = ""
+    else:
+        steady = "steady-state error: "
     saying = f"tip error stays below {1e3 * VERY_SMALL:g} mm, {name}"
     return Claim(
         figure,

@@ -45,7 +45,9 @@ FULL = "paper_48dof"
 def tension(t: float) -> np.ndarray:
     """Tensions (10,) [N] at time t [s]."""
     smooth = AMPLITUDE * np.sin(np.pi * FREQUENCY * min(t, HELD)) ** 2
-    return smooth + STEP_TENSION if t >= STEP else smooth
+    if t >= STEP:
+        return smooth + STEP_TENSION
+    return smooth
 
 
 def reproduce(seconds: float, folder: Path) -> Result:

@@ -60,7 +60,10 @@ class LiveRows:
         self._recorders = dict[int, RowRecorder]()
         self._due = -np.inf  # [s] of the clock, when the next step is to be shown
         for row in range(min(episodes.size, ROWS)):
-            name = "arm" if episodes.size == 1 else f"row_{row}"
+            if episodes.size == 1:
+                name = "arm"
+            else:
+                name = f"row_{row}"
             self._viewer.add_arm(name, episodes.model)
             self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, PICTURE_PERIOD)
 

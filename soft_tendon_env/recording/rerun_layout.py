@@ -77,7 +77,10 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
     styles = dict[str, rr.SeriesLines]()
     alone = len(arms) == 1
     for name, arm in arms.items():
-        colors = None if alone else [arm.style.colour]
+        if alone:
+            colors = None
+        else:
+            colors = [arm.style.colour]
         for kind, series in arm.series.items():
             if kind in ("tension", "action"):
                 styles[f"{kind}/{part(name)}"] = rr.SeriesLines(names=series)
@@ -88,7 +91,10 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
                     label = name
                 else:
                     entity = f"{kind}/{part(name)}/{part(scalar)}"
-                    label = scalar if alone else f"{name} {scalar}"
+                    if alone:
+                        label = scalar
+                    else:
+                        label = f"{name} {scalar}"
                 styles[entity] = rr.SeriesLines(names=[label], colors=colors)
     return styles
 
@@ -152,7 +158,10 @@ def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
 
 def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """A plot per error, in its unit, with a line per arm."""
-    legend = LEGEND if len(arms) > 1 else NO_LEGEND
+    if len(arms) > 1:
+        legend = LEGEND
+    else:
+        legend = NO_LEGEND
     length = next(iter(arms.values())).model.length
     plots = Views()
     for name in _names(arms, "error"):
@@ -176,7 +185,10 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
         "tension": ("tensions [N]", (float(limits.min()), float(limits.max()))),
         "action": ("actions", (-1.0, 1.0)),
     }
-    legend = LEGEND if len(arms) == 1 else NO_LEGEND
+    if len(arms) == 1:
+        legend = LEGEND
+    else:
+        legend = NO_LEGEND
     columns = min(MOST_COLUMNS, len(arms))
     grids = Views()
     for kind, (title, span) in kinds.items():
@@ -204,7 +216,10 @@ def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
             for name in known.series.get(kind, []):
                 shown.append(f"/{kind}/{part(arm)}/{part(name)}")
         if shown:
-            legend = LEGEND if len(shown) > 1 else NO_LEGEND
+            if len(shown) > 1:
+                legend = LEGEND
+            else:
+                legend = NO_LEGEND
             view = rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend)
             views.append(view)
     views.append(rrb.TextLogView(origin="/episodes", name="episodes"))
@@ -224,7 +239,10 @@ def _plot(
 
     `values`: the least and the greatest that it opens with, None: all.
     """
-    vertical = None if values is None else rrb.ScalarAxis(range=values)
+    if values is None:
+        vertical = None
+    else:
+        vertical = rrb.ScalarAxis(range=values)
     return rrb.TimeSeriesView(
         origin=origin, name=name, axis_x=axis, axis_y=vertical, plot_legend=legend
     )

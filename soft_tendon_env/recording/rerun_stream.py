@@ -342,7 +342,10 @@ class RerunStream:
             first = _times(known, 1, rollout.period)
             for number, obstacle in enumerate(obstacles):
                 corners = shapes.surface(obstacle, 0.0, (lower, upper))
-                look = _seen_through(corners) if obstacle.is_endless else _mesh(corners)
+                if obstacle.is_endless:
+                    look = _seen_through(corners)
+                else:
+                    look = _mesh(corners)
                 self._send(f"{root}/solids/{number}", first, look)
         # surfaces are sent where they are at time 0, and then how they have moved since
         moments = _moments(known, rollout).tolist()
@@ -440,7 +443,10 @@ def _steps(position: Array, before: Array | None) -> Array:
     The view shows those of the last seconds together. before (1, 3): the last of the samples
     before, None: there are none.
     """
-    first = position[:1] if before is None else before
+    if before is None:
+        first = position[:1]
+    else:
+        first = before
     start = np.concatenate([first, position[:-1]])
     return np.stack([start, position], axis=1)
 

@@ -54,7 +54,10 @@ class RowRecorder:
         self.finish()
         self._episode += 1
         chosen = self._episodes.options.target
-        target = self._episodes.task.target if chosen is None else chosen.type
+        if chosen is None:
+            target = self._episodes.task.target
+        else:
+            target = chosen.type
         self._title = f"episode {self._episode}, target {target}"
         if seed is not None:
             self._title += f", seed {seed}"
@@ -274,4 +277,6 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
 def _open(file: "str | Path | RerunFile") -> "RerunFile":
     from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
 
-    return RerunFile(file) if isinstance(file, str | Path) else file
+    if isinstance(file, str | Path):
+        return RerunFile(file)
+    return file

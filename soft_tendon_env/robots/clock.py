@@ -25,7 +25,9 @@ class Clock:
 
     def now(self) -> float:
         """The time [s]."""
-        return perf_counter() if self.real else max(self._times.values())
+        if self.real:
+            return perf_counter()
+        return max(self._times.values())
 
     def wait_until(self, time: float) -> None:
         """Waits until a time [s]; returns at once where it is past."""

@@ -83,7 +83,10 @@ class DynamixelRobot:
             self.senses = (*self.senses, "tip_pose")
         self._check_ids()
         count = len(self.ids)
-        radius = self.radius if np.ndim(self.radius) else np.full(count, self.radius)
+        if np.ndim(self.radius):
+            radius = self.radius
+        else:
+            radius = np.full(count, self.radius)
         self._radius = checked_array("radius", radius, (count,))
         constant = checked_number(
             "torque_constant", self.torque_constant, 1e-9, "a positive number of N m / A"

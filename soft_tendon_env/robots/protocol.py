@@ -42,7 +42,9 @@ class Measurement(NamedTuple):
     @property
     def time_of_pose(self) -> float:
         """Time [s] at which the pose was measured."""
-        return self.time if self.tip_time is None else self.tip_time
+        if self.tip_time is None:
+            return self.time
+        return self.tip_time
 
 
 class Robot(Protocol):

@@ -106,7 +106,10 @@ class SafeRobot:
         self._arm = arm
         # no tension, or all that can be let out
         is_tension = robot.command_unit == "N"
-        self.slack = np.zeros(len(limits)) if is_tension else limits[:, 0].copy()
+        if is_tension:
+            self.slack = np.zeros(len(limits))
+        else:
+            self.slack = limits[:, 0].copy()
         self.senses = read_fields(robot, sensors)
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
         self._period = period
@@ -236,7 +239,10 @@ class SafeRobot:
         # than the rate; at most a period, so that a pause leads to no jump
         elapsed = min(self.clock.now() - self._sent_at, self._period)
         is_limited = np.isfinite(self.rate)
-        most = self.rate * elapsed if is_limited else np.inf
+        if is_limited:
+            most = self.rate * elapsed
+        else:
+            most = np.inf
         try:
             asked = checked_array("command", command, self.slack.shape)
             # from slack, which may lie beneath the limits, it rises evenly
@@ -244,13 +250,18 @@ class SafeRobot:
             next_command = np.clip(within, self._sent - most, self._sent + most)
             answer = self._send(next_command)
             self._sent_at = self.clock.now()
-            sent = None if answer is None else self._checked_answer(answer)
+            if answer is None:
+                sent = None
+            else:
+                sent = self._checked_answer(answer)
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
         if self.stopped is not None:  # while the call hung
             send_on_the_way(self._send_slack, self.slack, self.slack, self.stopped)
         self._refuse()
-        return self._sent.copy() if sent is None else sent
+        if sent is None:
+            return self._sent.copy()
+        return sent
 
     def _checked_answer(self, answer: Any) -> Array:
         """Command (n_a,) that a robot says it sent.
@@ -323,7 +334,10 @@ class SafeRobot:
                 cause, done = self._orders.get(timeout=LOOKS * self._period)
             except Empty:
                 # where time stands still, the loop itself looks as it reads
-                cause = self._too_old() if self.clock.real else ""
+                if self.clock.real:
+                    cause = self._too_old()
+                else:
+                    cause = ""
                 if cause:
                     self._go_slack(Stop(cause))
                 continue

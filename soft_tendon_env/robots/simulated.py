@@ -67,7 +67,10 @@ class SimulatedRobot:
         self._episodes = episodes
         self._arms = episodes.arms
         self._actuation = episodes.actuation
-        self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
+        if episodes.model.command_unit == "m":
+            self.command_unit: Unit = "m"
+        else:
+            self.command_unit = "N"
         self.clock = Clock(real_time)
         first = episodes.start_command
         drawn = episodes.options.randomize
@@ -134,7 +137,10 @@ class SimulatedRobot:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 _, self._acting = self._coming.popleft()
             # in steps of a control period at most, to the next command
-            next_arrival = self._coming[0][0] if self._coming else now
+            if self._coming:
+                next_arrival = self._coming[0][0]
+            else:
+                next_arrival = now
             until = min(now, time + self._episodes.period, next_arrival)
             duration = until - time
             if duration <= EARLY:

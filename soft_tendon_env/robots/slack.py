@@ -83,7 +83,10 @@ def let_go(
         if not stop.slack:
             # a robot that does not take it is told less often
             is_ramp = k < 2 * RAMP_STEPS
-            next_time = began + k * step if is_ramp else clock.now() + RAMP
+            if is_ramp:
+                next_time = began + k * step
+            else:
+                next_time = clock.now() + RAMP
             clock.wait_until(next_time)
 
 

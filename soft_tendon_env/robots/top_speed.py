@@ -37,7 +37,10 @@ def top_speed(episodes: Episodes) -> float:
         The speed [m/s], MARGIN times the simulated one; infinite where the simulation fails.
     """
     swing = half_swing(episodes) / episodes.period  # in control periods
-    periods = math.ceil(swing) if swing < MOST_PERIODS else MOST_PERIODS
+    if swing < MOST_PERIODS:
+        periods = math.ceil(swing)
+    else:
+        periods = MOST_PERIODS
     rest = episodes.start_command
     strongest = episodes.actuation.actions.greatest
     fastest = 0.0

@@ -54,7 +54,9 @@ class Parameter(NamedTuple):
     @property
     def value(self) -> float:
         """The value in the scene, in the unit of the keys; 1 for a factor."""
-        return 1.0 if self.is_factor else self.values[0]
+        if self.is_factor:
+            return 1.0
+        return self.values[0]
 
     def changes(self, value: float) -> dict[str, float]:
         """Returns the changes of the scene that give the parameter a value.
@@ -193,7 +195,10 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
     for name, value in table.items():
         for key, written in _by_entry(name, value, entries):
             _, keys, values, _ = _parameter(key, entries)
-            relative = written if _is_relative(written) else {"value": written}
+            if _is_relative(written):
+                relative = written
+            else:
+                relative = {"value": written}
             ((kind, interval),) = relative.items()
             least, greatest = _interval(key, interval)
             numbers_range = Range(
@@ -260,7 +265,9 @@ def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if not is_branch:
         yield key.removeprefix("."), node
         return
-    children = node.items() if isinstance(node, dict) else enumerate(node)
+    children: Iterable[tuple[Any, Any]] = enumerate(node)
+    if isinstance(node, dict):
+        children = node.items()
     for name, value in children:
         yield from _leaves(value, f"{key}.{name}")
 
@@ -363,7 +370,10 @@ def _interval(key: str, value: Any) -> tuple[float, float]:
 
     Raises ConfigurationError.
     """
-    pair = value if isinstance(value, list | tuple) else (value, value)
+    if isinstance(value, list | tuple):
+        pair = value
+    else:
+        pair = (value, value)
     are_numbers = all(map(_is_number, pair))
     if len(pair) == 2 and are_numbers:
         least, greatest = pair

@@ -331,7 +331,10 @@ def fields_of(scene: Scene) -> PassiveFields:
     if passive.fields > count:
         raise _passive_error("fields", f"is {passive.fields}: there are {count} of this arm")
     # those that are named by their digest were chosen as they are
-    misfit = fields.misfit(scene) if passive.digest is None else ""
+    if passive.digest is None:
+        misfit = fields.misfit(scene)
+    else:
+        misfit = ""
     if misfit:
         text = (
             f"the passive fields of {scene.name!r} were made for {misfit}: fidelity='standard'"

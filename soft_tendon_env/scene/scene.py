@@ -346,7 +346,10 @@ class Scene(Configuration):
 
 def _count(name: str, parts: Sequence[Any]) -> str:
     """Number of parts, with their name in singular or plural."""
-    ending = "" if len(parts) == 1 else "s"
+    if len(parts) == 1:
+        ending = ""
+    else:
+        ending = "s"
     return f"{len(parts)} {name}{ending}"
 
 
@@ -589,7 +592,10 @@ def _base_misfits(scene: Scene) -> Iterator[Problem]:
     most = FARTHEST_BASE * rod_length(scene)
     if distance > most:
         # a position in mm is a thousand times too large
-        hint = "; is it in mm?" if distance < 1e3 * most else ""
+        if distance < 1e3 * most:
+            hint = "; is it in mm?"
+        else:
+            hint = ""
         text = (
             f"is {shown(position)}: coordinates should be within ±{most:g} m, {FARTHEST_BASE:g}"
             f" lengths of the rod{hint}"

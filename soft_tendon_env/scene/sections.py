@@ -395,7 +395,9 @@ class Ellipse(Flat):
 
 def _both(value: Any) -> Any:
     """A pair, also of one number for both."""
-    return value if isinstance(value, list | tuple) else (value, value)
+    if isinstance(value, list | tuple):
+        return value
+    return (value, value)
 
 
 @register("section", "stiffness")

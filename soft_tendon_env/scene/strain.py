@@ -86,7 +86,10 @@ def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Arra
     pieces = list(pairwise(borders))
     fields = list[Array]()
     for group in modes:
-        spans = whole_rod if group.span == "rod" else pieces
+        if group.span == "rod":
+            spans = whole_rod
+        else:
+            spans = pieces
         for a, b in spans:
             polynomials = _legendre_polynomials(points, a, b, group.order)
             for strain in group.strains:
@@ -218,8 +221,10 @@ class StaticsBased(RodStrain):
         cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo
     ) -> tuple[Modes, ...] | Snapshots:
         existing = info.data.get("strains", STRAINS)
-        groups = () if isinstance(passive, Snapshots) else passive
-        strains = [strain for modes in groups for strain in modes.strains]
+        strains = list[str]()
+        if not isinstance(passive, Snapshots):
+            for modes in passive:
+                strains.extend(modes.strains)
         rigid = [strain for strain in strains if strain not in existing]
         if rigid:
             raise ValueError(

@@ -140,7 +140,10 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
     is_metal = density > METAL
     is_plausible = SOFTEST <= E <= STIFFEST
     if not is_plausible or (is_metal and E < IN_MPA):
-        reason = f", and its density, {density:g} kg/m^3, that of a metal" if is_metal else ""
+        if is_metal:
+            reason = f", and its density, {density:g} kg/m^3, that of a metal"
+        else:
+            reason = ""
         usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
         question = _ask(E, usual, MODULI)
         yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
@@ -233,7 +236,10 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
     area = np.pi * path.radius**2  # of a solid circle
     modulus = path.stretch / area
     strain = path.strain()
-    greatest = STRAINED if modulus.min() < SOFT else STIFF_STRAINED
+    if modulus.min() < SOFT:
+        greatest = STRAINED
+    else:
+        greatest = STIFF_STRAINED
     is_usual = path.tendon.tension_limits == Tendon.model_fields["tension_limits"].default
     if strain > greatest and not is_usual:
         return (

@@ -38,7 +38,10 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    load = _matlab_arrays if path.suffix.lower() == ".mat" else _numpy_arrays
+    if path.suffix.lower() == ".mat":
+        load = _matlab_arrays
+    else:
+        load = _numpy_arrays
     arrays = {name: array for name, array in load(path).items() if array.dtype.kind in KINDS}
     row_count = _row_count(arrays)
     if row_count == 0:
@@ -68,7 +71,9 @@ def _row_count(arrays: Mapping[str, NDArray[Any]]) -> int:
 
 def _text(value: Any) -> str:
     """A number or text of an array as a cell, without a loss of digits."""
-    return value.strip() if isinstance(value, str) else repr(value)
+    if isinstance(value, str):
+        return value.strip()
+    return repr(value)
 
 
 def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArray[Any]]:
@@ -132,5 +137,8 @@ def _flat(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
             array = np.asarray(value)
             # a cell array of names has objects
             is_text = array.dtype == object and all(isinstance(cell, str) for cell in array.flat)
-            arrays[prefix + name] = array.astype(str) if is_text else array
+            if is_text:
+                arrays[prefix + name] = array.astype(str)
+            else:
+                arrays[prefix + name] = array
     return arrays

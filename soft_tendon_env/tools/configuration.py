@@ -132,7 +132,9 @@ class Configuration(BaseModel):
 def _freeze(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | os.PathLike):
         value = plain(value)
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(value)
+    return value
 
 
 def plain(value: Any) -> Any:
@@ -157,14 +159,19 @@ def dotted(key: Key) -> str:
     """`("tendons", 3, "end")` -> `"tendons[3].end"`."""
     text = ""
     for part in key:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            text += f".{part}"
     return text.removeprefix(".")
 
 
 def shown(value: Any) -> str:
     """A value as text for an error message: arrays in brackets, long ones cut."""
     text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 80 else text[:76] + " ..."
+    if len(text) <= 80:
+        return text
+    return text[:76] + " ..."
 
 
 def not_among(name: str, valid: Iterable[str]) -> str:
@@ -172,7 +179,9 @@ def not_among(name: str, valid: Iterable[str]) -> str:
     valid = sorted(valid)
     every_name = f"valid: {', '.join(valid)}"
     close = difflib.get_close_matches(name, valid, n=1)
-    return f"did you mean {close[0]!r}? {every_name}" if close else every_name
+    if close:
+        return f"did you mean {close[0]!r}? {every_name}"
+    return every_name
 
 
 def not_registered(name: str, valid: Iterable[str]) -> str:
@@ -264,7 +273,10 @@ def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
     problem = None
     places: Sequence[Any] = ()
     if isinstance(node, dict):
-        places = [*node] if part == "*" else [part]
+        if part == "*":
+            places = [*node]
+        else:
+            places = [part]
     elif isinstance(node, list):
         every_place = range(len(node))
         if part == "*":

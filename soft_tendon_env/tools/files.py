@@ -163,7 +163,9 @@ def shipped_folder(inside: str, beside: str) -> Path:
 
     It is `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone.
     """
-    return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
+    if (PACKAGE / inside).is_dir():
+        return PACKAGE / inside
+    return PACKAGE.parent / beside
 
 
 CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations that ship

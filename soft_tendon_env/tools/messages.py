@@ -30,7 +30,9 @@ def describe(error: BaseException) -> str:
         names = ", ".join(
             str(name) for name in (error.filename, error.filename2) if name is not None
         )
-        return f"{names}: {error.strerror}" if names else error.strerror
+        if names:
+            return f"{names}: {error.strerror}"
+        return error.strerror
     if isinstance(error, MemoryError):
         return (
             f"there is too little memory: {error}" if str(error) else "there is too little memory"
@@ -41,7 +43,9 @@ def describe(error: BaseException) -> str:
 def first_line(error: BaseException) -> str:
     """The type and the first line of an error of another library, at most 160 characters of it."""
     text = describe(error).strip().splitlines()
-    return f"{type(error).__name__}, {text[0][:160]}" if text else type(error).__name__
+    if text:
+        return f"{type(error).__name__}, {text[0][:160]}"
+    return type(error).__name__
 
 
 def say(line: str) -> None:

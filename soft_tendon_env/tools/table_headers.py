@@ -49,7 +49,10 @@ def column_names(header: Sequence[str], above: Sequence[Sequence[str]]) -> list[
     for chosen in candidates:
         names = list[str]()
         for i, name in enumerate(header):
-            parts = [line[i] for line in chosen] if is_repeated[i] else []
+            if is_repeated[i]:
+                parts = [line[i] for line in chosen]
+            else:
+                parts = []
             # without a label of its own a column is none of a name
             label = " ".join(part for part in parts if part.casefold() != POSITION)
             names.append(f"{label} {name}" if all(parts) and label else name)
@@ -74,7 +77,10 @@ def _filled(line: Sequence[str], is_repeated: Sequence[bool]) -> list[str]:
     """Cells of a line over the columns: an empty one over a repeated column is the one before."""
     filled = list[str]()
     for i, repeated in enumerate(is_repeated):
-        cell = line[i] if i < len(line) else ""
+        if i < len(line):
+            cell = line[i]
+        else:
+            cell = ""
         if repeated and not cell and filled:
             cell = filled[-1]
         filled.append(cell)

@@ -77,7 +77,10 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
         with contextlib.suppress(ValueError):  # it stays NaN, which is refused below
             value = float(text.replace(",", ".")) * factor
     if not math.isfinite(value):
-        shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+        if len(text) <= SHOWN:
+            shown = text
+        else:
+            shown = f"{text[:SHOWN]}..."
         raise ValueError(
             f"{where}: {name} is {shown!r}: it should be a finite number, or empty where there is"
             " none"
@@ -181,7 +184,10 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
     for place in _header_places(lines):
         line = lines[place]
         is_comment = line.startswith(COMMENTS)
-        text = line.lstrip("".join(COMMENTS) + " \t") if is_comment else line
+        if is_comment:
+            text = line.lstrip("".join(COMMENTS) + " \t")
+        else:
+            text = line
         separator = max(SEPARATORS, key=text.count)
         if separator not in text.strip():
             separator = " "
@@ -207,7 +213,10 @@ def _header_places(lines: Sequence[str]) -> list[int]:
     places = [*range(min(PREAMBLE, len(lines)))]
     since_empty = BLOCK
     for place, line in enumerate(lines):
-        since_empty = since_empty + 1 if line.strip() else 0
+        if line.strip():
+            since_empty = since_empty + 1
+        else:
+            since_empty = 0
         if place >= PREAMBLE and 0 < since_empty <= BLOCK:
             places.append(place)
     return places

@@ -189,7 +189,10 @@ class ControllerSearch(Search):
         """Computes the geometric mean of the costs over all settings and regimes."""
         name = self._controller(values)
         scene = self.options.get("scene", "paper")
-        changes = scene if isinstance(scene, Mapping) else {"scene": scene}
+        if isinstance(scene, Mapping):
+            changes = scene
+        else:
+            changes = {"scene": scene}
         make = partial(name.load, scene=believed_scene(name, changes))
         costs = []
         mean = np.nan

@@ -193,7 +193,10 @@ def _up_to(greatest: float) -> BeforeValidator:
 
     def checked(value: Any) -> Any:
         is_range = isinstance(value, tuple) and len(value) == 2
-        ends = value if is_range else (value, value)
+        if is_range:
+            ends = value
+        else:
+            ends = (value, value)
         are_numbers = all(type(end) in (int, float) for end in ends)
         if not are_numbers or not 0.0 < ends[0] <= ends[1] <= greatest:
             raise ValueError(

@@ -234,7 +234,10 @@ class CircleCourse(PoseCourse):
             base = np.eye(4)
         self.circle = circle
         self._axes = base[:3, :3]
-        self.radius = 0.25 * length if circle.radius is None else circle.radius
+        if circle.radius is None:
+            self.radius = 0.25 * length
+        else:
+            self.radius = circle.radius
         if circle.centre is None:
             self.centre = base[:3, 3] + 0.95 * length * base[:3, 0]
         else:

@@ -158,7 +158,10 @@ def _given_course(
         return StaticCourse(with_obstacles, motion(points))
     except NoEquilibrium as error:
         reason = static_equilibrium(with_obstacles.model, tension).reason
-        why = f"{shown_numbers(tension)} N: {reason}" if reason else str(error)
+        if reason:
+            why = f"{shown_numbers(tension)} N: {reason}"
+        else:
+            why = str(error)
         text = (
             f"is {shown(tension.tolist())}: it should be tensions that the arm can hold, not {why}"
         )
@@ -201,7 +204,10 @@ class StaticCourse(ShapeCourse):
         # tendons that pull alone: so that there is a strain, and one alone, between knots too
         is_drawn = margin > 1.0
         pulls = setting.limits.min() >= 0.0
-        places = tension.knots if is_drawn and pulls else self.places
+        if is_drawn and pulls:
+            places = tension.knots
+        else:
+            places = self.places
         q, _ = self.coordinates(places)
         is_firm = setting.arms.have_margin(margin * q)
         if not is_firm.all():
