@@ -79,7 +79,9 @@ class CaseModels:
             return tip_path(self.model(test.case), test.tensions)
         path = self._begun(test, hopeless)
         is_whole = path is not None and len(path) == test.rows + 1
-        return path if is_whole else None
+        if not is_whole:
+            return None
+        return path
 
     def bounds(self, test: TrialInput) -> Array:
         """Bounds (samples,) [m] of the tip's distance in a motion up to each sample.

@@ -144,7 +144,10 @@ def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
     fields = known_fields(scene)
     if fields is not None and _are_measured(fields, scene) and not is_length(fidelity):
         is_own = fields.is_of(scene)
-        margin = 1.0 if is_own else ALIKE_MARGIN
+        if is_own:
+            margin = 1.0
+        else:
+            margin = ALIKE_MARGIN
         needed = fields.needed(asked.fields * rod_length(scene) / margin, USUAL)
         if needed is None and is_own:
             needed = len(fields.coefficients)

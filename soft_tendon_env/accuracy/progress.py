@@ -21,7 +21,9 @@ class Progress:
         # tqdm is not for everyone who imports an environment
         from soft_tendon_env.tools.progress import progress_bar
 
-        label = f"{name}, trial of its accuracy" if shown else None
+        label = None
+        if shown:
+            label = f"{name}, trial of its accuracy"
         self._bar = progress_bar(1.0, label, "trial", LAYOUT)
         self._planned = 0.0
         self._done = 0.0

@@ -259,7 +259,9 @@ class Rung:
         """
         if coarse is None:
             equilibrium = static_equilibrium(self.model, tensions)
-            return equilibrium.q if equilibrium.converged else None
+            if not equilibrium.converged:
+                return None
+            return equilibrium.q
         return rest_near(self.model, self.nearest(coarse), tensions, 1.0, stable=True)
 
 

@@ -272,7 +272,10 @@ class Trial:
         is_bounded: inf where it is more than that, and too much for what is asked for.
         """
         models = CaseModels(self.cases, model)
-        worst = 0.0 if self.tests else np.inf
+        if self.tests:
+            worst = 0.0
+        else:
+            worst = np.inf
         for test in list(self.tests):
             if is_bounded:
                 enough = self._enough(test)

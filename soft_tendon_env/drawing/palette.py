@@ -74,8 +74,12 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     words = re.split(r"[^a-z0-9]+", policy.lower())
     kinds = [word for word in words if word in MODEL_BASED or word in LEARNED]
     filters = [FILTERS[word] for word in words if word in FILTERS]
-    kind = kinds[0] if kinds else None
-    share = filters[0] if filters else 1.0
+    kind = None
+    if kinds:
+        kind = kinds[0]
+    share = 1.0
+    if filters:
+        share = filters[0]
     marker = _marker(kind, share)
     taken_colours = [other.colour for other in taken]
     colours = [*OTHERS]
@@ -113,7 +117,9 @@ def _marker(kind: str | None, share: float) -> str:
         return TRIANGLE
     if kind in LEARNED:
         return CIRCLE
-    return SQUARE if share == 1.0 else DIAMOND
+    if share == 1.0:
+        return SQUARE
+    return DIAMOND
 
 
 def _shades(kind: str, share: float) -> Iterator[RGB]:

@@ -501,7 +501,10 @@ def paint_floor(
     axes.set_axis_off()
     # lines on the floor, along both of its axes
     first, second = [axis for axis in range(3) if axis != vertical]
-    lowest_corner = lower if upright else upper
+    if upright:
+        lowest_corner = lower
+    else:
+        lowest_corner = upper
     floor = lowest_corner[vertical]
     spacing = GRID * rod_length(scene)
     lines = []

@@ -410,7 +410,10 @@ def camera(
     needed = aside / slopes + towards
     distance = needed.max()
     position = middle + [0.0, 0.0, distance]
-    sign = 1.0 if upright else -1.0
+    if upright:
+        sign = 1.0
+    else:
+        sign = -1.0
     upward = sign * np.eye(3)[vertical]
     return position @ turn, middle @ turn, upward
 

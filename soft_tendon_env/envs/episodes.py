@@ -732,7 +732,9 @@ class Episodes:
         It has numbers of the row's scene by dotted keys, and those of its actuators.
         """
         values = {**self.starts.numbers[row], **self.actuation.drawn(row)}
-        return {DRAWN: values} if values else {}
+        if values:
+            return {DRAWN: values}
+        return {}
 
     def drawn_shares(self) -> Array:
         """Drawn numbers (rows, numbers) as shares of their ranges, 0 for the least, 1 the greatest.

@@ -398,7 +398,9 @@ def resolved_scene(options: Options) -> Scene:
     columns = _columns_of_extremes(options, scene)
     if columns is not None:
         changes["integrator.columns"] = columns
-    return scene.replace(changes) if changes else scene
+    if changes:
+        return scene.replace(changes)
+    return scene
 
 
 def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
@@ -580,7 +582,10 @@ def _check_pose(
     allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod"
     if any(base):
         allowed += f", around the base at {shown(base)} m"
-    key = "target.pose" if target.position is None else "target.position"
+    if target.position is None:
+        key = "target.pose"
+    else:
+        key = "target.position"
     _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
 
 

@@ -114,7 +114,10 @@ class Starts:
                 self._model_with(drawn.changes(end), drawn.name)
         self._size = self._bank_size()
         draws_obstacles = self._draws_obstacles()
-        self._redraws = REDRAWS if draws_obstacles else 0
+        if draws_obstacles:
+            self._redraws = REDRAWS
+        else:
+            self._redraws = 0
         # an arm that begins inside of an obstacle is drawn again: it says nothing of the rest
         if self._ranges and not draws_obstacles:
             count = len(self._ranges)
@@ -146,7 +149,9 @@ class Starts:
         if self._omit:
             return BANK_WITH_OMISSIONS
         varies = any(drawn.least < drawn.greatest for drawn in self._ranges)
-        return BANK if varies else 1
+        if varies:
+            return BANK
+        return 1
 
     def begin(self, row: int, generator: np.random.Generator) -> Drawn:
         """Give a row its arm.

@@ -109,7 +109,10 @@ class Term(NamedTuple):
         """Errors that halve the term, those of its weight or the default ones, of a rod [m]."""
         if weight.scale is not None:
             return np.array(weight.scale)
-        unit = length if self.of_length else 1.0
+        if self.of_length:
+            unit = length
+        else:
+            unit = 1.0
         return np.array(self.scale) * unit
 
 

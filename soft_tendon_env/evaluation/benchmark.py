@@ -355,7 +355,10 @@ def gaps(
 
     A gap says by how much the learned policy has more of an error, or less return.
     """
-    sign = -1.0 if key == "return" else 1.0
+    if key == "return":
+        sign = -1.0
+    else:
+        sign = 1.0
     by_setting = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in standings):
         agents = list[Standing]()
@@ -411,4 +414,6 @@ def _side(gap: Mean) -> str:
     """Side of zero on which the whole interval of a gap lies."""
     if gap.high < 0.0:
         return "ahead"
-    return "behind" if gap.low > 0.0 else "not separated"
+    if gap.low > 0.0:
+        return "behind"
+    return "not separated"

@@ -135,4 +135,6 @@ def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
         if told:
             words.append("told of the effects")
         return ", ".join(words)
-    return "none" if isinstance(policy, Agent) else "own"
+    if isinstance(policy, Agent):
+        return "none"
+    return "own"

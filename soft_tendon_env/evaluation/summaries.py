@@ -40,7 +40,9 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
         raise ValueError("values should have at least one run")
     cut = int(CUT * len(ordered))
     mean = ordered[cut : len(ordered) - cut].mean(axis=0)
-    return mean if mean.ndim else float(mean)
+    if mean.ndim:
+        return mean
+    return float(mean)
 
 
 def tails(values: ArrayLike) -> tuple[float, float]:

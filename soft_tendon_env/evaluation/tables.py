@@ -51,7 +51,10 @@ def with_seeds(name: str, count: int | None) -> str:
     """A name, with the number of seeds behind it if there are any."""
     if count is None:
         return name
-    unit = "seed" if count == 1 else "seeds"
+    if count == 1:
+        unit = "seed"
+    else:
+        unit = "seeds"
     return f"{name} ({count} {unit})"
 
 
@@ -234,7 +237,8 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
             cells = {}
             for key, value in row.items():
                 is_missing = isinstance(value, float) and math.isnan(value)
-                cells[key] = None if is_missing else value
+                if not is_missing:
+                    cells[key] = value
             writer.writerow(cells)
     print(f"written: {path}")
 

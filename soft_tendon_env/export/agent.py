@@ -257,7 +257,10 @@ class _TensorIntegral:
 
     def __call__(self, parts: Parts, integral: Tensor) -> tuple[Parts, Tensor]:
         """Parts of an observation with their target moved, and the next integral (1, ways)."""
-        key = BOX if BOX in parts else "desired_goal"
+        if BOX in parts:
+            key = BOX
+        else:
+            key = "desired_goal"
         target = parts[key]
         start = parts.get("achieved_goal", 0.0)
         observed_way = (target - start).double()

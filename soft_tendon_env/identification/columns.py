@@ -162,7 +162,9 @@ def _header_name(table: Table, column: str) -> str | None:
     if len(matches) > 1:
         names = " and as ".join(matches)
         raise ValueError(f"{table.where}: column {column} is there as {names}")
-    return matches[0] if matches else None
+    if not matches:
+        return None
+    return matches[0]
 
 
 def _check_complete(

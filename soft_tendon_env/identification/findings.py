@@ -154,7 +154,10 @@ def _parameter_texts(parameter: Parameter, x: float) -> list[str]:
     # the coordinate of a factor is its logarithm
     times = np.exp(abs(x))
     if parameter.name.endswith("young_modulus") and times > UNLIKELY:
-        direction = "greater" if x > 0 else "less"
+        if x > 0:
+            direction = "greater"
+        else:
+            direction = "less"
         texts.append(
             f"{parameter.name} is {times:.2g} times {direction} than in the scene: is a unit wrong?"
             " Tensions in kg that are read as N make it 9.8 times less."

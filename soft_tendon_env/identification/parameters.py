@@ -334,12 +334,18 @@ def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Sc
     # a factor does not reach a number of the other sign
     is_unreachable = usual.is_factor and low * high <= 0.0
     if not is_inside or is_unreachable:
-        what = "of one sign around" if usual.is_factor else "around"
+        if usual.is_factor:
+            what = "of one sign around"
+        else:
+            what = "around"
         raise ValueError(
             f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its"
             f" number, {usual.value:g}"
         )
-    prior = None if bounds else usual.prior
+    if bounds:
+        prior = None
+    else:
+        prior = usual.prior
     bounded = replace(usual, low=low, high=high, prior=prior)
     if bounded.of_scene is None:
         return bounded

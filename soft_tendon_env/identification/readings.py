@@ -144,7 +144,10 @@ class Readings:
         self._last_x = b""
         self._last_poses: Array = np.empty((0, 0, 4, 4))
         has_motions = any(recording.period for recording in recordings)
-        self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
+        if has_motions:
+            self._difference = MOTION_DIFFERENCE
+        else:
+            self._difference = HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]
         self.ends = np.cumsum(samples)
         marker_count = len(plants.markers.markers)

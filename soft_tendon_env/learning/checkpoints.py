@@ -127,7 +127,9 @@ def find_checkpoint(folder: Path) -> Path | None:
     new = folder.with_name(f"{folder.name}.new")
     old = folder.with_name(f"{folder.name}.old")
     # killed between the two renamings, when the new one was complete
-    return new if old.exists() else None
+    if not old.exists():
+        return None
+    return new
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:

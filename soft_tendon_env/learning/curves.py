@@ -119,7 +119,10 @@ def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
     low, high = [number(float(bound)) for bound in bootstrap_interval(values)]
     mean, tail = [number(float(value)) for value in tails(values)]
     diverged = any(row["diverged"] for row in last)
-    flag = f" {FLAG}" if diverged else ""
+    if diverged:
+        flag = f" {FLAG}"
+    else:
+        flag = ""
     return (
         curves.name,
         str(len(last)),

@@ -65,7 +65,10 @@ class RecurrentPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         check_sizes(self.memory, self.posture, self.features_dim)
-        times = 2 if self.fine else 1
+        if self.fine:
+            times = 2
+        else:
+            times = 1
         inputs = self.features_dim * times + self.memory
         if self.memory:
             self.gate = torch.nn.Linear(inputs, self.memory)

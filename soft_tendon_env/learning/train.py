@@ -143,7 +143,10 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         print(f"done before: {done} steps")
         return
     callback.model = model  # which `check` asks, where the first reset fails too
-    kind = "tensorboard" if find_spec("tensorboard") else "csv"
+    if find_spec("tensorboard"):
+        kind = "tensorboard"
+    else:
+        kind = "csv"
     model.set_logger(configure(str(callback.folder / kind), [kind]))
     try:
         model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
@@ -249,4 +252,6 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
     def straight(remains: float) -> float:
         return last + (first - last) * remains
 
-    return geometric if kind else straight
+    if kind:
+        return geometric
+    return straight

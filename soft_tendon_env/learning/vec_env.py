@@ -110,7 +110,10 @@ class StableBaselinesVecEnv(VecEnv):
         Spaces are those of one row.
         """
         is_space = attr_name in ("observation_space", "action_space")
-        name = f"single_{attr_name}" if is_space else attr_name
+        if is_space:
+            name = f"single_{attr_name}"
+        else:
+            name = attr_name
         value = getattr(self.env, name)
         return [value for _ in self._get_indices(indices)]
 

@@ -168,7 +168,10 @@ class LoadPath:
             part: of the load, 0 to 1.
         """
         balance = self.balance
-        tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
+        if part == 1.0:
+            tolerance = RESIDUAL
+        else:
+            tolerance = ON_THE_WAY
         if balance.size > FEW:
             slow = SLOW
         else:
@@ -319,7 +322,10 @@ class LoadPath:
             tangent_size = balance.angle(point.tangent)
             # at a limit point the path goes on along the softest mode, at a bifurcation it does not
             snaps = along_mode > 0.5 * tangent_size
-            obstacle = SNAPS if snaps else BUCKLES
+            if snaps:
+                obstacle = SNAPS
+            else:
+                obstacle = BUCKLES
         percent = 100 * point.evaluation.part
         return f"beyond {percent:.4g} % of the load: {obstacle}"
 

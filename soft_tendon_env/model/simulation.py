@@ -88,7 +88,10 @@ class SimulationDiverged(RuntimeError):
         self.unit = unit
 
     def __str__(self) -> str:
-        kind = "tensions" if self.unit == "N" else "commands"
+        if self.unit == "N":
+            kind = "tensions"
+        else:
+            kind = "commands"
         return (
             f"no step succeeds at {self.state.time:.6g} s under {kind}"
             f" {shown_numbers(self.command)} {self.unit}: {self.cause}"

@@ -128,7 +128,10 @@ def static_equilibrium(
                     linearised = balance.linearise(q, 1.0)
                     is_stable = linearised is None or linearised.stability.stable
                 return _equilibrium(balance, evaluation, is_stable, "")
-        settlings = MOST_SETTLINGS if settle else 0
+        if settle:
+            settlings = MOST_SETTLINGS
+        else:
+            settlings = 0
         end, reason = path.rest(settlings)
         return _equilibrium(balance, end.evaluation, end.stability.stable, reason)
 
@@ -196,9 +199,10 @@ def _warn_of_redundancy(balance: Balance, evaluation: Evaluation, tip: Array) ->
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
-        size = (
-            f"by {1e3 * error:.2g} mm" if np.isfinite(error) else "by more than its strain allows"
-        )
+        if np.isfinite(error):
+            size = f"by {1e3 * error:.2g} mm"
+        else:
+            size = "by more than its strain allows"
         text = (
             f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no"
             f" coordinate: at rest its tip is off {size}"

@@ -45,7 +45,10 @@ def claims_table(claims: Iterable[Claim]) -> str:
     """Table of claims, as text that is Markdown as well."""
     rows = []
     for claim in claims:
-        verdict = "yes" if claim.holds else "**NO, missed**"
+        if claim.holds:
+            verdict = "yes"
+        else:
+            verdict = "**NO, missed**"
         rows.append((claim.figure, claim.paper, claim.measured, verdict))
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 

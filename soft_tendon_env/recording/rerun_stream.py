@@ -233,7 +233,10 @@ class RerunStream:
             ),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
         }
-        up = "UP" if upright else "DOWN"
+        if upright:
+            up = "UP"
+        else:
+            up = "DOWN"
         axes = getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{up}")
         self._send_static("world", axes)
         discs = disc_rows(scene)
@@ -413,7 +416,9 @@ def _kind(scalar: str) -> str:
     """The group of plots that a scalar belongs to."""
     if scalar.startswith("reward"):
         return "reward"
-    return "error" if scalar.endswith("error") else "other"
+    if scalar.endswith("error"):
+        return "error"
+    return "other"
 
 
 def _nanoseconds(seconds: float) -> int:

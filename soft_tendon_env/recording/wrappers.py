@@ -128,7 +128,10 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         self._closes = isinstance(file, str | Path)
         self._file = _open(file)
         if place is not None:
-            position = None if place == "beside" else place
+            if place == "beside":
+                position = None
+            else:
+                position = place
             self._file.add_arm(name, episodes.model, position)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
 

@@ -99,8 +99,9 @@ def check_robot(robot: Any) -> None:
 
 def read_fields(robot: Robot, sensors: int) -> tuple[str, ...]:
     """Fields of Measurement that are read of a robot: without strain sensors no strains."""
-    unread = () if sensors else ("strain", "strain_rate")
-    return tuple(name for name in robot.senses if name not in unread)
+    if sensors:
+        return tuple(robot.senses)
+    return tuple(name for name in robot.senses if name not in STRAINS)
 
 
 def check_measurement(

@@ -137,7 +137,9 @@ class TaperTable(Taper):
 
 def _kind_of_size(value: Any) -> Any:
     """Tag of a size: whether it is a taper or a number."""
-    return "taper" if isinstance(value, Taper) else "number"
+    if isinstance(value, Taper):
+        return "taper"
+    return "number"
 
 
 Size = Annotated[

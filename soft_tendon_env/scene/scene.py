@@ -156,7 +156,10 @@ class Segment(Configuration):
         # a section that is wrong is missing here: its own error is enough
         is_section_known = "section" in info.data
         if not takes_its_place and value is None and is_section_known:
-            or_section = ", or a section" if is_radius else ""
+            if is_radius:
+                or_section = ", or a section"
+            else:
+                or_section = ""
             raise ConfigurationError([Problem((), f"is missing: it is required{or_section}")])
         return value
 

@@ -89,7 +89,9 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
         return abs(math.log10(converted / usual))
 
     nearest = min(factors, key=decades_off)
-    return f": is it {nearest}?" if nearest else ""
+    if nearest:
+        return f": is it {nearest}?"
+    return ""
 
 
 def _stiffness(segment: Segment, places: Array) -> Array:
@@ -144,7 +146,10 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
             reason = f", and its density, {density:g} kg/m^3, that of a metal"
         else:
             reason = ""
-        usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
+        if is_metal:
+            usual = USUAL_METAL_MODULUS
+        else:
+            usual = USUAL_MODULUS
         question = _ask(E, usual, MODULI)
         yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
     # the strain at the base of a standing rod

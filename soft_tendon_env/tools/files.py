@@ -44,9 +44,8 @@ def read_text(path: Path, errors: str = "strict") -> str:
     """
     try:
         content = read_bytes(path)
-        errors = (
-            "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
-        )
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            errors = "strict"
         return content.decode("utf-8-sig", errors).replace("\r\n", "\n")
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error

@@ -34,9 +34,9 @@ def describe(error: BaseException) -> str:
             return f"{names}: {error.strerror}"
         return error.strerror
     if isinstance(error, MemoryError):
-        return (
-            f"there is too little memory: {error}" if str(error) else "there is too little memory"
-        )
+        if str(error):
+            return f"there is too little memory: {error}"
+        return "there is too little memory"
     return ". ".join([str(error) or type(error).__name__, *getattr(error, "__notes__", [])])
 
 

@@ -290,5 +290,7 @@ def read_search(
     """
     table = read_toml(path)
     override(table, parsed_changes(changes))
-    kind = TrainingSearch if "training" in table else ControllerSearch
+    kind: type[Search] = ControllerSearch
+    if "training" in table:
+        kind = TrainingSearch
     return kind.parse({**table, **more}, str(path))

@@ -224,7 +224,10 @@ def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
     class FakeTrial:
         def __init__(self, scene, share, reach, progress):
             self.reach = reach
-            self.left_out = left_out if reach > 1.0 else 0
+            if reach > 1.0:
+                self.left_out = left_out
+            else:
+                self.left_out = 0
             tried.append(reach)
 
     def best(trial, asked, progress, least):

@@ -249,7 +249,9 @@ def bending(model, tension, direction):
         )
 
     far = 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0]
-    return brentq(unbalanced, 0.0, far) if unbalanced(far) < 0.0 else far
+    if unbalanced(far) < 0.0:
+        return brentq(unbalanced, 0.0, far)
+    return far
 
 
 def test_hysteresis_of_a_slow_cycle(uniform):

@@ -64,7 +64,8 @@ def pressed_arm(build, pull, friction, **changes):
 def simulate_to_rest(model, seconds=5.0, tension=None):
     """The simulation after this time."""
     simulation = Simulation(model)
-    tension = np.zeros(model.tendon_count) if tension is None else tension
+    if tension is None:
+        tension = np.zeros(model.tendon_count)
     for _ in range(round(seconds / 0.02)):
         simulation.step(tension, 0.02)
     return simulation

@@ -177,7 +177,10 @@ def test_pressure_is_hunt_and_crossleys_up_to_the_wall():
         body = body_of(obstacle)
         begin = FREE * RADIUS + 0.5 * thick
         for depth in (0.0, 0.5 * E, E, 10.0 * E, 0.999 * begin):
-            smooth = K * depth**2 / (2.0 * E) if depth < E else K * (depth - 0.5 * E)
+            if depth < E:
+                smooth = K * depth**2 / (2.0 * E)
+            else:
+                smooth = K * (depth - 0.5 * E)
             for approach in (0.0, 0.5, -0.5):
                 expected = smooth * (1.0 + DISSIPATION * approach)
                 assert law(body, depth, approach)[0] == pytest.approx(
@@ -236,7 +239,8 @@ def nodes_at(poses, twists=None, before=None, heights=(0.0, 0.0), mass=1.0):
     """Nodes at poses (nodes, 4, 4) with body twists (nodes, 6), by default at rest; before: poses
     before the step, a hundredth of a second ago; heights: of the base now and then."""
     count = len(poses)
-    twists = np.zeros((count, 6)) if twists is None else twists
+    if twists is None:
+        twists = np.zeros((count, 6))
     earlier = field_of(poses if before is None else before)
     base, base_before = map(base_at, heights)
     return Nodes(

@@ -42,7 +42,10 @@ def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start,
     observation, _ = env.reset(seed=0)
     np.testing.assert_array_equal(env.episodes.tension[0], start)
     begun = env.episodes.arms.reading.tip_pose[0].copy()
-    still = np.zeros(3) if action == "increment" else observation[:3].astype(float)
+    if action == "increment":
+        still = np.zeros(3)
+    else:
+        still = observation[:3].astype(float)
     assert action == "increment" or np.allclose(
         limits[0] + 0.5 * np.ptp(limits) * (still + 1.0), start, atol=1e-6
     )
@@ -131,7 +134,8 @@ def test_commands_change_no_faster_than_the_actuators_let_them():
 def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
     """Rows of actuators of three tendons, at a control period of 20 ms in four steps."""
     options = Options(scene="three_tendon", action=action, randomize=Randomization(**randomize))
-    limits = np.stack([LEAST, GREATEST], axis=1) if limits is None else limits
+    if limits is None:
+        limits = np.stack([LEAST, GREATEST], axis=1)
     return Actuation(options, limits, BEFORE, share * np.ones(3), rows, 4)
 
 

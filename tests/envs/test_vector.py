@@ -208,7 +208,10 @@ def test_bad_arguments_of_reset_are_refused_before_anything_changes(
 @pytest.mark.parametrize(("rows", "threads"), [(None, None), (1, None), (32, 2)])
 def test_nothing_goes_on_after_close(rows, threads):
     """Whether there are threads or not; closing again is harmless."""
-    env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
+    if rows is None:
+        env = TipPoseEnv(**SMALL)
+    else:
+        env = TipPoseVectorEnv(rows, threads=threads, **SMALL)
     env.reset(seed=0)
     env.step(np.zeros(env.action_space.shape))
     env.close()

@@ -86,7 +86,9 @@ def test_thirty_tendons(one_segment, measured, value):
     rng = np.random.default_rng(0)
     tendons = []
     for i in range(30):
-        end = float(rng.uniform(0.3, 1.0)) if i % 3 == 0 else None
+        end = None
+        if i % 3 == 0:
+            end = float(rng.uniform(0.3, 1.0))
         straight = StraightRouting(offset=(float(0.015 * np.cos(i)), float(0.015 * np.sin(i))))
         spiral = HelixRouting(
             radius=0.015, angular_rate=float(rng.uniform(-12, 12)), phase=40.0 * i

@@ -30,7 +30,8 @@ def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
     assert any(any(case["tip_wrench_world"][:3]) for case in cases)
     for case in cases[loaded]:
         changes = {**INSIDE, "quadrature.intervals": 48}
-        changes |= {"effects.gravity.acceleration": case["gravity"]} if any(case["gravity"]) else {}
+        if any(case["gravity"]):
+            changes["effects.gravity.acceleration"] = case["gravity"]
         moment, force = np.split(np.array(case["tip_wrench_world"]), 2)
         if any(case["tip_wrench_world"]):
             changes |= {

@@ -200,7 +200,11 @@ def test_kinks_are_not_extrapolated(kink):
         scratch.v[:] = -value
         complete_row(row, scratch)
     extrapolated = 2.0 * second - first
-    kept, other = (extrapolated, second) if kink == SMOOTH else (second, extrapolated)
+    kept = second
+    other = extrapolated
+    if kink == SMOOTH:
+        kept = extrapolated
+        other = second
     np.testing.assert_allclose(scratch.q, kept)
     np.testing.assert_allclose(scratch.v, -kept)
     np.testing.assert_allclose(scratch.error_q, kept - other)

@@ -46,12 +46,18 @@ def exact(path, u, c, time):
         return u
     away = abs(c - u)
     sign = np.sign(c - u)
-    slow = path.rate_limit * path.time_constant if path.time_constant else 0.0
+    if path.time_constant:
+        slow = path.rate_limit * path.time_constant
+    else:
+        slow = 0.0
     corner = max(away - slow, 0.0) / path.rate_limit
     if time <= corner:
         return u + sign * path.rate_limit * time
     rest = min(away, slow)
-    left = math.exp(-(time - corner) / path.time_constant) if path.time_constant else 0.0
+    if path.time_constant:
+        left = math.exp(-(time - corner) / path.time_constant)
+    else:
+        left = 0.0
     return c - sign * rest * left
 
 

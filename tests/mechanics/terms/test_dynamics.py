@@ -130,7 +130,10 @@ def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
         if model.tendon_count == 10
         else np.array([2.0, 1.0, 1.0, 2.0])
     )
-    q = random_state(model, 11)[0] if name == "paper_48dof" else model.rest_coordinates(u)
+    if name == "paper_48dof":
+        q = random_state(model, 11)[0]
+    else:
+        q = model.rest_coordinates(u)
 
     def unbalanced(x):
         terms = model.terms(x, 0 * x)
