@@ -101,7 +101,7 @@ def read_fields(robot: Robot, sensors: int) -> tuple[str, ...]:
     """Fields of Measurement that are read of a robot: without strain sensors no strains."""
     if sensors:
         return tuple(robot.senses)
-    return tuple(name for name in robot.senses if name not in STRAINS)
+    return tuple(name for name in robot.senses if name not in ("strain", "strain_rate"))
 
 
 def check_measurement(

@@ -290,7 +290,7 @@ def read_search(
     """
     table = read_toml(path)
     override(table, parsed_changes(changes))
-    kind: type[Search] = ControllerSearch
+    values = {**table, **more}
     if "training" in table:
-        kind = TrainingSearch
-    return kind.parse({**table, **more}, str(path))
+        return TrainingSearch.parse(values, str(path))
+    return ControllerSearch.parse(values, str(path))
