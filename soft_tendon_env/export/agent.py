@@ -133,7 +133,8 @@ def pose_logarithm(pose: Tensor, target: Tensor) -> Tensor:
     # inverse of the Jacobian times the translation
     once = torch.linalg.cross(vector, translation)
     twice = torch.linalg.cross(vector, once)
-    linear = translation - 0.5 * once + factor * twice
+    first_order = translation - 0.5 * once
+    linear = first_order + factor * twice
     return torch.cat([vector, linear], dim=1)
 
 
@@ -150,9 +151,11 @@ def _half_angle(sine: Tensor, cosine: Tensor) -> Tensor:
     # runtimes have no atan of doubles: a step of Newton's adds the digits
     rough = torch.atan(tangent.float()).double()
     # a sine for the cosine, which some do not have for doubles either
-    rough_cosine = torch.sin(rough + 0.5 * math.pi)
+    shifted = rough + 0.5 * math.pi
+    rough_cosine = torch.sin(shifted)
     rough_sine = torch.sin(rough)
-    return rough + sine * rough_cosine - cosine * rough_sine
+    first_order = rough + sine * rough_cosine
+    return first_order - cosine * rough_sine
 
 
 def _quaternion(rotation: Tensor) -> Tensor:
@@ -184,12 +187,14 @@ def _quaternion(rotation: Tensor) -> Tensor:
         torch.stack([w_z, x_z, y_z, z_z], dim=1),
     ]
     products = torch.stack(columns, dim=2)
-    diagonal = torch.stack([w_w, x_x, y_y, z_z], dim=1)
+    squares = [w_w, x_x, y_y, z_z]
+    diagonal = torch.stack(squares, dim=1)
     # a product with a unit vector takes a column in all runtimes
     units = torch.eye(4, dtype=rotation.dtype)
     largest = diagonal.argmax(1)
     longest = units[largest]
-    column = (products * longest[:, None]).sum(2)
+    is_chosen = longest[:, None]
+    column = (products * is_chosen).sum(2)
     w = column[:, :1]
     sign = torch.where(w < 0.0, -1.0, 1.0)
     return sign * column / _length(column)
@@ -347,8 +352,10 @@ class _ControlPeriod(torch.nn.Module):
         sent = self.scale.wanted(action, command)
         most = self.scale.greatest_change
         if most is not None:
-            sent = torch.minimum(torch.maximum(sent, command - most), command + most)
-        sent = torch.minimum(torch.maximum(sent, self.scale.least), self.scale.greatest)
+            raised = torch.maximum(sent, command - most)
+            sent = torch.minimum(raised, command + most)
+        raised = torch.maximum(sent, self.scale.least)
+        sent = torch.minimum(raised, self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
         states = {
             "started": started,
@@ -655,4 +662,6 @@ def compare(
     width = actions.greatest - actions.least
     largest = np.max(differences, axis=0)
     shares = largest / width
-    return len(differences), float(largest.max()), float(shares.max())
+    greatest_difference = float(largest.max())
+    greatest_share = float(shares.max())
+    return len(differences), greatest_difference, greatest_share

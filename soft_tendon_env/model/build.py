@@ -71,7 +71,8 @@ def _check_turns(scene: Scene) -> None:
     most = MOST_INTERVALS * pieces
     for i, segment in enumerate(scene.segments):
         rate = math.hypot(*segment.curvature)
-        turns = rate * segment.length / (2.0 * math.pi)
+        turned_angle = rate * segment.length
+        turns = turned_angle / (2.0 * math.pi)
         if turns > most:
             text = (
                 f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the"

@@ -224,7 +224,8 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
     """
     children = _matching(f"{name}.*", entries)
     # the last parts of the keys of a vector's entries are 0, 1, ...
-    places = sorted({key.rpartition(".")[2] for key in children})
+    last_parts = {key.rpartition(".")[2] for key in children}
+    places = sorted(last_parts)
     is_vector = bool(places) and places[-1].isdecimal()
     if not is_vector:
         return [(name, value)]
@@ -337,7 +338,8 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     if name.startswith("effects."):
         effect = name.removeprefix("effects.").partition(".")[0]
         table = f"effects.{effect}."
-        has_effect = any(f"{key}.".startswith(table) for key in entries)
+        is_of_table = (f"{key}.".startswith(table) for key in entries)
+        has_effect = any(is_of_table)
         if effect in EFFECTS and not has_effect:
             return f"is no number yet: the scene has no [effects.{effect}]: add it"
     children = _matching(f"{name}.*", entries)

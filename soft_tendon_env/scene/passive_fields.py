@@ -60,7 +60,8 @@ class PassiveFields:
     @cached_property
     def digest(self) -> str:
         """16 hex digits of the numbers that they are made of."""
-        numbers = json.dumps([self.borders.tolist(), self.coefficients.tolist()])
+        arrays = [self.borders.tolist(), self.coefficients.tolist()]
+        numbers = json.dumps(arrays)
         return hashlib.sha256(numbers.encode()).hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
@@ -93,12 +94,14 @@ class PassiveFields:
         """
         coefficients = self.coefficients[:count]
         order = coefficients.shape[-1] - 1
-        values = np.zeros((len(coefficients), *points.shape, 6))
+        shape = (len(coefficients), *points.shape, 6)
+        values = np.zeros(shape)
         for piece, (start, end) in enumerate(itertools.pairwise(self.borders)):
             is_inside = (points > start) & (points < end)
             # from -1 to 1 over the piece
             from_start = points - start
-            scaled = 2 * from_start / (end - start) - 1
+            doubled_share = 2 * from_start / (end - start)
+            scaled = doubled_share - 1
             polynomials = legendre.legvander(scaled, order)
             basis = polynomials * is_inside[..., None]
             of_piece = coefficients[:, piece]
@@ -128,7 +131,8 @@ class PassiveFields:
         limits = [tendon.tension_limits for tendon in scene.tendons]
         low, high = np.transpose(limits)
         least, greatest = self.tension_limits.T
-        is_within = np.all((low >= least) & (high <= greatest))
+        is_inside = (low >= least) & (high <= greatest)
+        is_within = np.all(is_inside)
         return bool(is_within) and self.arm == arm_of(scene)
 
     def misfit(self, scene: Scene) -> str:
@@ -150,7 +154,8 @@ class PassiveFields:
                 if not is_alike:
                     return f"{name} of {made_for:g} in segment {i}, not {value:g}"
         low, high = self.tension_limits.T
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+        tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+        limits = np.array(tension_limits)
         least, greatest = limits.T
         margin = (ALIKE - 1.0) * (high - low)
         is_above = least >= low - margin

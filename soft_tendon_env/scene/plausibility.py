@@ -146,13 +146,16 @@ def scales_of(scene: Scene) -> ArmScales:
     bending, viscous_bending, stretch, line_mass = along_rod(scene, places, _rod_numbers)
     radius, _ = rod_radius(scene, places)
     disc_mass = disc_rows(scene)[:, 1]
-    mass = float(line_mass.mean() * length + disc_mass.sum())
+    rod_mass = line_mass.mean() * length
+    mass = float(rod_mass + disc_mass.sum())
     stiffness = float(np.median(bending))
     mean_line_mass = mass / length
-    rate = FIRST_MODE * math.sqrt(stiffness / (mean_line_mass * length**4))
+    inertia = mean_line_mass * length**4
+    rate = FIRST_MODE * math.sqrt(stiffness / inertia)
     # of Kelvin and Voigt's damping: half the angular frequency times the retardation time
     retardation_times = viscous_bending / bending
-    damping_ratio = float(0.5 * rate * np.max(retardation_times))
+    longest_time = np.max(retardation_times)
+    damping_ratio = float(0.5 * rate * longest_time)
     moduli = stretch / (np.pi * radius**2)
     limits = [abs(limit) for tendon in scene.tendons for limit in tendon.tension_limits]
     return ArmScales(
@@ -259,7 +262,8 @@ def _of_segment(segment: Segment, key: str, arm: ArmScales) -> Iterator[Quantity
     curvature_key = f"{key}.curvature"
     yield Quantity("bow", curvature_key, curvature, curvature * arm.radius)
     total = math.hypot(torsion, curvature)
-    turns = total * segment.length / (2.0 * math.pi)
+    turned_angle = total * segment.length
+    turns = turned_angle / (2.0 * math.pi)
     yield Quantity("coil", curvature_key, total, turns)
     if segment.discs is not None:
         yield from _of_discs(segment.discs, f"{key}.discs", arm)
@@ -269,8 +273,10 @@ def _of_discs(discs: Discs, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Mass and thickness of spacer discs."""
     width = 2.0 * discs.radius
     thickness = discs.thickness or width
-    volume = math.pi * discs.radius**2 * thickness
-    yield Quantity("disc density", f"{key}.mass", discs.mass, discs.mass / volume)
+    square_radius = discs.radius**2
+    volume = math.pi * square_radius * thickness
+    disc_density = discs.mass / volume
+    yield Quantity("disc density", f"{key}.mass", discs.mass, disc_density)
     share = 0.0
     if discs.thickness:
         share = discs.thickness / arm.length
@@ -310,7 +316,8 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
         name = f"{key}.routing.angular_rate"
         rate = routing.angular_rate
         slope = rate * routing.radius
-        turns = rate * (end - start) / (2.0 * math.pi)
+        turned_angle = rate * (end - start)
+        turns = turned_angle / (2.0 * math.pi)
         yield Quantity("helix slope", name, rate, slope)
         yield Quantity("helix turns", name, rate, turns)
         yield from _of_angles(f"{key}.routing.phase", (routing.phase,))
@@ -328,7 +335,8 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
         distance = np.linalg.norm(offsets, axis=1)
         farthest = float(distance.max())
         shares = distance / radius
-        yield Quantity("outside", f"{key}.routing", farthest, float(shares.max()))
+        largest_share = float(shares.max())
+        yield Quantity("outside", f"{key}.routing", farthest, largest_share)
 
 
 def _of_angles(key: str, angles: tuple[float, ...]) -> Iterator[Quantity]:
@@ -362,9 +370,11 @@ def _of_tip_load(load: TipLoad, arm: ArmScales) -> Iterator[Quantity]:
     """Payload, force and moment at the tip."""
     key = "effects.tip_load"
     mass = load.mass
-    yield Quantity("payload", f"{key}.mass", mass, mass / arm.mass)
+    mass_share = mass / arm.mass
+    yield Quantity("payload", f"{key}.mass", mass, mass_share)
     weight = GRAVITY * mass
-    yield Quantity("sag", f"{key}.mass", mass, _sag(weight, arm))
+    sag = _sag(weight, arm)
+    yield Quantity("sag", f"{key}.mass", mass, sag)
     yield from _of_wrench(load.force, load.moment, key, arm)
     inertia = max(load.inertia)
     heavier = max(arm.mass, mass)
@@ -375,7 +385,8 @@ def _of_tip_load(load: TipLoad, arm: ArmScales) -> Iterator[Quantity]:
 def _of_wrench(force: Triple, moment: Triple, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Force [N] and moment [N m] on the arm."""
     force_size = math.hypot(*force)
-    yield Quantity("sag", f"{key}.force", force_size, _sag(force_size, arm))
+    sag = _sag(force_size, arm)
+    yield Quantity("sag", f"{key}.force", force_size, sag)
     moment_size = math.hypot(*moment)
     bent = moment_size * arm.length / arm.bending  # [rad] by M l / (E I)
     yield Quantity("sag", f"{key}.moment", moment_size, bent)
@@ -399,7 +410,8 @@ def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
     frequency = getattr(signal, "frequency", 0.0)
     phase = getattr(signal, "phase", 0.0)
     rate = 2.0 * math.pi * frequency
-    yield Quantity("frequency", f"{key}.frequency", frequency, rate / arm.rate)
+    rate_share = rate / arm.rate
+    yield Quantity("frequency", f"{key}.frequency", frequency, rate_share)
     yield from _of_angles(f"{key}.phase", (phase,))
 
 
@@ -414,7 +426,8 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     yield Quantity("motion of the base", f"{key}.acceleration", acceleration, acceleration)
     amplitude = math.hypot(*motion.amplitude)
     yield Quantity("motion of the base", f"{key}.amplitude", amplitude, rate**2 * amplitude)
-    yield Quantity("swing", f"{key}.amplitude", amplitude, amplitude / arm.length)
+    amplitude_share = amplitude / arm.length
+    yield Quantity("swing", f"{key}.amplitude", amplitude, amplitude_share)
     velocity = math.hypot(*motion.velocity)
     yield Quantity("current", f"{key}.velocity", velocity, velocity)
     turning = motion.angular_velocity
@@ -422,7 +435,8 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     yield Quantity("motion of the base", f"{key}.angular_velocity", turning, centripetal)
     swing = motion.angular_amplitude
     yield Quantity("turn", f"{key}.angular_amplitude", swing, swing)
-    yield Quantity("frequency", f"{key}.frequency", motion.frequency, rate / arm.rate)
+    rate_share = rate / arm.rate
+    yield Quantity("frequency", f"{key}.frequency", motion.frequency, rate_share)
 
 
 def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -459,7 +473,8 @@ def _of_actuators(actuators: Actuators, arm: ArmScales) -> Iterator[Quantity]:
         yield Quantity("lag", f"{key}.{name}", value, value)
     limit = actuators.rate_limit
     if limit is not None and arm.pull:
-        yield Quantity("rate limit", f"{key}.rate_limit", limit, limit / arm.pull)
+        limit_share = limit / arm.pull
+        yield Quantity("rate limit", f"{key}.rate_limit", limit, limit_share)
 
 
 def _stiffness_at_tendons(scene: Scene, arm: ArmScales) -> float:
@@ -501,12 +516,14 @@ def _of_surroundings(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
 
 def _of_obstacle(obstacle: Any, distance: float, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Place, size and motion of an obstacle at a distance [m] from the base."""
-    yield Quantity("distance", f"{key}.position", distance, distance / arm.length)
+    distance_share = distance / arm.length
+    yield Quantity("distance", f"{key}.position", distance, distance_share)
     # each kind has some of these
     for name in ("radius", "length", "size"):
         value = getattr(obstacle, name, 0.0)
         size = float(np.max(value))
-        yield Quantity("obstacle", f"{key}.{name}", size, size / arm.length)
+        size_share = size / arm.length
+        yield Quantity("obstacle", f"{key}.{name}", size, size_share)
     speed = math.hypot(*obstacle.velocity)
     yield Quantity("current", f"{key}.velocity", speed, speed)
     yield from _of_signal(obstacle, key, arm)

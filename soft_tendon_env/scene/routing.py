@@ -99,7 +99,8 @@ class LinearTaper(Taper):
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         slope = (self.tip - self.base) / segment_length
-        return self.base + slope * arc_length, np.full_like(arc_length, slope)
+        size = self.base + slope * arc_length
+        return size, np.full_like(arc_length, slope)
 
 
 @register("taper", "table")
@@ -203,7 +204,8 @@ class StraightRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        offset = np.tile(np.array(self.offset), (len(arc_length), 1))
+        yz = np.array(self.offset)
+        offset = np.tile(yz, (len(arc_length), 1))
         return offset, np.zeros_like(offset)
 
 
@@ -255,7 +257,8 @@ class SurfaceRouting(TendonRouting):
     ) -> tuple[Array, Array]:
         y = np.cos(self.direction)
         z = np.sin(self.direction)
-        way = self.fraction * np.array([y, z])
+        yz = np.array([y, z])
+        way = self.fraction * yz
         offset = np.outer(radius, way)
         slope = np.outer(radius_slope, way)
         return offset, slope
@@ -281,7 +284,8 @@ class HelixRouting(TendonRouting):
         y = self.radius * np.cos(angle)
         z = self.radius * np.sin(angle)
         offset = np.stack([y, z], axis=-1)
-        tangent = np.stack([-z, y], axis=-1)
+        across = [-z, y]
+        tangent = np.stack(across, axis=-1)
         slope = self.angular_rate * tangent
         return offset, slope
 
@@ -324,7 +328,8 @@ class TableRouting(TendonRouting):
         first, *_, last = self.arc_length
         slack = ROUND_OFF * (last - first)
         start, end = ends
-        is_covered = first - slack <= start and end <= last + slack
+        begins_before = first - slack <= start
+        is_covered = begins_before and end <= last + slack
         if is_covered:
             return None
         return (

@@ -261,7 +261,8 @@ class ExplicitStrain(ExplicitBasis):
     def _independent(cls, modes: tuple[Modes, ...]) -> tuple[Modes, ...]:
         # a strain's constant over the rod is the sum of its constants over the pieces: two groups
         # always overlap
-        _check_each_once(tuple(strain for group in modes for strain in group.strains))
+        strains_of_modes = (strain for group in modes for strain in group.strains)
+        _check_each_once(tuple(strains_of_modes))
         return modes
 
 

@@ -109,7 +109,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
     length = rod_length(scene)
     if not SHORTEST_ROD <= length <= LONGEST_ROD:
-        yield f"the rod is {length:g} m long{_ask(length, USUAL_LENGTH, UNITS)}"
+        question = _ask(length, USUAL_LENGTH, UNITS)
+        yield f"the rod is {length:g} m long{question}"
     distance = max(map(abs, scene.base.position))
     if distance > FAR_BASE * length:
         yield (
@@ -126,7 +127,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
             yield text
             return
         bent = max(bent, path.bent())
-    if 0.0 < bent < LEAST_BENT and LONG_ROD < length <= LONGEST_ROD:
+    is_hardly_bent = 0.0 < bent < LEAST_BENT
+    if is_hardly_bent and LONG_ROD < length <= LONGEST_ROD:
         yield (
             f"tensions within their limits bend the rod by at most {bent:.2g} rad: are lengths"
             " in mm?"
@@ -180,7 +182,8 @@ class _Path(NamedTuple):
         """Path of a scene's tendon."""
         start, end = tendon_ends(scene, tendon)
         length = end - start
-        places = start + length * (np.arange(PLACES) + 0.5) / PLACES
+        shares = np.arange(PLACES) + 0.5
+        places = start + length * shares / PLACES
         offset, _ = tendon_offset(scene, tendon, places)
         radius, _ = rod_radius(scene, places)
         bending, stretch = along_rod(scene, places, _stiffness)
@@ -201,14 +204,16 @@ class _Path(NamedTuple):
 
     def strain(self) -> float:
         """Strain that this tension makes: bending at the surface, and compression."""
-        of_bending = self.offset * self.radius / self.bending
+        moment = self.offset * self.radius
+        of_bending = moment / self.bending
         of_compression = 1.0 / self.stretch
         strain = self.pull * (of_bending + of_compression)
         return float(np.median(strain))
 
     def bent(self) -> float:
         """Angle [rad] by which this tension bends the rod."""
-        curvature = self.pull * self.offset / self.bending
+        moment = self.pull * self.offset
+        curvature = moment / self.bending
         return float(curvature.mean() * self.length)
 
 
@@ -232,7 +237,8 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
     """Place or limits of tendon i that no arm has, in words; empty where there are none."""
     length = path.rod_length
     farthest = path.offset.max()
-    plausible = max(FAR_OFF * length, path.radius.max())
+    greatest_radius = path.radius.max()
+    plausible = max(FAR_OFF * length, greatest_radius)
     if farthest > plausible:
         question = _ask(farthest, SLENDER * length, UNITS)
         return (
@@ -245,7 +251,8 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
         greatest = STRAINED
     else:
         greatest = STIFF_STRAINED
-    is_usual = path.tendon.tension_limits == Tendon.model_fields["tension_limits"].default
+    limits_field = Tendon.model_fields["tension_limits"]
+    is_usual = path.tendon.tension_limits == limits_field.default
     if strain > greatest and not is_usual:
         return (
             f"tendons[{i}].tension_limits are up to {path.pull:g} N, which strain the rod by"
