@@ -111,7 +111,9 @@ def least_count(scene: Scene, strain: dict[str, Any]) -> int:
             spans = pieces
         else:
             spans = 1
-        count += spans * len(mode["strains"]) * (mode["order"] + 1)
+        strain_count = len(mode["strains"])
+        functions = mode["order"] + 1
+        count += spans * strain_count * functions
     return count
 
 

@@ -97,7 +97,8 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
                 " alone and may be far off in motion"
             )
             advice = "say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
-            warnings.warn(f"{scene.name!r} {text}: {advice}", FidelityWarning, stacklevel=2)
+            message = f"{scene.name!r} {text}: {advice}"
+            warnings.warn(message, FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
     if fidelity is not None:
         try:
@@ -132,7 +133,8 @@ def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
         "quadrature": scene.quadrature == Quadrature(),
         "integrator": scene.integrator == Integrator(),
     }
-    return scene.replace({name: table for name, table in parts.items() if is_open[name]})
+    open_parts = {name: table for name, table in parts.items() if is_open[name]}
+    return scene.replace(open_parts)
 
 
 def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
@@ -148,7 +150,8 @@ def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
             margin = 1.0
         else:
             margin = ALIKE_MARGIN
-        needed = fields.needed(asked.fields * rod_length(scene) / margin, USUAL)
+        allowed = asked.fields * rod_length(scene)
+        needed = fields.needed(allowed / margin, USUAL)
         if needed is None and is_own:
             needed = len(fields.coefficients)
         if needed is not None:
@@ -190,7 +193,8 @@ def _is_within(choice: Choice, asked: Accuracy, scene: Scene) -> bool:
 
     The next coarser preset has no more coordinates then: this choice would have been near enough.
     """
-    largest = scaled_effects(scene.effects.everywhere(), reaches(scene)[0])
+    reach = reaches(scene)[0]
+    largest = scaled_effects(scene.effects.everywhere(), reach)
     is_under_all = covers(Effects(**(choice.loads or {})), largest)
     return choice.error <= asked.share and choice.speaks_of_all and is_under_all
 
@@ -232,7 +236,8 @@ def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
     They were measured under its loads, or it has none.
     """
     loads = scene.effects.everywhere()
-    is_under_loads = loads == fields.effects or not has_strengths(loads)
+    are_alike = loads == fields.effects
+    is_under_loads = are_alike or not has_strengths(loads)
     return not fields.misfit(scene) and is_under_loads
 
 

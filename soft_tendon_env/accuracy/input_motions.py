@@ -50,7 +50,8 @@ def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    changes = random.uniform(-INCREMENT, INCREMENT, (rows, slack.size))
+    shape = (rows, slack.size)
+    changes = random.uniform(-INCREMENT, INCREMENT, shape)
     walk = np.empty_like(changes)
     share = slack
     for row, change in enumerate(changes):
@@ -67,7 +68,8 @@ def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
     rate = np.pi * FREQUENCY * detuning
     angle = middle[:, None] * rate
     part = np.sin(angle) ** 2
-    return np.asarray(slack + (highest - slack) * part)
+    pull = (highest - slack) * part
+    return np.asarray(slack + pull)
 
 
 def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
@@ -75,7 +77,8 @@ def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _step(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    return np.tile(random.random(slack.size), (rows, 1))
+    shares = random.random(slack.size)
+    return np.tile(shares, (rows, 1))
 
 
 class Kind(NamedTuple):
@@ -103,7 +106,8 @@ def slack_tensions(scene: Scene) -> Array:
 
 def tension_limits(scene: Scene) -> tuple[Array, Array]:
     """Lowest and highest tensions (n_a,) [N] of the tendons."""
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+    limits = np.array(tension_limits)
     return limits[:, 0], limits[:, 1]
 
 

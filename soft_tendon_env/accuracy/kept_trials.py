@@ -55,7 +55,8 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         kept = kept_choice(folder, key, scene, least)
         if kept is not None:
             if not kept.speaks_of_all:
-                say_once(f"{scene.name!r}: {kept.describe(scene)}, by a trial that was kept")
+                description = kept.describe(scene)
+                say_once(f"{scene.name!r}: {description}, by a trial that was kept")
             return kept
         say_once(
             f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
@@ -63,7 +64,9 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         )
         choice = trial.search(scene, asked, least)
         keep(folder, key, scene, choice)
-    say_once(f"{scene.name!r}: {choice.describe(scene)}; the bound is {100 * asked.share:.3g} %")
+    description = choice.describe(scene)
+    percent = 100 * asked.share
+    say_once(f"{scene.name!r}: {description}; the bound is {percent:.3g} %")
     return choice
 
 
@@ -74,7 +77,8 @@ def kept_choice(folder: Path, key: str, scene: Scene, least: int = 0) -> Choice 
     """
     fitting = []
     for choice in _kept(folder, key, scene):
-        if choice.coordinates >= least and _reaches(choice, scene):
+        is_enough = choice.coordinates >= least
+        if is_enough and _reaches(choice, scene):
             fitting.append(choice)
     return min(fitting, key=lambda choice: choice.coordinates, default=None)
 

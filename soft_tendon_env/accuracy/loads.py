@@ -110,5 +110,6 @@ def _is_between(value: ArrayLike, largest: ArrayLike) -> bool:
     part = np.array(value, dtype=float)
     whole = np.array(largest, dtype=float)
     is_same_side = part * whole >= 0.0
-    is_smaller = np.abs(part) <= (1.0 + ROUNDING) * np.abs(whole)
+    bound = (1.0 + ROUNDING) * np.abs(whole)
+    is_smaller = np.abs(part) <= bound
     return bool(np.all(is_same_side & is_smaller))

@@ -46,8 +46,10 @@ class Progress:
     def reference(self, work: float) -> None:
         """Some of the reference's work is done."""
         self._done += work
-        share = REFERENCE_SHARE * min(self._done / self._planned, 1.0)
-        self._bar.update(max(share - self._bar.n, 0.0))
+        done_share = min(self._done / self._planned, 1.0)
+        share = REFERENCE_SHARE * done_share
+        growth = share - self._bar.n
+        self._bar.update(max(growth, 0.0))
 
     def candidate(self) -> None:
         """One more candidate was judged."""

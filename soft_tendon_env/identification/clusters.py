@@ -43,7 +43,8 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
             " recordings"
         )
         raise ValueError(f"{text}: those with the same commands, or of one group, stay together")
-    fit_part = [*itertools.compress(recordings, np.logical_not(is_out))]
+    is_kept = np.logical_not(is_out)
+    fit_part = [*itertools.compress(recordings, is_kept)]
     judge_part = [*itertools.compress(recordings, is_out)]
     return [fit_part, judge_part]
 

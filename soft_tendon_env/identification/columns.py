@@ -73,7 +73,8 @@ def read_columns(
 
 def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
     """Quantities that a key of `[columns]` names; group 1 of a match is what its `*` stands for."""
-    pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
+    literal = re.escape(key)
+    pattern = re.compile(literal.replace(r"\*", "(.+)"))
     return [match for match in map(pattern.fullmatch, quantities) if match is not None]
 
 
@@ -115,7 +116,8 @@ def _check_unit(key: str, column: Column, si_unit: str) -> None:
         raise ValueError(f"columns.{key} is text: it has neither a unit nor a scale")
     known = UNITS.get(si_unit, {si_unit: 1.0})
     allowed = [*known, COUNTS]
-    if column.unit is not None and column.unit not in allowed:
+    has_unit = column.unit is not None
+    if has_unit and column.unit not in allowed:
         names = ", ".join(allowed)
         raise ValueError(f"columns.{key}.unit is {column.unit!r}: it should be one of {names}")
     if column.unit == COUNTS and not has_scale:
@@ -140,7 +142,8 @@ def _factor(expected: Expected, column: str, table: Table) -> float:
             f"{table.where}: column {column} is in {of_file}, says the file, and"
             f" columns.{expected.key}.unit is {unit!r}: they should be the same"
         )
-    return entry.sign * entry.scale * units.get(unit, 1.0)
+    unit_factor = units.get(unit, 1.0)
+    return entry.sign * entry.scale * unit_factor
 
 
 def _header_name(table: Table, column: str) -> str | None:
@@ -184,7 +187,8 @@ def _check_complete(
         text = (
             f"there is no column {names}: [columns] of the markers' file gives columns other names"
         )
-        raise ValueError(f"{table.where}: {text}; {_columns_there(missing[0], table)}")
+        columns_there = _columns_there(missing[0], table)
+        raise ValueError(f"{table.where}: {text}; {columns_there}")
 
 
 def _columns_there(missing: str, table: Table) -> str:

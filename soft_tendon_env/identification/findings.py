@@ -85,10 +85,13 @@ def findings(
     for parameter, x in zip(parameters, estimate.x, strict=True):
         texts += _parameter_texts(parameter, x)
     plants = fitted.plants
-    arm = Arm(plants.model.length, [*plants.markers.markers], len(plants.scene.tendons))
+    marker_names = [*plants.markers.markers]
+    tendon_count = len(plants.scene.tendons)
+    arm = Arm(plants.model.length, marker_names, tendon_count)
     texts += misfit_texts(misfits, arm, noise)
     if judge is not None:
-        fit_error = mean_of_finite(misfit.error for misfit in misfits if not misfit.held_out)
+        errors_of_fit = (misfit.error for misfit in misfits if not misfit.held_out)
+        fit_error = mean_of_finite(errors_of_fit)
         fewer = fewer_parameters_text(estimate, fit_error, judge)
         if fewer:
             texts.append(fewer)

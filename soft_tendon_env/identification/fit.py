@@ -59,7 +59,8 @@ class Fit(NamedTuple):
 
         It is without the priors.
         """
-        return np.asarray(self.jacobian.T @ self.jacobian) / self.sigma**2
+        product = self.jacobian.T @ self.jacobian
+        return np.asarray(product) / self.sigma**2
 
 
 class Intervals(NamedTuple):
@@ -152,8 +153,10 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     from scipy.optimize import least_squares
 
     # rows of the priors stand beneath those of the readings
-    root = np.diag(np.sqrt(prior))[prior > 0.0]
-    bounds = np.array([parameter.bounds for parameter in readings.plants.parameters]).T
+    roots = np.diag(np.sqrt(prior))
+    root = roots[prior > 0.0]
+    bounds_of_parameters = [parameter.bounds for parameter in readings.plants.parameters]
+    bounds = np.array(bounds_of_parameters).T
     low, high = bounds
     inside = ROOM * np.ptp(bounds, axis=0)  # from a bound itself the method hardly moves
     start = np.clip(x, low + inside, high - inside)
@@ -164,10 +167,12 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
             data = readings.residual(x)
         except (NoHoldError, ConfigurationError):  # the trust region shrinks
             data = np.full(size, np.inf)
-        return np.concatenate([data / sigma, root @ x])
+        both = [data / sigma, root @ x]
+        return np.concatenate(both)
 
     def jacobian(x: Array) -> Array:
-        return np.vstack([readings.jacobian(x) / sigma, root])
+        scaled = readings.jacobian(x) / sigma
+        return np.vstack([scaled, root])
 
     result = least_squares(
         residual,
@@ -206,7 +211,8 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     bounds = np.array([parameter.bounds for parameter in parameters])
     tail = 0.5 * (1.0 + CONFIDENCE)
     # Student's t of an error that is estimated from the same readings
-    reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
+    freedom = estimate.residual.size - estimate.x.size
+    reading_freedom = max(freedom, 1)
     deviation = np.sqrt(variances(estimate))
     linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
@@ -224,7 +230,8 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     values = []
     for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True):
         # the value of a factor of a negative number falls with its coordinate
-        ends = sorted((parameter.at(x_low), parameter.at(x_high)))
+        unordered = (parameter.at(x_low), parameter.at(x_high))
+        ends = sorted(unordered)
         values.append(ends)
     low, high = np.array(values).T
     identified, unseen = _identified(estimate)
@@ -311,7 +318,8 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     right = gradient_part + P * estimate.x - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
-    A += ridge[:, None, None] * np.eye(k)
+    factors = ridge[:, None, None]
+    A += factors * np.eye(k)
     columns = right[..., None]
     step = np.linalg.solve(A, columns)
     return estimate.x - step[..., 0]

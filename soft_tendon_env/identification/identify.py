@@ -68,7 +68,8 @@ class Estimate:
     @property
     def errors(self) -> tuple[float, float]:
         """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
-        return mean_of_finite(self.error_fit.values()), mean_of_finite(self.error_held_out.values())
+        error_fit = mean_of_finite(self.error_fit.values())
+        return error_fit, mean_of_finite(self.error_held_out.values())
 
 
 def identify(
@@ -174,7 +175,8 @@ def _read_parts(
     count = len(fit_part)
     if fit_to < count:
         # the middle one of each of as many equal stretches of the data
-        middles = (np.arange(fit_to) + 0.5) * count / fit_to
+        middle_counts = np.arange(fit_to) + 0.5
+        middles = middle_counts * count / fit_to
         fit_part = [fit_part[int(middle)] for middle in middles]
     return fit_part, judge_part
 

@@ -68,7 +68,8 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
     """Some holds, evenly over the data, and the beginning of a motion."""
     holds = [recording for recording in recordings if not recording.period]
     motions = [recording for recording in recordings if recording.period]
-    stride = math.ceil(len(holds) / FEW) or 1
+    holds_per_few = len(holds) / FEW
+    stride = math.ceil(holds_per_few) or 1
     chosen = holds[::stride] + motions[:1]
     beginnings = list[Recording]()
     for recording in chosen:
@@ -183,7 +184,8 @@ def _orders(names: Sequence[str]) -> dict[str, list[int]]:
         if len(moved) <= 2:  # their own order, and the exchanges above
             continue
         before = ", ".join(names[i] for i in moved)
-        after = ", ".join(names[permutation[i]] for i in moved)
+        read_as = (names[permutation[i]] for i in moved)
+        after = ", ".join(read_as)
         text = f"markers {before} read as {after}"
         orders[text] = [*permutation]
     return orders
@@ -201,7 +203,8 @@ def command_factors(plants: Plants) -> dict[str, float]:
     effects = plants.scene.effects
     unit = effects.command_unit
     factor_of_unit = UNITS[unit]
-    commands = [f"{COMMANDS[unit]}_{i}" for i in range(len(plants.scene.tendons))]
+    tendon_count = len(plants.scene.tendons)
+    commands = [f"{COMMANDS[unit]}_{i}" for i in range(tendon_count)]
     # the unit that [columns] says, of which the first stands for all
     current = 1.0
     for key, column in plants.markers.columns.items():

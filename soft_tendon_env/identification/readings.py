@@ -166,7 +166,8 @@ class Readings:
 
         Raises NoHoldError, ConfigurationError.
         """
-        return self.plants.measurement(x).positions(self._poses(x))
+        measurement = self.plants.measurement(x)
+        return measurement.positions(self._poses(x))
 
     def residual(self, x: Array, poses: Array | None = None) -> Array:
         """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given.
@@ -305,7 +306,8 @@ class Readings:
         places = self.plants.markers.arc_lengths
         samples = [model.backbone_at(q, places) for q in simulated]
         # its shape, also without recordings
-        poses = np.array(samples).reshape(-1, places.size, 4, 4)
+        flat = np.array(samples)
+        poses = flat.reshape(-1, places.size, 4, 4)
         measurement = self.plants.measurement(x)
         poses[..., :3, 3] -= measurement.position
         if not near:
@@ -340,7 +342,8 @@ class Readings:
         period = self.recordings[i].period
         if model.command_unit == "N":
             tension = command[0]
-            rest = static_equilibrium(model, tension, self._rests[i], settle=bool(period))
+            near = self._rests[i]
+            rest = static_equilibrium(model, tension, near, settle=bool(period))
         else:
             rest, tension = commanded_equilibrium(model, command[0])
         if not rest.converged:
@@ -350,7 +353,8 @@ class Readings:
             return [rest.q]
         start = Simulation(model).reset(rest.q, tension=tension)
         duration = period * (len(command) - 1)
-        motion = simulate(model, command[:-1], duration, period, start)
+        held = command[:-1]
+        motion = simulate(model, held, duration, period, start)
         return list(motion.q)
 
 
@@ -392,7 +396,8 @@ def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
     if (pulls != near.pulls).any():
         return None
     with model.workspace() as work:
-        balance = Balance(model, u, work).at(near.q, 1.0)
+        balance_of_command = Balance(model, u, work)
+        balance = balance_of_command.at(near.q, 1.0)
     if balance is None:
         return None
     step = near.compliance @ balance.force

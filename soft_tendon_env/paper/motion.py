@@ -56,9 +56,11 @@ class ClosedLoop:
     def rate(self, t: float, x: np.ndarray) -> np.ndarray:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
-        force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
+        tension = self.law(t, q, q_dot, terms)
+        force = terms.actuation @ tension + terms.external_force
         loss = terms.damping @ q_dot
-        q_ddot = np.linalg.solve(terms.mass, force - terms.bias - loss - terms.elastic_force)
+        unbalanced = force - terms.bias - loss - terms.elastic_force
+        q_ddot = np.linalg.solve(terms.mass, unbalanced)
         return np.concatenate([q_dot, q_ddot])
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
@@ -70,7 +72,8 @@ class ClosedLoop:
         rate = self.rate(t, x)
         columns = []
         for step in APART * np.eye(x.size):
-            change = self.rate(t, x + step) - rate
+            rate_ahead = self.rate(t, x + step)
+            change = rate_ahead - rate
             columns.append(change / APART)
         return np.stack(columns, axis=1)
 
@@ -82,7 +85,8 @@ def integrate(
 ) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
     n = loop.model.coordinate_count
-    times = SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
+    period_count = round(duration / SAMPLE_PERIOD)
+    times = SAMPLE_PERIOD * np.arange(period_count + 1)
     say(f"{label}: {duration:g} s")
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
@@ -107,7 +111,8 @@ def integrate(
     tension = []
     for t, x in zip(solution.t, states, strict=True):
         q, q_dot = np.split(x, 2)
-        tip.append(loop.model.tip_pose(q)[:3, 3])
+        position = loop.model.tip_pose(q)[:3, 3]
+        tip.append(position)
         terms = loop.model.terms(q, q_dot)
         tension.append(loop.law(t, q, q_dot, terms))
     return Motion(
@@ -127,7 +132,8 @@ def below_for_good(
 
     It is infinite if the error is not below at the end.
     """
-    first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
+    beyond = np.flatnonzero(error >= threshold)
+    first = beyond.max(initial=-1) + 1
     if first < time.size:
         return float(time[first])
     return float("inf")
@@ -177,7 +183,8 @@ def track(
     for step in play_steps(policy, env, [0]):
         # the next step overwrites what the environment has now
         q.append(episodes.arms.rows.q[0].copy())
-        tip.append(episodes.arms.reading.tip_pose[0, :3, 3].copy())
+        position = episodes.arms.reading.tip_pose[0, :3, 3].copy()
+        tip.append(position)
         tension.append(episodes.tension[0].copy())
         if step.ended.any():
             break

@@ -38,7 +38,8 @@ class Result(NamedTuple):
     @property
     def tables(self) -> str:
         """Table of claims, and the further ones."""
-        return "\n\n".join([claims_table(self.claims), *self.more])
+        parts = [claims_table(self.claims), *self.more]
+        return "\n\n".join(parts)
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
@@ -60,7 +61,8 @@ def draw_arms(
     colour: str,
 ) -> None:
     """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
-    samples = np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)
+    even = np.linspace(0, len(motion) - 1, SNAPSHOTS)
+    samples = even.astype(int)
     opacities = np.linspace(PALEST, 1.0, SNAPSHOTS)
     for opacity, q in zip(opacities, motion[samples], strict=True):
         backbone = model.backbone(q)[:, :3, 3]
@@ -108,7 +110,8 @@ def draw_tensions(
     title: str,
 ) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
-    names = [f"{number + 1}" for number in range(tension.shape[1])]
+    tendon_count = tension.shape[1]
+    names = [f"{number + 1}" for number in range(tendon_count)]
     axes.plot(time, tension, linewidth=1.0, label=names)
     axes.legend(frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)

@@ -42,6 +42,8 @@ def document(results: Mapping[ModuleType, Result]) -> str:
     """Report of all figures in Markdown: a section for each, with its tables."""
     sections = list[str]()
     for module, result in results.items():
-        title, _, text = (module.__doc__ or "").partition("\n\n")
-        sections += [f"## {title.rstrip('.')}", text.strip(), result.tables]
+        documentation = module.__doc__ or ""
+        title, _, text = documentation.partition("\n\n")
+        heading = f"## {title.rstrip('.')}"
+        sections += [heading, text.strip(), result.tables]
     return "\n\n".join(sections)

@@ -53,7 +53,8 @@ def law_of(model: ste.Model, gains: Gains) -> Law:
 
 def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
     """q_bar (m, n)."""
-    return np.array([model.rest_coordinates(target(t).tension) for t in time])
+    equilibria = [model.rest_coordinates(target(t).tension) for t in time]
+    return np.array(equilibria)
 
 
 def reproduce(seconds: float, folder: Path) -> Result:
@@ -109,7 +110,9 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     keys = [below(part) for part in PARTS]
     parts = []
     for part, key in zip(PARTS, keys, strict=True):
-        parts.append(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})")
+        time_back = when(back[key])
+        time_ahead = when(ahead[key])
+        parts.append(f"{100 * part:g} % {time_back} ({time_ahead})")
     times = ", ".join(parts)
     sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
     text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
@@ -131,7 +134,8 @@ def draw_laws(
         2, 2, figsize=(13, 8), constrained_layout=True
     )
     time = motions["paper", "feedback"].time
-    tension = np.array([target(t).tension for t in time])
+    tensions = [target(t).tension for t in time]
+    tension = np.array(tensions)
     draw_tensions(wanted, time, tension, "(a) wanted shape, as the tensions that hold it")
     courses = {}
     # the first sample, at rest, has no error: a logarithmic axis has no place for it
@@ -160,7 +164,8 @@ def draw_shapes(
     for place, ((name, law), motion) in enumerate(motions.items(), 1):
         model = models[name]
         wanted = wanted_shapes(model, motion.time)
-        tip = np.array([model.tip_pose(q)[:3, 3] for q in wanted])
+        tips = [model.tip_pose(q)[:3, 3] for q in wanted]
+        tip = np.array(tips)
         axes = figure.add_subplot(2, 2, place, projection="3d")
         draw_arms(axes, model, wanted, DESIRED)
         draw_arms(axes, model, motion.q, ACTUAL)

@@ -109,7 +109,8 @@ def open_viewer(port: int) -> None:
 
     No Ctrl-C reaches it. Raises gymnasium.error.Error.
     """
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
+    is_linux = sys.platform.startswith("linux")
+    if is_linux and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: use"
             ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'
@@ -134,5 +135,6 @@ def open_viewer(port: int) -> None:
     while not is_open(port) and process.poll() is None and time.monotonic() < end:
         time.sleep(LOOKS_EVERY)
     time.sleep(SETTLES)
-    if process.poll() is not None or not is_open(port):
+    has_ended = process.poll() is not None
+    if has_ended or not is_open(port):
         raise Error("the Rerun viewer did not open; `rerun` in a terminal says why")

@@ -77,7 +77,8 @@ class RolloutBuffer:
         )
         sample = [values[row].copy() for values in values_of_rows]
         scalars = {name: float(values[row]) for name, values in episodes.info().items()}
-        action = np.array(episodes.observed.action[row], dtype=float)
+        row_action = episodes.observed.action[row]
+        action = np.array(row_action, dtype=float)
         scalars["reward"] = float(episodes.reward[row])
         if episodes.step_count[row] == 0:  # neither has led there
             action[:] = np.nan

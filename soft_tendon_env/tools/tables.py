@@ -151,7 +151,8 @@ def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
 
     An empty line is before it, and its sample rate alone in the one after.
     """
-    if not 0 < i < len(lines) - 1 or any(_cells(lines[i - 1], separator)):
+    last_row = len(lines) - 1
+    if not 0 < i < last_row or any(_cells(lines[i - 1], separator)):
         return False
     title, rate = ([cell for cell in _cells(line, separator) if cell] for line in lines[i : i + 2])
     return len(title) == len(rate) == 1 and _is_number(rate[0]) and not _is_number(title[0])
@@ -197,8 +198,10 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             continue
         while cells and not cells[-1]:  # empty cells behind the last name
             cells = cells[:-1]
-        cells = column_names(cells, _cells_of_block(lines[:place], separator))
-        score = len(names.intersection(cell.casefold() for cell in cells))
+        above = _cells_of_block(lines[:place], separator)
+        cells = column_names(cells, above)
+        known_cells = names.intersection(cell.casefold() for cell in cells)
+        score = len(known_cells)
         # A comment counts by its names alone: without any it is below the first other line.
         if is_comment:
             score -= 1
@@ -210,7 +213,8 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
 
 def _header_places(lines: Sequence[str]) -> list[int]:
     """Lines that may be a header: the first ones, and those after an empty line."""
-    places = [*range(min(PREAMBLE, len(lines)))]
+    searched = min(PREAMBLE, len(lines))
+    places = [*range(searched)]
     since_empty = BLOCK
     for place, line in enumerate(lines):
         if line.strip():
@@ -242,7 +246,9 @@ def _whole_lines(path: Path, text: str) -> list[str]:
         return lines
     # Many editors write no last newline, so a line without is cut off only if it also has fewer
     # cells than the one before, or is of a log, whose rows all end with one.
-    is_shorter = _separator_count(lines[-1]) < _separator_count(lines[-2])
+    last_count = _separator_count(lines[-1])
+    count_before = _separator_count(lines[-2])
+    is_shorter = last_count < count_before
     if LOGGED not in lines[0] and not is_shorter:
         return lines
     warnings.warn(
@@ -270,5 +276,6 @@ def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float
             f"{table.where}: the header should have {', '.join(needed)}, and lacks"
             f" {', '.join(missing)}"
         )
-    values = table.numbers((name, 1.0) for name in table.header)
+    columns = ((name, 1.0) for name in table.header)
+    values = table.numbers(columns)
     return [dict(zip(table.header, row, strict=True)) for row in values.tolist()]

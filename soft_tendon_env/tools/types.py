@@ -107,7 +107,9 @@ def read_length(text: object) -> float:
     match = LENGTH.fullmatch(str(text))
     if match is not None:
         with contextlib.suppress(ValueError):  # such as of "1e", which stays NaN
-            metres = float(match[1]) * UNITS[match[2]]
+            number = float(match[1])
+            unit = UNITS[match[2]]
+            metres = number * unit
     if not 0.0 < metres < math.inf:
         raise ValueError(
             f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm"
