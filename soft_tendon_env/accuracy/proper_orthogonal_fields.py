@@ -110,10 +110,12 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
         "strains": list(scene.strain.free),
         "borders": list(scene.strain.borders),
     }
-    bare = scene.replace({"effects": scene.effects.everywhere(), "strain": strain})
+    changes = {"effects": scene.effects.everywhere(), "strain": strain}
+    bare = scene.replace(changes)
     samples, grid = snapshots(bare)
     coefficients, singular_values = decompose(bare, samples, grid)
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+    limits = np.array(tension_limits)
     made = PassiveFields(
         arm_of(bare),
         limits,
@@ -147,15 +149,18 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     They come with the grid of their points.
     """
     level = snapshot_level(scene)
-    steps = step_tolerance(scene, level, RESOLVED * rod_length(scene))
+    resolution = RESOLVED * rod_length(scene)
+    steps = step_tolerance(scene, level, resolution)
 
     def residuals(run: Run) -> Array | None:
         effects = scene.effects
         if run.number % 2:  # half of the motions have other loads
-            random = np.random.default_rng([run.number, MOTIONS.index(run.kind)])
+            seeds = [run.number, MOTIONS.index(run.kind)]
+            random = np.random.default_rng(seeds)
             effects = effects.sample_smaller(random)
         table = effects.model_dump(mode="json", exclude_none=True)
-        model = reference_model(scene.replace({"effects": table}), level, steps)
+        loaded = scene.replace({"effects": table})
+        model = reference_model(loaded, level, steps)
         tensions = motion_tensions(scene, run.kind, FIRST_SEED + run.number)
         motion = trajectory(model, tensions)
         if motion is None:
@@ -175,7 +180,8 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     if not wrenches:
         text = "full physics diverges under every motion that passive fields are made from"
         raise ConfigurationError([Problem((), text)])
-    return np.concatenate(wrenches), reference_model(scene, level).grid
+    every_wrench = np.concatenate(wrenches)
+    return every_wrench, reference_model(scene, level).grid
 
 
 class Run(NamedTuple):
@@ -188,7 +194,8 @@ class Run(NamedTuple):
 def snapshot_level(scene: Scene) -> Level:
     """The coarsest full physics whose motion the next one hardly changes."""
     trial = [motion_tensions(scene, kind, FIRST_SEED, SHORT) for kind in USUAL]
-    finer = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    resolution = RESOLVED * rod_length(scene)
+    finer = reference_motions(scene, trial, resolution).level
     return LEVELS[LEVELS.index(finer) - 1]
 
 
@@ -214,7 +221,9 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     geometry = tendon_geometry(scene, grid)[:, grid.real]
     geometry = geometry.reshape(model.tendon_count, -1, 5)
     elasticity, root = energy_norm(scene, grid)
-    columns = actuation_columns(geometry, k[:, None], p[:, None])
+    curvature = k[:, None]
+    position = p[:, None]
+    columns = actuation_columns(geometry, curvature, position)
     actuation = columns * root
     actuation = actuation.reshape(samples, model.tendon_count, -1)
 
@@ -245,7 +254,8 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     exists = np.array(free, dtype=float)
     weight = grid.weights[grid.real].ravel()
     compliance = exists / elasticity
-    return elasticity, np.sqrt(compliance * weight[:, None])
+    squares = compliance * weight[:, None]
+    return elasticity, np.sqrt(squares)
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
@@ -257,7 +267,8 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     for measure, share in make_measures(scene, grid):
         values = samples @ measure.T
         size = np.linalg.norm(values)
-        measured.append(np.sqrt(share) * values / size)
+        values_of_kind = np.sqrt(share) * values
+        measured.append(values_of_kind / size)
     matrix = np.concatenate(measured, axis=1)
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
 
@@ -275,7 +286,8 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     fields = fields / energy
     fields = fields.reshape(count, -1, 6)
     coefficients = fit_polynomials(fields, scene, grid)
-    return coefficients, sizes[:count] / sizes[0]
+    relative = sizes[:count] / sizes[0]
+    return coefficients, relative
 
 
 def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
@@ -288,7 +300,8 @@ def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     elasticity, root = energy_norm(scene, grid)
 
     # integral from the base to each point, with half of the weight of the point itself
-    before = (places[:, None] > places) * weight
+    is_before = places[:, None] > places
+    before = is_before * weight
     half = 0.5 * np.diag(weight)
     reach = before + half
     lever = reach @ reach
@@ -324,11 +337,13 @@ def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     places = grid.points[grid.real].ravel()
     count = len(fields)
     orders = SNAPSHOT_ORDER + 1
-    coefficients = np.zeros((count, borders.size - 1, 6, orders))
+    shape = (count, borders.size - 1, 6, orders)
+    coefficients = np.zeros(shape)
     for piece, (a, b) in enumerate(itertools.pairwise(borders)):
         inside = (places > a) & (places < b)
         from_base = places[inside] - a
-        place = 2 * from_base / (b - a) - 1  # -1 to 1 along the piece
+        doubled_share = 2 * from_base / (b - a)
+        place = doubled_share - 1  # -1 to 1 along the piece
         basis = legendre.legvander(place, SNAPSHOT_ORDER)
 
         # least squares for every field and component at once
@@ -364,7 +379,8 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
     """
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
-    exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips
+    resolution = REFERENCE * rod_length(scene)
+    exact = reference_motions(scene, inputs, resolution).tips
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tested.json"
         fields.save(path)

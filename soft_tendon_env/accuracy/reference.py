@@ -78,7 +78,8 @@ def step_tolerance(scene: Scene, level: Level, tolerance: float) -> float:
 
     It is for motions with this tolerance [m].
     """
-    depth = min(LEVELS.index(level), len(STEPS) - 1)
+    last = len(STEPS) - 1
+    depth = min(LEVELS.index(level), last)
     finest = FINEST_STEPS * LEAST_TOLERANCE * rod_length(scene)
     return max(STEPS[depth] * tolerance, finest)
 
@@ -105,7 +106,8 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
     if beginning is None:
         return None
     try:
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, beginning)
+        duration = HOLD * len(tensions)
+        return simulate(model, tensions, duration, HOLD, beginning)
     except (SimulationDiverged, StrainLimitError):
         return None
 
@@ -162,7 +164,8 @@ def distance(path: Array | None, reference: Array | None) -> float:
         return np.nan
     if path is None:
         return np.inf
-    return float(np.linalg.norm(path - reference, axis=1).max())
+    distances = np.linalg.norm(path - reference, axis=1)
+    return float(distances.max())
 
 
 class Ladder:
@@ -262,7 +265,8 @@ class Rung:
             if not equilibrium.converged:
                 return None
             return equilibrium.q
-        return rest_near(self.model, self.nearest(coarse), tensions, 1.0, stable=True)
+        guess = self.nearest(coarse)
+        return rest_near(self.model, guess, tensions, 1.0, stable=True)
 
 
 class ReferenceMotion:
@@ -316,7 +320,8 @@ class ReferenceMotion:
 
     def rows_within(self, error: float) -> int:
         """Rows of tensions through which the tips' error is at most so large [m]."""
-        samples = int(np.count_nonzero(self.errors <= error))
+        is_known = self.errors <= error
+        samples = int(np.count_nonzero(is_known))
         return max(samples - 1, 0)
 
     @property
@@ -330,7 +335,8 @@ class ReferenceMotion:
             rows = REST_ROWS
         else:
             rows = len(self.tensions)
-        return rows * self.ladder.rung(depth).model.coordinate_count ** 2.0
+        rung = self.ladder.rung(depth)
+        return rows * rung.model.coordinate_count**2.0
 
     def refine(self) -> None:
         """Computes the next level; the change bounds the error."""
@@ -347,7 +353,8 @@ class ReferenceMotion:
         if self._q is None:
             self.tips = None
         else:
-            self.tips = rung.model.tip_pose(self._q)[None, :3, 3]
+            pose = rung.model.tip_pose(self._q)
+            self.tips = pose[None, :3, 3]
         self.errors = np.full(1, np.inf)
         # the first level has nothing that it could be compared with
         if before is not None:
@@ -365,10 +372,12 @@ class ReferenceMotion:
         errors = np.full(len(tips), np.inf)
         if coarse is not None:
             both = min(len(tips), len(coarse))
-            apart = np.linalg.norm(tips[:both] - coarse[:both], axis=1)
+            differences = tips[:both] - coarse[:both]
+            apart = np.linalg.norm(differences, axis=1)
             change = np.maximum.accumulate(apart)
             # time steps may err alike at both levels
-            errors[:both] = remaining_error(change, self._change) + rung.steps
+            remaining = remaining_error(change, self._change)
+            errors[:both] = remaining + rung.steps
             self._change = change
         has_no_work_left = coarse is not None and len(tips) == self._rows + 1 < len(coarse)
         if coarse is not None and has_no_work_left and errors[-1] <= self.lost:
@@ -386,10 +395,12 @@ class ReferenceMotion:
         They end where its work is done, where it has strayed from the coarser level, or where full
         physics has no motion any more.
         """
-        share = WORK_SHARES[min(self.depth, len(WORK_SHARES) - 1)]
+        last_share = len(WORK_SHARES) - 1
+        share = WORK_SHARES[min(self.depth, last_share)]
         work_left = share * self.most_work
         tips: Array | None = None
-        for piece in pieces(rung.model, self.tensions[: self._rows], rung.start):
+        tensions = self.tensions[: self._rows]
+        for piece in pieces(rung.model, tensions, rung.start):
             tips = continued(tips, piece)
             work_left -= piece.evaluations * rung.model.coordinate_count**2.0
             if work_left <= 0.0 or self._has_strayed(tips):
@@ -402,7 +413,8 @@ class ReferenceMotion:
         if self.tips is None or len(tips) > len(self.tips):
             return False
         last = len(tips) - 1
-        return float(np.linalg.norm(tips[last] - self.tips[last])) > self.lost
+        difference = tips[last] - self.tips[last]
+        return float(np.linalg.norm(difference)) > self.lost
 
 
 def remaining_error(change: Array, before: Array | None) -> Array:
@@ -417,9 +429,11 @@ def remaining_error(change: Array, before: Array | None) -> Array:
     samples = min(len(change), len(before))
     last = change[:samples]
     smallest = np.finfo(float).tiny
-    ratio = np.minimum(last / np.maximum(before[:samples], smallest), LARGEST_RATIO)
+    change_before = np.maximum(before[:samples], smallest)
+    ratio = np.minimum(last / change_before, LARGEST_RATIO)
     left = last * ratio / (1.0 - ratio)
-    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, np.maximum(last, left))
+    larger = np.maximum(last, left)
+    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, larger)
     return np.maximum.accumulate(bound)
 
 
@@ -468,6 +482,7 @@ def reference_motions(
         is_hopeless = all(not motion.is_whole for motion in unsettled)
         if is_hopeless and len(unsettled) < len(motions):
             break
-    tips = tuple(motion.tips if motion.is_whole else None for motion in motions)
+    whole_tips = (motion.tips if motion.is_whole else None for motion in motions)
+    tips = tuple(whole_tips)
     errors = tuple(motion.error for motion in motions)
     return Reference(tips, errors, level)

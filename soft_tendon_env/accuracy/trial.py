@@ -119,7 +119,8 @@ class Trial:
 
         reach: multiple of the scene's loads that inputs have. Raises ConfigurationError.
         """
-        self.scene = scene.replace({"effects": scene.effects.everywhere()})
+        changes = {"effects": scene.effects.everywhere()}
+        self.scene = scene.replace(changes)
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
         if progress is None:
@@ -144,7 +145,8 @@ class Trial:
         Each takes turns with the cases of loads.
         """
         low, high = tension_limits(self.scene)
-        shares = np.random.default_rng(SEED).random((RESTS, low.size))
+        random = np.random.default_rng(SEED)
+        shares = random.random((RESTS, low.size))
         drawn = low + shares * (high - low)
         rests = [slack_tensions(self.scene), *drawn]
         motions = [motion_tensions(self.scene, kind, SEED, SECONDS) for kind in USUAL]
@@ -152,7 +154,8 @@ class Trial:
         ladders = []
         for effects in self.cases:
             loaded = self.scene.replace({"effects": effects})
-            ladders.append(Ladder(loaded, REFERENCE * self.unit))
+            resolution = REFERENCE * self.unit
+            ladders.append(Ladder(loaded, resolution))
 
         turns: tuple[int, ...] = (OWN,)
         if len(self.cases) > 1:
@@ -187,12 +190,14 @@ class Trial:
         if is_extended and any(motion.tips is None for motion in rests):
             self.missing = len(motions)
             return
-        self._refine([motion for motion in motions if not motion.is_equilibrium])
+        moving = [motion for motion in motions if not motion.is_equilibrium]
+        self._refine(moving)
         self._refine(motions)
         # finer where no model could be near enough to what is known so far
         for _ in range(FIRST_LEVELS, MOST_LEVELS):
             rough = [motion for motion in motions if not self._can_judge(motion)]
-            if all(motion.tips is None for motion in rough) and len(rough) < len(motions):
+            without_tips = (motion.tips is None for motion in rough)
+            if all(without_tips) and len(rough) < len(motions):
                 break
             self._refine(rough)
 
@@ -214,7 +219,8 @@ class Trial:
         elif is_unsure:
             self.not_unique += 1
         else:
-            self.tests.append(test._replace(rows=self._certain_rows(reference)))
+            certain_rows = self._certain_rows(reference)
+            self.tests.append(test._replace(rows=certain_rows))
 
     def _certain_rows(self, reference: ReferenceMotion) -> int:
         """Rows of tensions through which a reference can be judged by."""
@@ -230,7 +236,8 @@ class Trial:
     def _with_smaller_tensions(self, test: TrialInput) -> TrialInput:
         """The test of a motion with tensions that are nearer to those of the slack arm."""
         slack = slack_tensions(self.scene)
-        tensions = slack + SMALLER * (test.tensions - slack)
+        pull = test.tensions - slack
+        tensions = slack + SMALLER * pull
         smaller = self._reference(test.reference.ladder, tensions)
         for _ in range(MOST_LEVELS):
             if self._can_judge(smaller):
@@ -264,7 +271,8 @@ class Trial:
 
     def model(self, choice: Choice) -> Model:
         """Model of a choice with the fewest of its quadrature intervals."""
-        return model_on(choice.applied_to(self.scene), choice.quadrature["least"])
+        changed = choice.applied_to(self.scene)
+        return model_on(changed, choice.quadrature["least"])
 
     def distance(self, model: Model, is_bounded: bool = False) -> float:
         """Bound of the tip's distance [m] from the reference, whose own uncertainty counts.
@@ -325,7 +333,8 @@ class Trial:
         They go beyond where the reference is certain; inf: not known.
         """
         models = CaseModels(self.cases, model)
-        worst = np.zeros(round(DURATION / HOLD) + 1)
+        period_count = round(DURATION / HOLD)
+        worst = np.zeros(period_count + 1)
         for test in self.tests:
             if not test.reference.is_equilibrium:
                 bounds = models.bounds(test)
@@ -366,7 +375,8 @@ class Trial:
             denser = theirs.model(test.case)
             other = static_equilibrium(denser, test.tensions, rest.q)
             moved = other.tip_pose - rest.tip_pose
-            apart = float(np.linalg.norm(moved[:3, 3]))
+            offset = moved[:3, 3]
+            apart = float(np.linalg.norm(offset))
             if other.converged and apart > part * self.unit:
                 return False
         return True
@@ -381,7 +391,8 @@ class Trial:
             other = theirs.path(test)
             if path is None or other is None:
                 continue
-            if distance(path, other) > part * self.unit:
+            allowed = part * self.unit
+            if distance(path, other) > allowed:
                 return False
         return True
 
@@ -425,7 +436,8 @@ def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -
     if not trial.tests:
         return settled
     tables = []
-    for table in strain_tables(trial.scene, known_fields(trial.scene), least):
+    fields = known_fields(trial.scene)
+    for table in strain_tables(trial.scene, fields, least):
         tables.append(table)
         choice = judged(trial, settled, table, is_bounded=True)
         progress.candidate()
@@ -461,11 +473,18 @@ def judged(
 
 def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
     """The choice with what it was tried on, and how its error grows where that is not within."""
-    largest = trial.cases[GREATEST if len(trial.cases) > 1 else OWN]
-    is_within = choice.error <= asked.share and trial.seconds == DURATION
+    if len(trial.cases) > 1:
+        case = GREATEST
+    else:
+        case = OWN
+    largest = trial.cases[case]
+    is_accurate = choice.error <= asked.share
+    is_within = is_accurate and trial.seconds == DURATION
     if np.isfinite(choice.error) and not is_within:
-        bounds = trial.growth(trial.model(choice)) / rod_length(trial.scene)
-        samples = int(np.count_nonzero(bounds <= asked.share))
+        bounds_in_metres = trial.growth(trial.model(choice))
+        bounds = bounds_in_metres / rod_length(trial.scene)
+        is_accurate_until = bounds <= asked.share
+        samples = int(np.count_nonzero(is_accurate_until))
         growth = [(seconds, float(bounds[round(seconds / HOLD)])) for seconds in HORIZONS]
         within = HOLD * max(samples - 1, 0)
         choice = choice._replace(seconds=within, growth=tuple(growth))

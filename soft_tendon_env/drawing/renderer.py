@@ -132,7 +132,8 @@ class ArmRenderer:
         self.turn = shapes.viewpoint(vertical, upright)
 
         # lines and letters grow with the frame
-        dpi = 100.0 * min(width / 640, height / 480)
+        scale = min(width / 640, height / 480)
+        dpi = 100.0 * scale
         rest = 0.1  # pixels are rounded down
         inches_wide = (width + rest) / dpi
         inches_high = (height + rest) / dpi
@@ -272,7 +273,8 @@ class ArmRenderer:
             behind_axis = depth - axis_depth[inside]
             is_behind = middle(behind_axis) > 0.0
             pale = (1.0 - FADED) * colour + faded
-            shade = np.where(is_behind[:, None], pale, colour)
+            rows_behind = is_behind[:, None]
+            shade = np.where(rows_behind, pale, colour)
             far = middle(far_side[inside])
             near = middle(near_side[inside])
             painted = np.where(is_behind, far, near)
@@ -343,10 +345,12 @@ def outline(segment: Segment, places: Array) -> Array:
 
     They are at arc lengths (m,) [m].
     """
-    height_and_width = segment.shape.hull(places, segment.length)[:2]
+    hull = segment.shape.hull(places, segment.length)
+    height_and_width = hull[:2]
     half_sizes = 0.5 * height_and_width
     corners = segment.shape.outline(CIRCLE)
-    scaled = half_sizes[:, None] * corners[..., None]
+    half = half_sizes[:, None]
+    scaled = half * corners[..., None]
     return scaled.reshape(CIRCLE.size, -1)
 
 
@@ -422,7 +426,8 @@ def solid(
     diffuse = np.clip(normal @ light, 0.0, None)
     mirrored = np.clip(normal @ half_way, 0.0, None)
     glossy = mirrored[:, None] ** SHININESS
-    lit = AMBIENT + DIFFUSE * diffuse[:, None]
+    in_rows = diffuse[:, None]
+    lit = AMBIENT + DIFFUSE * in_rows
     bright = colour * lit + GLOSSY * glossy
     shade = np.clip(bright, 0.0, 1.0)
     centre = seen.mean(axis=1)
@@ -440,7 +445,8 @@ def line(
     """A line through points (m, 3) whose parts have colours (m - 1, 3) and depths (m - 1,) [m]."""
     start = points[:-1]
     end = points[1:]
-    corners = np.stack([start, start, end, end], axis=1)
+    ends = [start, start, end, end]
+    corners = np.stack(ends, axis=1)
     return Pieces(
         corners,
         colour,
@@ -455,16 +461,19 @@ def trail(points: Array, turn: Array) -> list[Pieces]:
         return []
     lines = len(points) - 1
     # share of the paper in the colour, from the oldest to the newest
-    pale = np.linspace(PALEST, 0.0, lines)[:, None]
+    shades = np.linspace(PALEST, 0.0, lines)
+    pale = shades[:, None]
     paper = np.array(PAPER)
-    colour = pale * paper + (1.0 - pale) * TRAIL
+    coloured = (1.0 - pale) * TRAIL
+    colour = pale * paper + coloured
     depth = middle(-points @ turn[2])
     return [line(points, colour, THREAD, depth)]
 
 
 def middle(values: Array) -> Array:
     """Mean of each value and the next."""
-    return np.asarray(0.5 * (values[:-1] + values[1:]))
+    pair_sums = values[:-1] + values[1:]
+    return np.asarray(0.5 * pair_sums)
 
 
 def paint_floor(
@@ -490,7 +499,8 @@ def paint_floor(
     half = 0.5 * per_pixel * pixels
     centre = 0.5 * (lowest + highest)
     # the title has its room above the box
-    centre[1] += RAISED * (1.0 - ROOM[1]) * half[1]
+    space = 1.0 - ROOM[1]
+    centre[1] += RAISED * space * half[1]
     left, low = centre - half
     right, high = centre + half
     axes = figure.add_axes(

@@ -81,7 +81,9 @@ class Starts:
         model = arms.model
         effects = model.scene.effects
         self.limits = model.discretisation.tension_limits.copy()
-        self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
+        lower = self.limits[:, 0]
+        upper = self.limits[:, 1]
+        self.tension = np.clip(0.0, lower, upper)
         self.q, reason = self._settle(model)
         if reason:
             tension = shown_numbers(self.tension)
@@ -132,7 +134,8 @@ class Starts:
     def _draws_obstacles(self) -> bool:
         """Whether numbers of obstacles are drawn."""
         for drawn in self._ranges:
-            if any(key.startswith(OBSTACLES) for key in drawn.keys):
+            is_obstacle = (key.startswith(OBSTACLES) for key in drawn.keys)
+            if any(is_obstacle):
                 return True
         return False
 
@@ -167,7 +170,8 @@ class Starts:
             ConfigurationError: where it cannot be.
         """
         first, *_ = generator.random(DRAWS)
-        drawn = self._arm(int(first * self._size))
+        place = int(first * self._size)
+        drawn = self._arm(place)
         self._arms.set_model(row, drawn.model)
         self.numbers[row] = drawn.numbers
         return drawn
@@ -221,7 +225,8 @@ class Starts:
         for i, drawn in enumerate(self._ranges):
             if omitted is None or not omitted[i]:
                 width = drawn.greatest - drawn.least
-                number = drawn.least + width * float(shares[i])
+                way = width * float(shares[i])
+                number = drawn.least + way
                 changes |= drawn.changes(number)
         model = self._model_with(changes)
         is_loaded = model.arm.effects.load or self.tension.any()
@@ -232,7 +237,8 @@ class Starts:
         q, reason = self._settle(model)
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
-            raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
+            message = f"can make arms that {why}: {_listed(changes)}"
+            raise _problem(("randomize",), message)
         return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
@@ -252,7 +258,8 @@ class Starts:
             raise _problem(("randomize", *key), text) from None
         if misfit:
             why = f"which changes {misfit}: rows can differ in numbers alone"
-            raise _problem(("randomize", *key), f"can draw {_listed(changes)}, {why}")
+            message = f"can draw {_listed(changes)}, {why}"
+            raise _problem(("randomize", *key), message)
         return model
 
     def _settle(self, model: Model) -> tuple[Array, str]:
@@ -261,7 +268,8 @@ class Starts:
         Also why it does not; "": it does.
         """
         rest = static_equilibrium(model, self.tension, settle=True)
-        return rest.q, why_inside(model, rest.q) or rest.reason
+        why = why_inside(model, rest.q)
+        return rest.q, why or rest.reason
 
 
 def _listed(numbers: Mapping[str, float]) -> str:

@@ -172,11 +172,14 @@ class Benchmark(Workers):
         reasons = list[str]()
         plays = False
         members = entrant.members(self.task)
-        share = math.ceil(self.episodes / len(members))
+        per_member = self.episodes / len(members)
+        share = math.ceil(per_member)
         for place, (seed, policy) in enumerate(members.items()):
             # the last seed of training takes the last episodes, even if others play them too
-            first = min(place * share, self.episodes - share)
-            episodes = tuple(SEEDS["arena"][first : first + share])
+            last = self.episodes - share
+            first = min(place * share, last)
+            part = SEEDS["arena"][first : first + share]
+            episodes = tuple(part)
             for regime in self.regimes:
                 observed = interface_options(policy, regime)
                 reason = misfit(policy, {"scene": self.scene, **observed}, regime)
@@ -207,7 +210,8 @@ class Benchmark(Workers):
                         self.skip,
                         controller_scene=believed,
                     )
-                    yield Label(entrant.name, seed, regime, setting), cell
+                    label = Label(entrant.name, seed, regime, setting)
+                    yield label, cell
         if reasons and not plays:
             every = "; ".join(dict.fromkeys(reasons))  # those of several seeds are alike
             only = "policies may observe what does not depend on the discretisation of the arm"
@@ -229,7 +233,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
         return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
     allowed = REGIMES[regime]
     observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
-    return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
+    sensors = allowed.sensors or ()
+    return {"observation": observable, "sensors": sensors, **policy.options({})}
 
 
 def misfit(

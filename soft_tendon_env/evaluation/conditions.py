@@ -95,9 +95,11 @@ def _pushes(scene: Scene) -> dict[str, Any]:
     tip = rod_length(scene)
     middle = 0.5 * tip
     loads = []
-    for place, start, duration in ((tip, 1.5, 0.2), (middle, 3.0, 0.4), (tip, 4.5, 0.6)):
+    pulses = ((tip, 1.5, 0.2), (middle, 3.0, 0.4), (tip, 4.5, 0.6))
+    for place, start, duration in pulses:
         pulse = {"type": "pulse", "start": start, "duration": duration}
-        loads.append({"at": place, "force": [0.0, 0.0, 0.0], "signal": pulse})
+        load = {"at": place, "force": [0.0, 0.0, 0.0], "signal": pulse}
+        loads.append(load)
     return {"effects.disturbance.loads": loads}
 
 
@@ -114,7 +116,8 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
         (0.4, [0.0, swing, 0.0], 0.3),
         (0.6, [0.0, 0.0, swing], 0.4),
     ):
-        middle = base[:3, 3] + place * length * base[:3, 0]
+        forward = place * length * base[:3, 0]
+        middle = base[:3, 3] + forward
         ball = {
             "type": "sphere",
             "radius": 0.05 * length,

@@ -33,7 +33,8 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
     for name in every:
         agents[name] = seed_files(Path(name), task)
         if not agents[name]:
-            agents[name] = {None: PolicyName.parse(name, task).text}
+            agent = PolicyName.parse(name, task)
+            agents[name] = {None: agent.text}
     return agents
 
 
@@ -52,7 +53,8 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     others = seed_folders(folder)
     if seed in others:
         raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
-    folders = dict[int | None, Path]([(seed, folder), *others.items()])
+    every_folder = [(seed, folder), *others.items()]
+    folders = dict[int | None, Path](every_folder)
     check_alike(list(folders.values()), policy.task)
     return {seed: str(path) for seed, path in folders.items()}
 
@@ -86,7 +88,8 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
             value = config.get(key)
             first.setdefault(key, value)
             if value != first[key]:
-                differences.append(f"{key} = {value!r}, not {first[key]!r}")
+                difference = f"{key} = {value!r}, not {first[key]!r}"
+                differences.append(difference)
         if differences:
             raise ValueError(f"{folder} has {', '.join(differences)}: compare it apart")
 

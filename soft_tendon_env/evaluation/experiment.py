@@ -87,7 +87,8 @@ class Cell(NamedTuple):
         """
         options = Options.parse(self.options, "options")
         policy = PolicyName.parse(self.policy, self.task)
-        both = resolved_scene(options), believed_scene(policy, self.controller_scene)
+        believed = believed_scene(policy, self.controller_scene)
+        both = resolved_scene(options), believed
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
         known = {
             "policy": policy.fingerprint(),
@@ -100,7 +101,8 @@ class Cell(NamedTuple):
             "machine": self.alone and machine(),
         }
         content = {**self._asdict(), **known}
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+        written = json.dumps(content, sort_keys=True).encode()
+        return hashlib.sha256(written).hexdigest()[:24]
 
 
 def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
@@ -140,7 +142,8 @@ def code_digest() -> str:
             paths.add(Path(str(file)))
     users = []
     for path in paths:
-        is_known = any(map(path.is_relative_to, (PACKAGE, *installed)))
+        folders = (PACKAGE, *installed)
+        is_known = any(map(path.is_relative_to, folders))
         if not is_known and path.is_file():
             users.append(digest(path))
     return " ".join([own, *sorted(users)])

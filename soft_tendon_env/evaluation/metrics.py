@@ -129,7 +129,8 @@ class EpisodeScore:
         numbers["return"] = self.total_reward
         numbers["seconds"] = self.action_time
         if self.diverged is not None:
-            numbers |= dict.fromkeys(numbers.keys() & lost, math.inf)
+            lost_names = numbers.keys() & lost
+            numbers |= dict.fromkeys(lost_names, math.inf)
         return numbers
 
 
@@ -156,7 +157,8 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     Raises TypeError, ValueError, also where the episode ended before that.
     """
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
-    first = math.ceil(skip / episode.period - 1e-9)
+    periods = skip / episode.period
+    first = math.ceil(periods - 1e-9)
     steps = len(episode.reward)
     seconds = episode.seconds[1:]
     # an episode that diverged before has errors of no sample: NaN
@@ -167,7 +169,8 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     to_settle = next(iter(episode.errors.values()))
     if episode.jumped:
         to_settle = to_settle[:-1]  # nobody has acted on a jump in the last step
-    settled = has_settled(to_settle, episode.period, SETTLED * episode.length)
+    size = SETTLED * episode.length
+    settled = has_settled(to_settle, episode.period, size)
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
@@ -193,7 +196,8 @@ def has_settled(
         first = outside[-1] + 1
     else:
         first = 0
-    return bool((len(error) - 1 - first) * period >= STAY - 1e-9)
+    periods = len(error) - 1 - first
+    return bool(periods * period >= STAY - 1e-9)
 
 
 def chatter(tension: Array, period: float) -> float:
@@ -209,20 +213,25 @@ def chatter(tension: Array, period: float) -> float:
     steps = len(change)
     if steps < 8:
         return math.nan
-    window = np.hanning(steps + 2)[1:-1, None]
-    power = np.abs(np.fft.rfft(window * change, axis=0)) ** 2
+    hann = np.hanning(steps + 2)
+    window = hann[1:-1, None]
+    spectrum = np.fft.rfft(window * change, axis=0)
+    power = np.abs(spectrum) ** 2
     frequency = np.fft.rfftfreq(steps, period)
     # the same at negative frequencies, but at Nyquist's
     is_paired = frequency * period < 0.5 - 1e-9
     twice = np.where(is_paired, 2.0, 1.0)[:, None]
-    fast = (twice * power)[frequency > FAST].sum(axis=0)
-    return float(np.sqrt(fast.mean() / (steps * np.sum(window**2))))
+    fast_power = (twice * power)[frequency > FAST]
+    fast = fast_power.sum(axis=0)
+    per_sample = fast.mean() / (steps * np.sum(window**2))
+    return float(np.sqrt(per_sample))
 
 
 def root_mean_square(values: Array) -> float:
     """Root mean square of all entries; NaN without any."""
     if values.size:
-        return float(np.sqrt(np.mean(np.square(values))))
+        mean_square = np.mean(np.square(values))
+        return float(np.sqrt(mean_square))
     return math.nan
 
 

@@ -120,10 +120,13 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
 
     Those of the first and of the last sample are among them.
     """
-    samples = np.linspace(0, rollout.samples - 1, SHAPES).round().astype(int)
+    even = np.linspace(0, rollout.samples - 1, SHAPES)
+    samples = even.round().astype(int)
     stations = shapes.drawing_stations(rollout.model, STATIONS)
-    base = shapes.base_poses(rollout.model, samples * rollout.period, rollout.scene)
-    poses = shapes.backbones(rollout.model, rollout.strain[samples], stations, base)
+    times = samples * rollout.period
+    base = shapes.base_poses(rollout.model, times, rollout.scene)
+    strain = rollout.strain[samples]
+    poses = shapes.backbones(rollout.model, strain, stations, base)
     return shapes.positions(poses)
 
 
@@ -158,7 +161,8 @@ def draw_paths(
     # a path that leaves the surroundings of the target is cut off
     show_around(axes, target, ROOM)
     for name, width in line_widths(overview).items():
-        tip = shapes.positions(overview.rollouts[name].tip_pose) @ across
+        path = shapes.positions(overview.rollouts[name].tip_pose)
+        tip = path @ across
         axes.plot(
             *tip.T,
             color=looks[name].rgb,
@@ -173,11 +177,13 @@ def line_widths(overview: Overview) -> dict[str, float]:
 
     Each can so be seen on those below it.
     """
-    widths = np.linspace(WIDEST, THINNEST, len(overview.rollouts)).tolist()
+    count = len(overview.rollouts)
+    widths = np.linspace(WIDEST, THINNEST, count).tolist()
     by_policy = dict(zip(overview.rollouts, widths, strict=True))
     for name, rollout in overview.rollouts.items():
         error = np.median(rollout.scalars[overview.error])  # the way to the target does not count
-        if not error <= BAD * rollout.model.length:
+        bad = BAD * rollout.model.length
+        if not error <= bad:
             by_policy[name] = LOST_WIDTH
     return by_policy
 
@@ -241,7 +247,8 @@ def draw_numbers(
 ) -> None:
     """Draw a table of cells by policy and heading, with the policies' colours and markers."""
     axes.set_axis_off()
-    axes.set(xlim=(0.0, 1.0), ylim=(len(numbers) - 0.5, -HEADING_ROWS))  # the first row is on top
+    heights = (len(numbers) - 0.5, -HEADING_ROWS)
+    axes.set(xlim=(0.0, 1.0), ylim=heights)  # the first row is on top
     headings = list(next(iter(numbers.values())))
     right_edges = np.linspace(FIRST_NUMBER, 1.0, len(headings))
     above = -0.6  # of the first row, in rows

@@ -144,7 +144,8 @@ def play_steps(
         seconds = (time.perf_counter() - started) / rows
         observation, reward, terminated, truncated, _ = env.step(action)
         ended = np.atleast_1d(np.logical_or(terminated, truncated))
-        yield Step(np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
+        reward_row = np.asarray(reward, dtype=float)
+        yield Step(np.atleast_1d(reward_row), ended, seconds)
 
 
 def play(
@@ -183,12 +184,14 @@ def play(
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        columns = zip(*course[: steps + 1], strict=True)
+        samples = course[: steps + 1]
+        columns = zip(*samples, strict=True)
         reward, seconds, target, tip, tension, errors = (
             np.array([values[row] for values in column]) for column in columns
         )
         # the target's changes in the last two steps: still, then a jump
-        changes = np.abs(np.diff(target[-3:], axis=0))
+        steps_of_target = np.diff(target[-3:], axis=0)
+        changes = np.abs(steps_of_target)
         moves = (changes > STILL).any(axis=(1, 2))
         return Episode(
             seed,

@@ -66,7 +66,11 @@ def commit() -> str | None:
         )
     except (OSError, subprocess.CalledProcessError):
         return None
-    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
+    if changed.stdout.strip():
+        mark = "+"
+    else:
+        mark = ""
+    return head.stdout.strip() + mark
 
 
 def machine() -> str:
@@ -91,7 +95,8 @@ def write_json(
     Numbers that are not finite become null, which JSON has. Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    plain = json.loads(json.dumps(content), parse_constant=lambda number: None)
+    written = json.dumps(content)
+    plain = json.loads(written, parse_constant=lambda number: None)
     path.write_text(json.dumps(plain, indent=1) + "\n")
     if say:
         print(f"written: {path}")

@@ -35,11 +35,13 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
     A quarter of the count is cut at either end, rounded down. Raises ValueError without any.
     """
-    ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
+    array = np.asarray(values, dtype=float)
+    ordered = np.sort(np.moveaxis(array, axis, 0), axis=0)
     if not len(ordered):
         raise ValueError("values should have at least one run")
     cut = int(CUT * len(ordered))
-    mean = ordered[cut : len(ordered) - cut].mean(axis=0)
+    middle = ordered[cut : len(ordered) - cut]
+    mean = middle.mean(axis=0)
     if mean.ndim:
         return mean
     return float(mean)
@@ -50,9 +52,11 @@ def tails(values: ArrayLike) -> tuple[float, float]:
 
     Values may be infinite, and there is at least one.
     """
-    ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
+    flat = np.ravel(np.asarray(values, dtype=float))
+    ordered = np.sort(flat)  # NaN last
     places = np.arange(ordered.size)
-    percentile = np.interp(HIGH * (ordered.size - 1) / 100, places, ordered)
+    place = HIGH * (ordered.size - 1) / 100
+    percentile = np.interp(place, places, ordered)
     return float(ordered.mean()), float(percentile)
 
 
@@ -80,11 +84,15 @@ def bootstrap_interval(
         # each axis has a dimension of its own, after that of the resamples
         others = tuple(1 + other for other in range(axes) if other != axis)
         index.append(np.expand_dims(chosen, others))
-    drawn = runs[tuple(index)].reshape(RESAMPLES, -1, *rest)
-    ordered = np.sort(np.asarray(statistic(drawn, axis=1)), axis=0)
+    resampled = runs[tuple(index)]
+    drawn = resampled.reshape(RESAMPLES, -1, *rest)
+    statistics = np.asarray(statistic(drawn, axis=1))
+    ordered = np.sort(statistics, axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
-    low = ordered[math.ceil(tail * RESAMPLES) - 1]
-    high = ordered[math.ceil((1.0 - tail) * RESAMPLES) - 1]
+    place = math.ceil(tail * RESAMPLES) - 1
+    low = ordered[place]
+    place_above = math.ceil((1.0 - tail) * RESAMPLES) - 1
+    high = ordered[place_above]
     if ordered.ndim > 1:
         return (low, high)
     return (float(low), float(high))
@@ -137,11 +145,14 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     metrics = dict[str, float]()
     for name in scores[0].errors:
         of_lived = [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
-        rms = root_mean_square(np.array([error.rms for error in of_lived]))
-        percentile = float(np.mean([error.percentile_95 for error in of_lived]))
+        values = [error.rms for error in of_lived]
+        rms = root_mean_square(np.array(values))
+        percentiles = [error.percentile_95 for error in of_lived]
+        percentile = float(np.mean(percentiles))
         errors[name] = ErrorScore(rms, percentile)
     for name in scores[0].metrics:
-        metrics[name] = root_mean_square(np.array([score.metrics[name] for score in lived]))
+        values = [score.metrics[name] for score in lived]
+        metrics[name] = root_mean_square(np.array(values))
     reached = [score.reached for score in scores if score.reached is not None]
     known = [score.action_time for score in scores if math.isfinite(score.action_time)]
     return Summary(
@@ -169,9 +180,11 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
             return worst
         error = next(iter(score.errors.values())).rms
         chatter = float(np.nan_to_num(score.metrics["chatter"]))  # NaN of too few samples
-        return min(error + CHATTER_COST * score.length * chatter, worst)
+        chatter_cost = CHATTER_COST * score.length * chatter
+        return min(error + chatter_cost, worst)
 
-    return float(np.mean([cost(score) for score in scores]))
+    costs = [cost(score) for score in scores]
+    return float(np.mean(costs))
 
 
 class Mean(NamedTuple):
@@ -198,7 +211,8 @@ class Standing(NamedTuple):
     @property
     def error(self) -> str:
         """Name of the task's first error, by whose root mean square policies are ranked."""
-        return next(iter(self.scores[0][0].errors))
+        first = self.scores[0][0]
+        return next(iter(first.errors))
 
     def values(self, key: str) -> Array:
         """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
@@ -228,7 +242,8 @@ def difference(
     played all episodes of the first.
     """
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
-    if len(other.scores) > 1 or any(score.seed not in theirs for score in first.episodes):
+    has_more = len(other.scores) > 1
+    if has_more or any(score.seed not in theirs for score in first.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")
     pairs = np.array(
         [
@@ -240,7 +255,8 @@ def difference(
 
     def apart(drawn: Array, axis: int = 0) -> Any:
         with np.errstate(invalid="ignore"):  # NaN where both means are infinite
-            return -np.diff(interquartile_mean(drawn, axis))[..., 0]
+            differences = np.diff(interquartile_mean(drawn, axis))
+            return -differences[..., 0]
 
     return Mean(
         float(apart(pairs.reshape(-1, 2))),

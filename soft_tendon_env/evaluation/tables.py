@@ -67,13 +67,15 @@ def summary_cells(summary: Summary) -> dict[str, str]:
     cells = dict[str, str]()
     for name, error in summary.errors.items():
         unit = error_unit(name)
-        cells[f"{unit.heading} RMS"] = number(unit.factor * error.rms) + flag
+        text = number(unit.factor * error.rms)
+        cells[f"{unit.heading} RMS"] = text + flag
     if summary.reached is not None:
         cells["reached"] = f"{100 * summary.reached:.0f} %"
     cells["settled"] = f"{summary.settled} of {summary.episodes}"
     for name, value in summary.metrics.items():
         metric = METRICS[name]
-        cells[metric.heading] = number(metric.factor * value) + flag
+        text = number(metric.factor * value)
+        cells[metric.heading] = text + flag
     cells["time [ms]"] = number(1e3 * summary.action_time)
     return cells
 
@@ -89,9 +91,11 @@ def summary_table(
     """
     rows = []
     for name, summary in summaries.items():
-        rows.append({label: name, **summary_cells(summary), MODEL: models[name]})
+        row = {label: name, **summary_cells(summary), MODEL: models[name]}
+        rows.append(row)
     table = record_table(rows)
-    if any(summary.diverged for summary in summaries.values()):
+    diverged = (summary.diverged for summary in summaries.values())
+    if any(diverged):
         return f"{table}\n\n{LEGEND}"
     return table
 
@@ -102,8 +106,11 @@ def error_text(standing: Standing) -> str:
     key = f"{standing.error}_rms"
     interquartile = standing.mean(key).value
     mean, _ = tails(standing.values(key))
-    text = f"{number(factor * interquartile)} / {number(factor * mean)}"
-    bad = float(np.mean([score.bad for score in standing.episodes]))
+    first = number(factor * interquartile)
+    second = number(factor * mean)
+    text = f"{first} / {second}"
+    bad_shares = [score.bad for score in standing.episodes]
+    bad = float(np.mean(bad_shares))
     if bad:
         return f"{text}, {100 * bad:.0f} % bad"
     return text
@@ -114,12 +121,14 @@ def error_table(standings: Standings) -> str:
 
     Cells are those of ERRORS_LEGEND, "-" where a policy did not play.
     """
-    conditions = list(dict.fromkeys(condition for _, condition in standings))
+    condition_names = (condition for _, condition in standings)
+    conditions = list(dict.fromkeys(condition_names))
     first = next(iter(standings.values()))
     heading = f"{error_unit(first.error).heading} RMS"
     rows = dict[str, dict[str, str]]()
     for (policy, condition), standing in standings.items():
-        row = {heading: _name_with_seeds(policy, standing)} | dict.fromkeys(conditions, "-")
+        first_cell = {heading: _name_with_seeds(policy, standing)}
+        row = first_cell | dict.fromkeys(conditions, "-")
         rows.setdefault(policy, row)[condition] = error_text(standing)
     return record_table([*rows.values()])
 
@@ -134,7 +143,8 @@ def number_tables(standings: Standings) -> list[str]:
     for name in first.episodes[0].errors:
         unit = error_unit(name)
         text = _mean_text(f"{name}_rms", unit.factor)
-        tables.append(_narrow_table(f"{unit.heading} RMS", standings, text))
+        title = f"{unit.heading} RMS"
+        tables.append(_narrow_table(title, standings, text))
     tables.append(_narrow_table("return", standings, _mean_text("return", 1.0)))
     tables.append(_narrow_table("bad episodes [%]", standings, _bad_text))
     return tables
@@ -167,15 +177,18 @@ def _mean_text(key: str, factor: float) -> Callable[[Standing], str]:
 
     def text(standing: Standing) -> str:
         mean, _ = tails(standing.values(key))
-        interquartile = number(factor * standing.mean(key).value, NARROW_DIGITS)
-        return f"{interquartile} ({number(factor * mean, NARROW_DIGITS)})"
+        mean_of_key = standing.mean(key)
+        interquartile = number(factor * mean_of_key.value, NARROW_DIGITS)
+        text = number(factor * mean, NARROW_DIGITS)
+        return f"{interquartile} ({text})"
 
     return text
 
 
 def _bad_text(standing: Standing) -> str:
     """Share of bad episodes in percent."""
-    return f"{100 * np.mean([score.bad for score in standing.episodes]):.0f}"
+    bad_share = np.mean([score.bad for score in standing.episodes])
+    return f"{100 * bad_share:.0f}"
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:
@@ -183,14 +196,16 @@ def record_table(rows: Sequence[Mapping[str, str]]) -> str:
 
     It has a column per key that any of them has, "-" where one lacks it.
     """
-    header = list(dict.fromkeys(key for row in rows for key in row))
+    keys = (key for row in rows for key in row)
+    header = list(dict.fromkeys(keys))
     cells = [[row.get(key, "-") for key in header] for row in rows]
     return markdown_table(header, cells)
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table that reads well as it is and as Markdown."""
-    cells = [tuple(header), *map(tuple, rows)]
+    rest = map(tuple, rows)
+    cells = [tuple(header), *rest]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = []
     for row in cells:
@@ -216,7 +231,8 @@ def records(standings: Standings) -> list[dict[str, Any]]:
             "bad": sum(score.bad for score in standing.episodes),
         }
         for key in standing.episodes[0].numbers:
-            numbers = (*standing.mean(key), *tails(standing.values(key)))
+            tails_of_key = tails(standing.values(key))
+            numbers = (*standing.mean(key), *tails_of_key)
             for ending, value in zip(STATISTICS, numbers, strict=True):
                 row[f"{key}{ending}"] = float(f"{value:.5g}")
         rows.append(row)
@@ -229,7 +245,8 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     There is nothing where it is NaN. Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    columns = list(dict.fromkeys(key for row in rows for key in row))
+    keys = (key for row in rows for key in row)
+    columns = list(dict.fromkeys(keys))
     with open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()

@@ -115,7 +115,8 @@ class Training(Configuration):
         """
         sequence = np.random.SeedSequence((self.seed, done))
         (word,) = sequence.generate_state(1, np.uint64)
-        return SEEDS["training"].start + int(word >> np.uint64(16))
+        drawn = word >> np.uint64(16)
+        return SEEDS["training"].start + int(drawn)
 
     @field_validator("learning_rate", mode="before")
     @classmethod
@@ -146,7 +147,8 @@ class Training(Configuration):
         try:
             self._check_options()
         except ConfigurationError as error:
-            problems += [Problem(("options", *key), text) for key, text in error.problems]
+            of_options = [Problem(("options", *key), text) for key, text in error.problems]
+            problems += of_options
         except ValueError as error:
             problems.append(Problem((), str(error)))
         if problems:
@@ -178,7 +180,8 @@ NO_TRAININGS = ("published", "tune_")  # prefixes of the files in configs/ that 
 
 def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
-    stems = sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
+    files = CONFIGS.glob(f"{prefix}*.toml")
+    stems = sorted(path.stem for path in files)
     if prefix:
         return tuple(stem.removeprefix(prefix) for stem in stems)
     return tuple(stem for stem in stems if not stem.startswith(NO_TRAININGS))
@@ -193,7 +196,8 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
     names = config_names(prefix)
     if name in names and not Path(name).is_file():
         return CONFIGS / f"{prefix}{name}.toml"
-    if Path(name).suffix != ".toml" and not Path(name).exists():
+    has_other_ending = Path(name).suffix != ".toml"
+    if has_other_ending and not Path(name).exists():
         text = (
             f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that"
             f" ships: {not_among(name, names)}"

@@ -39,7 +39,8 @@ class Curves(NamedTuple):
 
     def values(self, key: str) -> Array:
         """Numbers of a column (seeds, steps)."""
-        return np.array([[row[key] for row in rows] for rows in self.rows])
+        columns = [[row[key] for row in rows] for rows in self.rows]
+        return np.array(columns)
 
 
 def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
@@ -60,7 +61,8 @@ def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
         if runs and task_of_run != task:
             raise ValueError(f"{folder} has runs of several tasks: {task}, {task_of_run}")
         task = task_of_run
-        runs.append({row["steps"]: row for row in rows})
+        by_steps = {row["steps"]: row for row in rows}
+        runs.append(by_steps)
     if runs:
         steps = sorted(set.intersection(*map(set, runs)))
     else:
@@ -82,7 +84,8 @@ def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
         middle = interquartile_mean(values)
         low, high = bootstrap_interval(values)
         colour = style[curves.name].rgb
-        axes.plot(steps, middle, color=colour, label=with_seeds(curves.name, len(values)))
+        label = with_seeds(curves.name, len(values))
+        axes.plot(steps, middle, color=colour, label=label)
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
     set_log_scale(axes, axes.yaxis)
     task = all_curves[0].task
@@ -148,7 +151,8 @@ def show_curves(folders: Sequence[Path]) -> bool:
         by_task.setdefault(curves.task, []).append(curves)
     for task, of_task in by_task.items():
         columns = of_task[0].rows[0][0]
-        key = next(name for name in columns if name.endswith(RMS))
+        errors = (name for name in columns if name.endswith(RMS))
+        key = next(errors)
         picture = folders[0].parent / f"learning_curves_{task}.png"
         draw_curves(of_task, key, picture)
         print(f"\n## {task}\n\n{curve_table(of_task, key)}")

@@ -52,7 +52,8 @@ def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
     typical = row["typical"]
     if typical is None or np.isnan(typical):
         typical = np.inf
-    return -row.get("reached", 0.0), row["cost"], typical
+    reached = row.get("reached", 0.0)
+    return -reached, row["cost"], typical
 
 
 def format_row(row: Mapping[str, float]) -> str:
@@ -61,7 +62,8 @@ def format_row(row: Mapping[str, float]) -> str:
     for name, value in row.items():
         if name.endswith(RMS):
             unit = error_unit(name.removesuffix(RMS))
-            parts.append(f"{unit.heading} {number(unit.factor * value)}")
+            text = number(unit.factor * value)
+            parts.append(f"{unit.heading} {text}")
     return ", ".join(parts)
 
 
@@ -99,7 +101,8 @@ class TrainingMonitor(ABC):
         if best is None:
             self._best = None
         else:
-            self._best = quality(read_json(best / CONFIG)["evaluated"])
+            evaluated = read_json(best / CONFIG)["evaluated"]
+            self._best = quality(evaluated)
         self.envs = gym.make_vec(
             IDS[training.task],
             num_envs=training.evaluation.episodes,
@@ -132,7 +135,9 @@ class TrainingMonitor(ABC):
         self._started = time.perf_counter()
         self._config = config
         write_json(self.folder / CONFIG, config, say=False)
-        (self.folder / PURPOSE).write_text(purpose(self.training), encoding="utf-8")
+        file = self.folder / PURPOSE
+        text = purpose(self.training)
+        file.write_text(text, encoding="utf-8")
         self._evaluated = self._evaluations_due()
         if not self.curve:
             self.evaluate()  # compiles, if need be
@@ -149,7 +154,8 @@ class TrainingMonitor(ABC):
         before = self._evaluated
         self._evaluated = self._evaluations_due()
         is_due = self._evaluated > before
-        if is_due or ends and self.curve[-1]["steps"] < self.steps_done():
+        is_time = is_due or ends and self.curve[-1]["steps"] < self.steps_done()
+        if is_time:
             self.evaluate()
             config = {
                 **self._config,
@@ -212,15 +218,18 @@ class TrainingMonitor(ABC):
     def _write_curve(self) -> None:
         """Replace the file of the learning curve."""
         with replacing(self._csv) as new, open(new, "w", newline="") as file:
-            writer = csv.DictWriter(file, list(self.curve[-1]))
+            names = list(self.curve[-1])
+            writer = csv.DictWriter(file, names)
             writer.writeheader()
             for values in self.curve:
-                writer.writerow({name: f"{value:.9g}" for name, value in values.items()})
+                texts = {name: f"{value:.9g}" for name, value in values.items()}
+                writer.writerow(texts)
 
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
         parameters = self.network().parameters()
-        if not all(bool(torch.isfinite(weights).all()) for weights in parameters):
+        is_finite = (bool(torch.isfinite(weights).all()) for weights in parameters)
+        if not all(is_finite):
             text = (
                 f"after {self.steps_done()} steps the agent's weights are no longer finite: a"
                 " smaller learning_rate may help"
@@ -238,7 +247,8 @@ class TrainingMonitor(ABC):
 
     def _seconds(self) -> float:
         """How long it has learned [s], without evaluations."""
-        return self._before + time.perf_counter() - self._started - self._untimed
+        elapsed = self._before + time.perf_counter() - self._started
+        return elapsed - self._untimed
 
 
 class TrainingCallback(TrainingMonitor, BaseCallback):

@@ -93,12 +93,14 @@ class RecurrentPolicy(ActorCriticPolicy):
         seen = with_fine_entries(plain, self.fine)
         if self.memory:
             memory = next_memory(self.gate, self.candidate, seen, memory)
-        latent = self.mlp_extractor.forward_actor(torch.cat([seen, memory], dim=1))
+        features = torch.cat([seen, memory], dim=1)
+        latent = self.mlp_extractor.forward_actor(features)
         mean = self.action_net(latent)
         if self.posture:
             posture = plain[:, self.posture :]
             away = with_fine_entries(posture, self.fine)
-            gains = self.gain(latent * self.way(away))
+            towards = self.way(away)
+            gains = self.gain(latent * towards)
             mean = mean + gains
         return mean, memory
 

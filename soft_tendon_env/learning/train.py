@@ -147,9 +147,11 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         kind = "tensorboard"
     else:
         kind = "csv"
-    model.set_logger(configure(str(callback.folder / kind), [kind]))
+    log_folder = str(callback.folder / kind)
+    model.set_logger(configure(log_folder, [kind]))
     try:
-        model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
+        steps_left = training.steps - done
+        model.learn(steps_left, callback=callback, reset_num_timesteps=False)
     except (ArithmeticError, RuntimeError, ValueError):
         callback.check()  # what is not finite ends in errors of PyTorch
         raise
@@ -221,7 +223,8 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     Loading runs what is in its files. Raises ValueError, OSError.
     """
     midst = pickle.loads((checkpoint / ENVIRONMENT).read_bytes())
-    statistics = VecNormalize.load(str(checkpoint / PICKLED), midst["env"])
+    file = str(checkpoint / PICKLED)
+    statistics = VecNormalize.load(file, midst["env"])
     rate = learning_rate(training)
     kind = training_class(training.algorithm)
     model: BaseAlgorithm = kind.load(

@@ -202,7 +202,8 @@ def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[di
     columns |= more
     names = tuple(columns)
     lists = [column.tolist() for column in columns.values()]
-    return [dict(zip(names, values, strict=True)) for values in zip(*lists, strict=True)]
+    rows = zip(*lists, strict=True)
+    return [dict(zip(names, values, strict=True)) for values in rows]
 
 
 def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:

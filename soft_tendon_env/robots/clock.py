@@ -76,7 +76,8 @@ class Pacer:
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
         self.count += 1
-        deadline = self._first + self.period * self.count
+        elapsed = self.period * self.count
+        deadline = self._first + elapsed
         if self.clock.now() > deadline:
             self._overruns += 1
         self.clock.wait_until(deadline)
@@ -88,7 +89,8 @@ class Pacer:
     def timing(self) -> Timing:
         """Statistics until now; zeros before the first period is over."""
         lateness = self._lateness or [0.0]
-        p50, p99, worst = np.percentile(lateness, [50, 99, 100]).tolist()
+        percentiles = np.percentile(lateness, [50, 99, 100])
+        p50, p99, worst = percentiles.tolist()
         return Timing(
             periods=self.count,
             overruns=self._overruns,

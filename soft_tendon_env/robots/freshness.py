@@ -29,7 +29,8 @@ class Freshness:
     @property
     def age(self) -> float:
         """Time [s] since the slowest sensor gave something new."""
-        return self._clock.now() - min(self._came, self._pose_came)
+        oldest = min(self._came, self._pose_came)
+        return self._clock.now() - oldest
 
     @property
     def age_of_pose(self) -> float:

@@ -37,7 +37,8 @@ def check_log(path: Path) -> None:
         )
     if path.exists():
         others = (path.with_stem(f"{path.stem}_{k}") for k in itertools.count(2))
-        free = next(other for other in others if not other.exists())
+        unused = (other for other in others if not other.exists())
+        free = next(unused)
         raise FileExistsError(
             f"the log {path} is there already, and no log is overwritten: give another name, such"
             f" as {free}"
@@ -71,7 +72,8 @@ class RobotLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 (until `close`)
         self._writer = csv.writer(self._file, lineterminator="\n")
-        measured = [column for name in ("sent", "asked", *senses) for column in columns[name]]
+        kinds = ("sent", "asked", *senses)
+        measured = [column for name in kinds for column in columns[name]]
         self._writer.writerow(["hold", "time", "measured_time", *measured])
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
@@ -108,7 +110,8 @@ class RobotLog:
             if name == "tip_pose":
                 rotation = Rotation.from_matrix(value[:3, :3])
                 quaternion = rotation.as_quat(canonical=True, scalar_first=True)
-                value = np.concatenate([value[:3, 3], quaternion])
+                position = value[:3, 3]
+                value = np.concatenate([position, quaternion])
             numbers.append(value.ravel())
         values = np.concatenate(numbers).tolist()
         return [self._hold, round(time, 9), measured_time, *values]

@@ -137,7 +137,8 @@ def check_measurement(
     arrays = dict[str, Array]()
     for name in senses:
         shape = shapes.get(name, (tendons,))
-        arrays[name] = checked_array(f"measurement.{name}", getattr(measured, name), shape)
+        value = getattr(measured, name)
+        arrays[name] = checked_array(f"measurement.{name}", value, shape)
     if "tip_pose" in arrays:
         _check_pose(arrays["tip_pose"])
     return Measurement(time, tip_time=tip_time, **arrays)

@@ -147,7 +147,8 @@ class SafeRobot:
         watch = getattr(self.robot, "watch", None)
         if watch is not None:
             try:
-                self._turns.take(partial(watch, self.slack.copy(), self._patience), TRYING)
+                guard = partial(watch, self.slack.copy(), self._patience)
+                self._turns.take(guard, TRYING)
             except Exception as error:
                 self.fail(f"the robot's own watchdog failed: {first_line(error)}", error)
 
@@ -168,7 +169,8 @@ class SafeRobot:
         """
         self._refuse()
         if late > self._patience:
-            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
+            cause = f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}"
+            self.fail(cause)
         try:
             reading = self._turns.take(self.robot.read, TRYING)
             measured = check_measurement(reading, self.senses, self.slack.size, self._sensors)
@@ -186,7 +188,8 @@ class SafeRobot:
 
     def _check_reach(self, pose: Array) -> None:
         """Raises ValueError for a tip that is further from the base than the arm reaches."""
-        from_base = pose[:3, 3] - self._arm.base
+        position = pose[:3, 3]
+        from_base = position - self._arm.base
         distance = float(np.linalg.norm(from_base))
         reach = STRETCH * self._arm.length
         if distance > reach:
@@ -203,10 +206,13 @@ class SafeRobot:
         newest = self._readings.newest
         if newest is None or newest.tip_pose is None:
             return False
-        distance = float(np.linalg.norm(pose[:3, 3] - newest.tip_pose[:3, 3]))
+        newest_position = newest.tip_pose[:3, 3]
+        distance = float(np.linalg.norm(pose[:3, 3] - newest_position))
         # after a late period the next one is short, and the pose as old as ever
         duration = max(self._readings.age_of_pose, self._period)
-        farthest = NOISY * self._arm.length + self._arm.top_speed * duration
+        by_noise = NOISY * self._arm.length
+        by_motion = self._arm.top_speed * duration
+        farthest = by_noise + by_motion
         if distance <= farthest:
             self._jumps = 0
             return False
@@ -237,7 +243,8 @@ class SafeRobot:
         least, greatest = self._limits.T
         # time that has passed, so that a late period and the short ones after it change no more
         # than the rate; at most a period, so that a pause leads to no jump
-        elapsed = min(self.clock.now() - self._sent_at, self._period)
+        since_sent = self.clock.now() - self._sent_at
+        elapsed = min(since_sent, self._period)
         is_limited = np.isfinite(self.rate)
         if is_limited:
             most = self.rate * elapsed
@@ -246,8 +253,11 @@ class SafeRobot:
         try:
             asked = checked_array("command", command, self.slack.shape)
             # from slack, which may lie beneath the limits, it rises evenly
-            within = np.clip(asked, np.minimum(least, self._sent), greatest)
-            next_command = np.clip(within, self._sent - most, self._sent + most)
+            lowest = np.minimum(least, self._sent)
+            within = np.clip(asked, lowest, greatest)
+            lower = self._sent - most
+            upper = self._sent + most
+            next_command = np.clip(within, lower, upper)
             answer = self._send(next_command)
             self._sent_at = self.clock.now()
             if answer is None:
@@ -271,7 +281,8 @@ class SafeRobot:
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
-        is_above = sent >= np.minimum(least, self.slack) - margin
+        floor = np.minimum(least, self.slack) - margin
+        is_above = sent >= floor
         is_below = sent <= greatest + margin
         if not (is_above & is_below).all():
             raise ValueError(
@@ -331,7 +342,8 @@ class SafeRobot:
         """
         while not self._closed:
             try:
-                cause, done = self._orders.get(timeout=LOOKS * self._period)
+                timeout = LOOKS * self._period
+                cause, done = self._orders.get(timeout=timeout)
             except Empty:
                 # where time stands still, the loop itself looks as it reads
                 if self.clock.real:

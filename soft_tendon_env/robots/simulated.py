@@ -59,7 +59,8 @@ class SimulatedRobot:
         target = {"type": "hold", "pose": np.eye(4).tolist()}
         parsed = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
         # the delay is taken here, where commands come as often as they like
-        delay = getattr(given_scene(parsed.scene).effects.actuators, "delay", 0.0)
+        scene = given_scene(parsed.scene)
+        delay = getattr(scene.effects.actuators, "delay", 0.0)
         if delay:
             undelayed = {"scene": parsed.scene, "effects.actuators.delay": 0.0}
             parsed = parsed.model_copy(update={"scene": undelayed})
@@ -85,7 +86,8 @@ class SimulatedRobot:
         # these two compile, so that no reading waits for that
         self._arms.step(first[None, None], ROW)
         self._sensors.measured(self._arms.reading, self._readings, ROW)
-        episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
+        generators = [np.random.default_rng(checked_count("seed", seed, 0))]
+        episodes.begin(ROW, generators)
         self._latency = delay + self._actuation.delay(0)
         self._acting = self._actuation.acting(first, 0)
         self._coming = deque[tuple[float, Array]]()  # commands by the time when they arrive [s]
@@ -105,7 +107,8 @@ class SimulatedRobot:
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
         fields = {name: getattr(noisy, name)[0].copy() for name in noisy._fields}
-        return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
+        tip_twist = self._arms.reading.tip_twist[0].copy()
+        return Measurement(time, tip_twist=tip_twist, **fields)
 
     def write(self, command: Array) -> Array:
         """Sends a command that will arrive after the latency.
@@ -123,7 +126,8 @@ class SimulatedRobot:
         """
         sent = checked_array("command", command, self._acting.shape)
         arrival = self._go_on() + self._latency
-        self._coming.append((arrival, self._actuation.acting(sent, 0)))
+        order = (arrival, self._actuation.acting(sent, 0))
+        self._coming.append(order)
         return sent
 
     def close(self) -> None:
@@ -141,11 +145,14 @@ class SimulatedRobot:
                 next_arrival = self._coming[0][0]
             else:
                 next_arrival = now
-            until = min(now, time + self._episodes.period, next_arrival)
+            period_end = time + self._episodes.period
+            until = min(now, period_end, next_arrival)
             duration = until - time
             if duration <= EARLY:
                 break
-            self._arms.step(self._acting[None, None], ROW, np.array([[duration]]))
+            commands = self._acting[None, None]
+            durations = np.array([[duration]])
+            self._arms.step(commands, ROW, durations)
             if self._arms.outcome.status[0] != OK:
                 raise SimulationDiverged(
                     self._episodes.state(0),

@@ -21,7 +21,8 @@ ROW = np.zeros(1, dtype=np.int64)
 
 def half_swing(episodes: Episodes) -> float:
     """Time [s] of half a period of the slowest vibration of the arm."""
-    return float(np.pi / (RESOLVED * linear_rate(episodes.model)))
+    rate = linear_rate(episodes.model)
+    return float(np.pi / (RESOLVED * rate))
 
 
 def top_speed(episodes: Episodes) -> float:
@@ -45,7 +46,8 @@ def top_speed(episodes: Episodes) -> float:
     strongest = episodes.actuation.actions.greatest
     fastest = 0.0
     for pulls in _alike(episodes):
-        episodes.arms.place(ROW, episodes.starts.q[None], episodes.start_tension)
+        start = episodes.starts.q[None]
+        episodes.arms.place(ROW, start, episodes.start_tension)
         pulled = np.where(pulls, strongest, rest)
         for command in (pulled, rest):
             for _ in range(periods):
@@ -53,7 +55,8 @@ def top_speed(episodes: Episodes) -> float:
                 if episodes.arms.outcome.status[0] != OK:
                     return np.inf
                 velocity = episodes.arms.reading.tip_twist[0, 3:]
-                fastest = max(fastest, float(np.linalg.norm(velocity)))
+                speed = float(np.linalg.norm(velocity))
+                fastest = max(fastest, speed)
     episodes.arms.place(ROW, episodes.starts.q[None], episodes.start_tension)
     return MARGIN * fastest
 
@@ -63,5 +66,6 @@ def _alike(episodes: Episodes) -> Array:
     model = episodes.model
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
-    compliance = terms.actuation.T @ np.linalg.solve(terms.stiffness, terms.actuation)
+    flexibility = np.linalg.solve(terms.stiffness, terms.actuation)
+    compliance = terms.actuation.T @ flexibility
     return np.unique(compliance > 0.0, axis=0)

@@ -66,7 +66,8 @@ def _row_count(arrays: Mapping[str, NDArray[Any]]) -> int:
         lengths = {*array.shape} - {1}
         times.update(lengths)
     most = max(times.values(), default=0)
-    return max((length for length in times if times[length] == most), default=0)
+    most_frequent = (length for length in times if times[length] == most)
+    return max(most_frequent, default=0)
 
 
 def _text(value: Any) -> str:
@@ -82,11 +83,13 @@ def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArra
     if row_count not in squeezed.shape:
         return {}
     # MATLAB has rows of samples as often as columns
-    by_row = np.moveaxis(squeezed, squeezed.shape.index(row_count), 0)
+    row_axis = squeezed.shape.index(row_count)
+    by_row = np.moveaxis(squeezed, row_axis, 0)
     if by_row.ndim == 1:
         return {name: by_row}
     columns = dict[str, NDArray[Any]]()
-    for index in itertools.product(*map(range, by_row.shape[1:])):
+    ranges = map(range, by_row.shape[1:])
+    for index in itertools.product(*ranges):
         place: tuple[Any, ...] = (slice(None), *index)
         column = by_row[place]
         numbers = [str(i) for i in index]
@@ -94,7 +97,8 @@ def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArra
         columns[own_name] = column
         if by_row.shape[-1] == 3:
             axis = "xyz"[index[-1]]
-            name_by_axis = "_".join([name, *numbers[:-1], axis])
+            parts = [name, *numbers[:-1], axis]
+            name_by_axis = "_".join(parts)
             columns[name_by_axis] = column
     return columns
 
@@ -116,12 +120,14 @@ def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
     from scipy.io import loadmat
 
     start = path.read_bytes()[:520]
-    if HDF5 in (start[:4], start[512:516]):
+    starts = (start[:4], start[512:516])
+    if HDF5 in starts:
         raise ValueError(f"{path} is a .mat file of version 7.3: save it with save(..., '-v7')")
     try:
         variables = loadmat(path, simplify_cells=True)
     except Exception as error:  # of many kinds, by what the bytes seem to be
-        raise ValueError(f"{path} cannot be read as .mat: {type(error).__name__}") from error
+        message = f"{path} cannot be read as .mat: {type(error).__name__}"
+        raise ValueError(message) from error
     return _flat(variables, "")
 
 
@@ -136,7 +142,8 @@ def _flat(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
         else:
             array = np.asarray(value)
             # a cell array of names has objects
-            is_text = array.dtype == object and all(isinstance(cell, str) for cell in array.flat)
+            has_objects = array.dtype == object
+            is_text = has_objects and all(isinstance(cell, str) for cell in array.flat)
             if is_text:
                 arrays[prefix + name] = array.astype(str)
             else:

@@ -80,7 +80,8 @@ class Tensions:
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
-        tension = self.points[:1].repeat(times.size, axis=0)
+        first = self.points[:1]
+        tension = first.repeat(times.size, axis=0)
         return tension, np.zeros_like(tension)
 
 
@@ -115,8 +116,11 @@ def shape_course(
         return _given_course(np.array([tension]), setting, motion)
     fraction = drawn(target.fraction, generator)
     middle = setting.tension
-    reach = fraction * (setting.limits - middle[:, None])
-    offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
+    room = setting.limits - middle[:, None]
+    reach = fraction * room
+    low = reach[:, 0]
+    high = reach[:, 1]
+    offset = generator.uniform(low, high, (count, middle.size))
     for halvings in range(HALVINGS + 1):
         points = middle + 0.5**halvings * offset
         try:
@@ -170,7 +174,8 @@ def _given_course(
 
 def _still(value: Array, times: Array, order: int = 0) -> Array:
     """A value (1, n) at times (m,), or its derivative: (m, n)."""
-    return (1.0 - order) * value.repeat(len(times), axis=0)
+    held = value.repeat(len(times), axis=0)
+    return (1.0 - order) * held
 
 
 class StaticCourse(ShapeCourse):
@@ -211,7 +216,8 @@ class StaticCourse(ShapeCourse):
         q, _ = self.coordinates(places)
         is_firm = setting.arms.have_margin(margin * q)
         if not is_firm.all():
-            tensions, _ = tension(places[~is_firm][:1])
+            first_firm = places[~is_firm][:1]
+            tensions, _ = tension(first_firm)
             raise NoEquilibrium(tensions[0], "the section is about to give way")
 
     @property
@@ -220,7 +226,8 @@ class StaticCourse(ShapeCourse):
         knots = self.tension.knots
         knot_numbers = np.arange(knots.size)
         count = PER_KNOT * (knots.size - 1) + 1
-        return np.interp(np.arange(count) / PER_KNOT, knot_numbers, knots)
+        places = np.arange(count) / PER_KNOT
+        return np.interp(places, knot_numbers, knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
         """Coordinates that loads add to the response to tensions, as a function of time.
@@ -231,7 +238,8 @@ class StaticCourse(ShapeCourse):
         tension, _ = self.tension(places)
         with setting.model.workspace() as work:
             path = EquilibriumPath(setting, work)
-            added = path.follow(tension) - tension @ setting.response
+            straight = tension @ setting.response
+            added = path.follow(tension) - straight
             if len(added) == 1:
                 return partial(_still, added)
             # it takes longer to import than all else that most scenes need
@@ -242,7 +250,8 @@ class StaticCourse(ShapeCourse):
                 ends = "periodic"
                 added[-1] = added[0]  # which differ by round-off
             spline: Callable[..., Array] = CubicSpline(places, added, bc_type=ends)
-            between = 0.5 * (places[:-1] + places[1:])
+            pair_sums = places[:-1] + places[1:]
+            between = 0.5 * pair_sums
             tension_between, _ = self.tension(between)
             q = tension_between @ setting.response + spline(between)
             residuals = path.residuals(tension_between, q)
@@ -259,8 +268,10 @@ class StaticCourse(ShapeCourse):
             return q, q_dot
         place = self.tension.within(times)
         moves = self.tension.is_closed | (place == times)
-        added_rate = self._added(place, 1) * moves[:, None]
-        return q + self._added(place), q_dot + added_rate
+        slope = self._added(place, 1)
+        added_rate = slope * moves[:, None]
+        added = self._added(place)
+        return q + added, q_dot + added_rate
 
 
 class EquilibriumPath:
@@ -288,8 +299,10 @@ class EquilibriumPath:
         Raises:
             NoEquilibrium: also where tensions that come back do not bring back the shape.
         """
-        q = np.array([self._move(u) for u in tension])
-        comes_back = (tension[-1] == tension[0]).all()
+        equilibria = [self._move(u) for u in tension]
+        q = np.array(equilibria)
+        is_same = tension[-1] == tension[0]
+        comes_back = is_same.all()
         if comes_back and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
@@ -321,7 +334,8 @@ class EquilibriumPath:
         balance = self._balance
         balance.tension = tension
         balance.obstacle = ""
-        guess = self._q + (tension - self._tension) @ self._response
+        change = (tension - self._tension) @ self._response
+        guess = self._q + change
         rest = LoadPath(balance).equilibrium(guess, 1.0)
         angle = np.inf
         if rest is not None:
@@ -334,5 +348,6 @@ class EquilibriumPath:
             raise NoEquilibrium(tension, "the arm is no longer stable there")
         if shorter == 0:
             raise NoEquilibrium(tension, balance.obstacle or JUMPS)
-        self._move(0.5 * (self._tension + tension), shorter - 1)
+        middle = 0.5 * (self._tension + tension)
+        self._move(middle, shorter - 1)
         return self._move(tension, shorter - 1)
