@@ -70,7 +70,9 @@ def run(settings: Doctor) -> None:
 
 def package_version() -> str:
     """Version and folder of this package."""
-    return f"{importlib.metadata.version(PACKAGE)} in {Path(__file__).parents[1]}"
+    version = importlib.metadata.version(PACKAGE)
+    folder = Path(__file__).parents[1]
+    return f"{version} in {folder}"
 
 
 def python_versions() -> str:
@@ -132,7 +134,8 @@ def step(id: str, scene: str) -> str:
     started = perf_counter()
     observation, reward, *_ = env.step(action)
     seconds = perf_counter() - started
-    if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
+    is_outside = not env.observation_space.contains(observation)
+    if is_outside or not np.isfinite(float(reward)):
         raise ValueError(
             "the step gave an observation outside of its space, or a reward that is not finite"
         )

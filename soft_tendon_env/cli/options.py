@@ -133,7 +133,8 @@ def _leave_to_the_class(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any
     words that it has for files too."""
     kind: Any = info.type
     if get_origin(kind) is Literal:
-        metavar = "{" + ",".join(map(str, get_args(kind))) + "}"
+        choices = ",".join(map(str, get_args(kind)))
+        metavar = "{" + choices + "}"
     elif kind in (int, float):
         metavar = kind.__name__.upper()
     else:
@@ -161,7 +162,8 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
     """
     _check_once(arguments)
-    about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
+    before_attributes = (kind.__doc__ or "").partition("Attributes:")[0]
+    about = " ".join(before_attributes.split())
     shared: dict[str, Any] = {
         "prog": f"soft-tendon {command}",
         "args": list(arguments),
@@ -192,7 +194,8 @@ def _with_options_in_errors(kind: type[Kind], arguments: Sequence[str]) -> type[
             except ConfigurationError as error:
                 lines = []
                 for key, text in error.problems:
-                    lines.append(f"{_as_given(kind, key, arguments)} {text}".strip())
+                    line = f"{_as_given(kind, key, arguments)} {text}"
+                    lines.append(line.strip())
                 raise Mistake("\n".join(lines)) from error
 
     return Checked
@@ -223,7 +226,8 @@ def _check_keys(command: str, kind: type[Configuration], unknown: Sequence[str])
             continue
         name, _, value = word.removeprefix("--").partition("=")
         # tyro itself tells of what is nearly an option.
-        if get_close_matches(f"--{name.replace('_', '-')}", flags, cutoff=SIMILAR):
+        flag = name.replace("_", "-")
+        if get_close_matches(f"--{flag}", flags, cutoff=SIMILAR):
             continue
         if not value:
             if i + 1 < len(unknown):
@@ -258,6 +262,7 @@ def _as_given(kind: type[Configuration], key: Key, arguments: Sequence[str]) -> 
 
 def _flag(kind: type[Configuration], name: str) -> str:
     """Argument of a field, with dashes but where it is positional."""
-    if tyro.conf.Positional in kind.model_fields[name].metadata:
+    field = kind.model_fields[name]
+    if tyro.conf.Positional in field.metadata:
         return name
     return f"--{name.replace('_', '-')}"

@@ -69,7 +69,8 @@ class Sweep(Configuration):
         for seed in range(self.seeds):
             for file, folder in zip(files, folders, strict=True):
                 training = read_training(file, self.set, seed=seed)
-                jobs.append(sweep.Job(training, folder / f"seed_{seed}"))
+                job = sweep.Job(training, folder / f"seed_{seed}")
+                jobs.append(job)
         return jobs
 
 

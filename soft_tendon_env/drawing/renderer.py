@@ -262,8 +262,10 @@ class ArmRenderer:
         axis_depth = -axis @ towards
         # painted after all sections around, whatever its tendons' own depth
         step = np.gradient(self._arc_length)  # by which neighbours differ in depth
-        far_side = axis_depth - 1.5 * self._radius - step
-        near_side = far_side - 0.1 * self._radius - step
+        behind = axis_depth - 1.5 * self._radius
+        far_side = behind - step
+        before = far_side - 0.1 * self._radius
+        near_side = before - step
         faded = FADED * DIMMED * TUBE
         curves = shapes.tendon_curves(self._model, backbone, self._arc_length)
         lines = []
@@ -367,7 +369,8 @@ def cylinder(
     rings = np.tile(np.eye(4), (4, 1, 1))
     rings[:, 0, 3] = (start, start, end, end)
     # the outer rings have no radius: they close its ends
-    radii = radius * np.array([0.0, 1.0, 1.0, 0.0])
+    shares = np.array([0.0, 1.0, 1.0, 0.0])
+    radii = radius * shares
     outlines = radii[:, None, None] * CIRCLE
     return tube(pose @ rings, outlines)
 
@@ -495,7 +498,8 @@ def paint_floor(
     # one scale for both axes: that of the narrower one
     pixels = figure.bbox.size
     filled_pixels = ROOM * pixels
-    per_pixel = np.max((highest - lowest) / filled_pixels)  # [m]
+    sizes = (highest - lowest) / filled_pixels
+    per_pixel = np.max(sizes)  # [m]
     half = 0.5 * per_pixel * pixels
     centre = 0.5 * (lowest + highest)
     # the title has its room above the box
@@ -520,7 +524,8 @@ def paint_floor(
     lines = []
     for along, aside in ((first, second), (second, first)):
         # lines through multiples of the spacing in the world
-        begin = np.ceil(lower[aside] / spacing)
+        share = lower[aside] / spacing
+        begin = np.ceil(share)
         end = upper[aside] / spacing
         for number in np.arange(begin, end):
             ends = np.full((2, 3), floor)

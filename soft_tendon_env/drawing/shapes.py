@@ -165,7 +165,8 @@ def surface(
     position = pose[:3, 3]
     if not obstacle.is_endless:
         at_origin = _surface_at_origin(obstacle.kind, obstacle.sizes())
-        return np.asarray(at_origin @ rotation.T + position)
+        turned = at_origin @ rotation.T
+        return np.asarray(turned + position)
     lower, upper = box
     middle = 0.5 * (lower + upper)
     extent = float(np.max(upper - lower))
@@ -256,7 +257,8 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
         down = gravity
         # in the frame of the base, where the tip of a limp arm hangs
         direction = gravity @ rotation / strength
-        hanging = np.array(HANGING) * length * direction
+        scaled = np.array(HANGING) * length
+        hanging = scaled * direction
     # the box in the frame of the base
     backwards = [-BEHIND, -ASIDE, -ASIDE]
     behind = np.array(backwards)
@@ -266,7 +268,8 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
     # its corners in the world
     corners = corners_of_box(lower, upper) @ rotation.T
     corners += base[:3, 3]
-    vertical = int(np.argmax(np.abs(down)))
+    sizes = np.abs(down)
+    vertical = int(np.argmax(sizes))
     is_upright = bool(down[vertical] <= 0.0)
     lowest = corners.min(axis=0)
     highest = corners.max(axis=0)
@@ -276,7 +279,8 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
 def corners_of_box(lower: Array, upper: Array) -> Array:
     """Corners (8, 3) of a box along the axes."""
     ends_by_axis = zip(lower, upper, strict=True)
-    return np.array(list(itertools.product(*ends_by_axis)))
+    corners = list(itertools.product(*ends_by_axis))
+    return np.array(corners)
 
 
 def viewpoint(

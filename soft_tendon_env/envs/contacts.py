@@ -42,7 +42,9 @@ def deepest(contact: Contact, gaps: Array, standing: bool = False) -> Depth:
             continue
         name = f"effects.contact.obstacles[{i}], a {obstacle.type}"
         gap = gaps[i]
-        depths.append(Depth(float(-gap.min()), int(gap.argmin()), name))
+        deepest = float(-gap.min())
+        sample = int(gap.argmin())
+        depths.append(Depth(deepest, sample, name))
     return max(depths)
 
 
@@ -53,9 +55,11 @@ def why_inside(model: Model, q: Array) -> str:
         return ""
     places = contact.sample_places(model.discretisation)
     radius = sample_outlines(model.discretisation, places).radius
-    gaps = contact.gaps(model.discretisation, model.backbone_at(q, places))
+    backbone = model.backbone_at(q, places)
+    gaps = contact.gaps(model.discretisation, backbone)
     depth, sample, name = deepest(contact, gaps)
-    if not depth > INSIDE * radius[sample]:
+    allowed = INSIDE * radius[sample]
+    if not depth > allowed:
         return ""
     place = f"{places[sample]:.3g} m along it"
     return f"the arm begins {1e3 * depth:.3g} mm deep in {name}, at {place}"

@@ -205,7 +205,8 @@ class Options(Configuration):
     @field_validator("preview", mode="before")
     @classmethod
     def _times(cls, preview: Any) -> Any:
-        if isinstance(preview, int | float) and not isinstance(preview, bool):
+        is_numeric = isinstance(preview, int | float)
+        if is_numeric and not isinstance(preview, bool):
             raise ValueError(f"should be a list of times ahead [s]: [{preview}]")
         return preview
 
@@ -413,7 +414,11 @@ def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
         match = EXTRAPOLATED.search(drawn.name)
         if match:
             is_stiffness = match[1] == "young_modulus"
-            extremes |= drawn.changes(drawn.greatest if is_stiffness else drawn.least)
+            if is_stiffness:
+                extreme = drawn.greatest
+            else:
+                extreme = drawn.least
+            extremes |= drawn.changes(extreme)
     if not extremes:
         return None
     try:
@@ -463,7 +468,8 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
         chosen = task.observations[chosen]
     for name in chosen:
         if name not in allowed:
-            _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
+            hint = not_among(name, allowed)
+            _fail("observation", f"names {name!r}: {hint}")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
     return {name: allowed[name] for name in chosen}
@@ -516,7 +522,8 @@ def _check_preview(options: Options) -> None:
                 f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of"
                 f" them, {MOST_AHEAD * period:g} s"
             )
-            _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
+            message = f"is {time:g}: it should be {allowed}"
+            _fail(f"preview[{i}]", message)
 
 
 def usual_target(task: Task) -> Target:
@@ -577,7 +584,8 @@ def _check_pose(
     place = pose[:3, 3]
     base = scene.base.position
     bound = GOAL_BOUND * rod_length(scene)
-    if np.abs(place - base).max() <= bound:
+    distance = np.abs(place - base).max()
+    if distance <= bound:
         return
     allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod"
     if any(base):
@@ -586,7 +594,8 @@ def _check_pose(
         key = "target.pose"
     else:
         key = "target.position"
-    _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
+    place_shown = shown(place.tolist())
+    _fail(key, f"is at {place_shown} m: goals should lie {allowed}")
 
 
 def _fail(key: str, text: str) -> NoReturn:

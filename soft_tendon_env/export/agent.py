@@ -226,7 +226,8 @@ class _TensorNormalisation:
         self._clip = normalise.clip
         self._moments: dict[str, list[Tensor]] = {}
         for key, moments in normalise.moments.items():
-            deviation = np.sqrt(moments.variance + normalise.epsilon)
+            variance = moments.variance + normalise.epsilon
+            deviation = np.sqrt(variance)
             self._moments[key] = as_tensors(moments.mean, deviation)
 
     def __call__(self, parts: Parts) -> Parts:
@@ -435,7 +436,8 @@ class _ControlPeriod(torch.nn.Module):
         # measurements are less those at rest already
         zeros = [0.0 * value for value in self.episodes.observed.rest]
         rest = RestValues(*as_tensors(*zeros))
-        error = pose_logarithm(arm.tip_pose[0], rows["target_pose"][0])
+        target_pose = rows["target_pose"][0]
+        error = pose_logarithm(arm.tip_pose[0], target_pose)
         tensors: dict[str, Any] = {
             "arms": _Arms(arm, arm),
             "measured": arm,

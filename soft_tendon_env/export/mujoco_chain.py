@@ -196,7 +196,8 @@ def time_step(scene: Scene, chain: Chain) -> float:
     stiffness k and damping t k is stable up to t + sqrt(t^2 + 4 m / k).
     """
     ratio = chain.damping / chain.stiffness
-    link_inertia = np.diagonal(chain.inertia[1:], axis1=1, axis2=2)
+    link_matrices = chain.inertia[1:]
+    link_inertia = np.diagonal(link_matrices, axis1=1, axis2=2)
     # a joint between two links has half of their inertia
     period = np.sqrt(link_inertia / chain.stiffness)
     limit = ratio + np.hypot(ratio, period)
@@ -282,13 +283,15 @@ def _comment(left: list[str]) -> str:
 
 def text(numbers: ArrayLike) -> str:
     """Numbers as an attribute."""
-    values = np.atleast_1d(np.asarray(numbers, dtype=float))
+    array = np.asarray(numbers, dtype=float)
+    values = np.atleast_1d(array)
     return " ".join(map(repr, values.tolist()))
 
 
 def placed(pose: Array) -> dict[str, str]:
     """Attributes of a pose (4, 4)."""
-    rotation = Rotation.from_matrix(pose[:3, :3])
+    matrix = pose[:3, :3]
+    rotation = Rotation.from_matrix(matrix)
     quaternion = rotation.as_quat(canonical=True, scalar_first=True)
     position = text(pose[:3, 3])
     return {"pos": position, "quat": text(quaternion)}
@@ -303,7 +306,8 @@ def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
         name = f"link_{i - 1}"
         into_parent = inverse_pose(chain.pose[i - 1])
         in_parent = into_parent @ pose
-    body = SubElement(parent, "body", {"name": name, **placed(in_parent)})
+    attributes = {"name": name, **placed(in_parent)}
+    body = SubElement(parent, "body", attributes)
     _add_inertia(body, chain.inertia[i])
     ends = chain.stations[i : i + 2]
     middle = ends.mean()
@@ -413,8 +417,10 @@ def _branch(scene: Scene, tendon: Tendon, passage: _Passage) -> tuple[Array, Arr
     strain = stress_free_strain(scene, place)[0]
     curvature = strain[:3]
     stretch = strain[3:]
-    site = np.array([0.0, *offsets[0]])
-    slope = np.array([0.0, *slopes[0]])
+    first_site = [0.0, *offsets[0]]
+    site = np.array(first_site)
+    first_slope = [0.0, *slopes[0]]
+    slope = np.array(first_slope)
     # derivative of the tendon's position by arc length, in the frame of the rod
     rotation = np.cross(curvature, site)
     tangent = rotation + stretch + slope
@@ -530,7 +536,8 @@ def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
     distances = []
     for tension, pose in zip(tensions, poses, strict=True):
         arm.hold(tension)
-        distance = math.dist(arm.tip, pose[:3, 3])
+        position = pose[:3, 3]
+        distance = math.dist(arm.tip, position)
         distances.append(distance)
     return rest, float(np.max(distances)), duration
 
@@ -550,6 +557,7 @@ def _distances_at_rest(arm: _MujocoArm, scene: Scene, rod: Model) -> Array:
         equilibrium = static_equilibrium(rod, tension)
         if equilibrium.converged:
             tip = arm.settle(tension)
-            distance = math.dist(tip, equilibrium.tip_pose[:3, 3])
+            position = equilibrium.tip_pose[:3, 3]
+            distance = math.dist(tip, position)
         distances.append(distance)
     return np.array(distances)

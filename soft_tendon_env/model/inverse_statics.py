@@ -81,8 +81,10 @@ def tension_for_tip_pose(
     pose = checked_array("pose", pose, (4, 4))
     # a rotation has R^T R = 1, and no reflection
     R = pose[:3, :3]
-    stretch = np.abs(R.T @ R - np.eye(3))
-    off_last_row = np.abs(pose[3] - [0, 0, 0, 1])
+    excess = R.T @ R - np.eye(3)
+    stretch = np.abs(excess)
+    difference = pose[3] - [0, 0, 0, 1]
+    off_last_row = np.abs(difference)
     deviation = max(stretch.max(), off_last_row.max())
     is_reflection = np.linalg.det(R) < 0
     if deviation > RIGID or is_reflection:
@@ -163,7 +165,8 @@ class _TipSearch:
             efforts: mu, one after the other.
         """
         # tensions without equilibrium are halved towards slack
-        largest_range = np.abs(self.greatest - self.least).max()
+        ranges = self.greatest - self.least
+        largest_range = np.abs(ranges).max()
         next_to_slack = NEXT_TO_SLACK * largest_range
         while not self.equilibrium(u).converged:
             pull = np.abs(u - self.slack)
@@ -327,5 +330,6 @@ def _inverse_left_jacobian(turn: Array) -> Array:
         ]
     )
     c = coefficients(turn @ turn)
-    second_order = 0.5 * c.a1 / c.a * skew @ skew
+    factor = 0.5 * c.a1 / c.a
+    second_order = factor * skew @ skew
     return np.eye(3) - 0.5 * skew - second_order

@@ -85,7 +85,8 @@ class LoadPath:
         Args:
             settlings: times that the arm settles at most, before it reaches the full load.
         """
-        end, reason = self.follow(self.balance.unloaded())
+        begin = self.balance.unloaded()
+        end, reason = self.follow(begin)
         for _ in range(settlings):
             if not reason:
                 break
@@ -145,7 +146,9 @@ class LoadPath:
         if correction <= soft * CORRECTION:
             # of the cubic through both ends
             tangent_change = point.tangent - ahead.tangent
-            middle = 0.5 * (q + q_ahead) + 0.125 * h * tangent_change
+            mean = 0.5 * (q + q_ahead)
+            bow = 0.125 * h * tangent_change
+            middle = mean + bow
             stray = self._stray(middle, point, ahead)
             if stray is None:
                 return None
@@ -220,13 +223,17 @@ class LoadPath:
             end: of the path.
         """
         balance = self.balance
-        beyond = (1.0 + BEYOND) * end.evaluation.part + LEAST_LOAD
+        enlarged = (1.0 + BEYOND) * end.evaluation.part
+        beyond = enlarged + LEAST_LOAD
         part = min(beyond, 1.0)
         mode = end.stability.modes[:, 0]
-        largest_entry = mode[np.argmax(np.abs(mode))]
+        place = np.argmax(np.abs(mode))
+        largest_entry = mode[place]
         side = balance.product(mode, end.tangent) or largest_entry
-        push = PUSH * np.copysign(1.0, side) * mode
-        point = balance.linearise(end.evaluation.q + push, part)
+        sign = np.copysign(1.0, side)
+        push = PUSH * sign * mode
+        pushed = end.evaluation.q + push
+        point = balance.linearise(pushed, part)
         h = FIRST_FLOW
         while point is not None and balance.linearisations < self.most:
             if point.evaluation.residual <= RESIDUAL:
@@ -256,7 +263,8 @@ class LoadPath:
         """
         if equilibrium is linearised.evaluation:
             return linearised
-        way = self.balance.angle(equilibrium.q - linearised.evaluation.q)
+        difference = equilibrium.q - linearised.evaluation.q
+        way = self.balance.angle(difference)
         stability = linearised.stability
         is_stiff = stability.has_potential and stability.least > SOFT
         if way <= NEAR and is_stiff:
@@ -276,7 +284,8 @@ class LoadPath:
             The angle; None where the arm is not stable.
         """
         balance = self.balance
-        part = 0.5 * (point.evaluation.part + ahead.evaluation.part)
+        sum_of_parts = point.evaluation.part + ahead.evaluation.part
+        part = 0.5 * sum_of_parts
         if not ahead.stability.has_potential:
             linearised = balance.linearise(middle, part)
             if linearised is None or not self._is_stable(linearised.stability):
@@ -345,7 +354,8 @@ def _flow(point: Linearised, h: float) -> Array:
     force = point.evaluation.force
     symmetric = point.stiffness + point.stiffness.T
     try:
-        root = cho_factor(point.evaluation.G + 0.5 * h * symmetric)
+        damping = 0.5 * h * symmetric
+        root = cho_factor(point.evaluation.G + damping)
     except np.linalg.LinAlgError:
         return np.full_like(force, np.inf)
     rate = cho_solve(root, force)

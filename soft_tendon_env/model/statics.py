@@ -138,7 +138,8 @@ def static_equilibrium(
 
 def rests_at_tensions(model: Model) -> bool:
     """Whether q = [u; 0] is at rest under tensions u (34), and S = G there."""
-    return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
+    is_implicit = isinstance(model.arm.strain, Implicit)
+    return is_implicit and not model.arm.effects.load
 
 
 def _equilibrium(
@@ -193,7 +194,8 @@ def _warn_of_redundancy(balance: Balance, evaluation: Evaluation, tip: Array) ->
         whole_model = Model(model.scene, model.grid, arm)
         every_tension = strain.law.tensions(q) + left_out
         passive = q[strain.law.active :]
-        whole_tip = whole_model.tip_pose(np.concatenate([every_tension, passive]))
+        every_coordinate = np.concatenate([every_tension, passive])
+        whole_tip = whole_model.tip_pose(every_coordinate)
         difference = (whole_tip - tip)[:3, 3]
         error = float(np.linalg.norm(difference))
     except StrainLimitError:
@@ -245,9 +247,11 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         # tensions of the springs: k (command - shortening), within what drives can hold
         shortening = path.length - model.tendon_lengths(equilibrium.q)
         stretch = command_values - shortening
-        spring_tension = np.clip(path.stiffness * stretch, 0.0, path.strength)
+        pull = path.stiffness * stretch
+        spring_tension = np.clip(pull, 0.0, path.strength)
         largest = np.abs(spring_tension).max() + np.abs(u).max()
-        same = SAME_TENSION * (largest + model.length * path.stiffness)
+        per_length = model.length * path.stiffness
+        same = SAME_TENSION * (largest + per_length)
         is_same = np.abs(spring_tension - u) <= same
         if not equilibrium.converged or is_same.all():
             iterations = equilibrium.iterations + iteration

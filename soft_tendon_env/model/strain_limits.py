@@ -79,7 +79,8 @@ def _chords_and_give(arm: Arm, grid: Grid, xi: Array) -> tuple[Array, Array]:
     y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
     k_x, k_y, k_z, p_x, p_y, p_z = np.moveaxis(strain, -1, 0)
     # t_c (22)
-    chord_x = p_x + k_y * z - k_z * y
+    first_terms = p_x + k_y * z
+    chord_x = first_terms - k_z * y
     chord_y = p_y - k_x * z + y_prime
     chord_z = p_z + k_x * y + z_prime
     chord = np.stack([chord_x, chord_y, chord_z])

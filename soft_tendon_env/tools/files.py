@@ -32,7 +32,8 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 
     Raises OSError.
     """
-    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+    exists = os.path.exists(path)
+    if exists and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 
@@ -101,7 +102,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     That appears whole or not at all. Raises OSError.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    name = f".{path.name}.{os.getpid()}.tmp"
+    temporary = path.with_name(name)
     try:
         yield temporary
         os.replace(temporary, path)
@@ -145,7 +147,8 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
 
     Raises ValueError, FileNotFoundError.
     """
-    for path, expected in ((folder / name, expected) for name, expected in files.items()):
+    paths = ((folder / name, expected) for name, expected in files.items())
+    for path, expected in paths:
         if not path.is_file():
             raise FileNotFoundError(
                 f"{folder} should have {path.name}, which {source} was written with"
@@ -185,7 +188,8 @@ def cache_parents() -> list[Path]:
     is_own = (
         not temporary.exists() or temporary.stat().st_uid == user
     )  # else somebody has put it there, with code that numba would run
-    return [Path(folder).absolute() for folder in named if folder] + [temporary] * is_own
+    folders = [Path(folder).absolute() for folder in named if folder]
+    return folders + [temporary] * is_own
 
 
 def data_folders(name: str) -> list[Path]:

@@ -37,14 +37,17 @@ def describe(error: BaseException) -> str:
         if str(error):
             return f"there is too little memory: {error}"
         return "there is too little memory"
-    return ". ".join([str(error) or type(error).__name__, *getattr(error, "__notes__", [])])
+    text = str(error) or type(error).__name__
+    notes = getattr(error, "__notes__", [])
+    return ". ".join([text, *notes])
 
 
 def first_line(error: BaseException) -> str:
     """The type and the first line of an error of another library, at most 160 characters of it."""
     text = describe(error).strip().splitlines()
     if text:
-        return f"{type(error).__name__}, {text[0][:160]}"
+        first = text[0][:160]
+        return f"{type(error).__name__}, {first}"
     return type(error).__name__
 
 

@@ -57,7 +57,8 @@ class Table(NamedTuple):
         """
         columns = list(columns)
         places = [self.header.index(name) for name, _ in columns]
-        values = np.empty((len(self.rows), len(columns)))
+        shape = (len(self.rows), len(columns))
+        values = np.empty(shape)
         for i, (where, cells) in enumerate(self.rows):
             for j, (name, factor) in enumerate(columns):
                 text = cells[places[j]]
@@ -101,7 +102,8 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     check_is_text(path)
     text = read_text(path, "replace")  # bytes that are no text are no numbers
     lines = _whole_lines(path, text)
-    place, separator, header = _header(lines, {name.casefold() for name in names})
+    folded = {name.casefold() for name in names}
+    place, separator, header = _header(lines, folded)
     where = f"{path}, line {place + 1}"
     if len(header) > 1:
         where += f" (separated by {separator!r})"
@@ -131,7 +133,8 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
                 f"{where_row}: there are {len(cells)} cells, the header has {len(header)}: {where}"
             )
         rows.append((where_row, cells))
-    return Table(where, header, rows, {name: unit for name, unit in units.items() if unit})
+    known_units = {name: unit for name, unit in units.items() if unit}
+    return Table(where, header, rows, known_units)
 
 
 def _units_above(above: Sequence[str], separator: str, header: Sequence[str]) -> dict[str, str]:
@@ -143,7 +146,8 @@ def _units_above(above: Sequence[str], separator: str, header: Sequence[str]) ->
 
 def _is_line_of_units(cells: Sequence[str]) -> bool:
     """Whether the cells of a row have units and no number, as beneath the header of Nexus."""
-    return any(unit_of(cell) for cell in cells) and not any(_is_number(cell) for cell in cells)
+    has_units = any(unit_of(cell) for cell in cells)
+    return has_units and not any(_is_number(cell) for cell in cells)
 
 
 def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
@@ -154,8 +158,10 @@ def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
     last_row = len(lines) - 1
     if not 0 < i < last_row or any(_cells(lines[i - 1], separator)):
         return False
-    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in lines[i : i + 2])
-    return len(title) == len(rate) == 1 and _is_number(rate[0]) and not _is_number(title[0])
+    both = lines[i : i + 2]
+    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in both)
+    are_single = len(title) == len(rate) == 1
+    return are_single and _is_number(rate[0]) and not _is_number(title[0])
 
 
 def _is_number(text: str) -> bool:
@@ -200,7 +206,8 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             cells = cells[:-1]
         above = _cells_of_block(lines[:place], separator)
         cells = column_names(cells, above)
-        known_cells = names.intersection(cell.casefold() for cell in cells)
+        folded = (cell.casefold() for cell in cells)
+        known_cells = names.intersection(folded)
         score = len(known_cells)
         # A comment counts by its names alone: without any it is below the first other line.
         if is_comment:
@@ -242,7 +249,8 @@ def _whole_lines(path: Path, text: str) -> list[str]:
     """
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
-    if len(lines) < 2 or text.endswith("\n"):
+    is_short = len(lines) < 2
+    if is_short or text.endswith("\n"):
         return lines
     # Many editors write no last newline, so a line without is cut off only if it also has fewer
     # cells than the one before, or is of a log, whose rows all end with one.

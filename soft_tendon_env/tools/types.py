@@ -40,7 +40,8 @@ def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
 
     def check(value: float) -> float:
         if value and not least <= abs(value) <= greatest:
-            raise ValueError(f"should be {least:g} to {greatest:g}{unit}")
+            message = f"should be {least:g} to {greatest:g}{unit}"
+            raise ValueError(message)
         return value
 
     return AfterValidator(check)
