@@ -61,7 +61,8 @@ def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    middle = HOLD * (np.arange(rows) + 0.5)
+    half_way = np.arange(rows) + 0.5
+    middle = HOLD * half_way
     detuning = random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
     highest = random.random(slack.size)
     # sin² has twice the frequency of its sine
@@ -108,7 +109,9 @@ def tension_limits(scene: Scene) -> tuple[Array, Array]:
     """Lowest and highest tensions (n_a,) [N] of the tendons."""
     tension_limits = [tendon.tension_limits for tendon in scene.tendons]
     limits = np.array(tension_limits)
-    return limits[:, 0], limits[:, 1]
+    low = limits[:, 0]
+    high = limits[:, 1]
+    return low, high
 
 
 def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = DURATION) -> Array:
@@ -122,8 +125,10 @@ def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = D
     kind = KINDS[motion]
     low, high = tension_limits(scene)
     slack = slack_tensions(scene)
-    least = slack + kind.band * (low - slack)
-    greatest = slack + kind.band * (high - slack)
+    reach = kind.band * (low - slack)
+    least = slack + reach
+    reach_up = kind.band * (high - slack)
+    greatest = slack + reach_up
 
     # each kind draws other numbers from the same seed
     place = MOTIONS.index(motion)

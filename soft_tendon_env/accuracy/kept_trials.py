@@ -66,7 +66,8 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         keep(folder, key, scene, choice)
     description = choice.describe(scene)
     percent = 100 * asked.share
-    say_once(f"{scene.name!r}: {description}; the bound is {percent:.3g} %")
+    message = f"{scene.name!r}: {description}; the bound is {percent:.3g} %"
+    say_once(message)
     return choice
 
 
@@ -102,7 +103,8 @@ def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
 def _reaches(choice: Choice, scene: Scene) -> bool:
     """Whether the loads that were tried include the scene's."""
     try:
-        return covers(Effects(**(choice.loads or {})), scene.effects)
+        effects = Effects(**(choice.loads or {}))
+        return covers(effects, scene.effects)
     except ConfigurationError:  # of an effect that is not registered
         return False
 
@@ -111,7 +113,8 @@ def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
     """Writes a choice to the cache, if that can be written."""
     # a file for each range of loads
     loads = json.dumps(choice.loads, sort_keys=True)
-    path = folder / f"{key}_{_digest_of(loads)}.json"
+    file = f"{key}_{_digest_of(loads)}.json"
+    path = folder / file
 
     record = choice._asdict()
     record["codes"] = effect_digests(scene.effects.everywhere())
@@ -132,7 +135,8 @@ def effect_digests(effects: Effects) -> dict[str, str]:
 @functools.cache
 def code_digest() -> str:
     """Digest of the sources that a trial depends on."""
-    return sources_digest(*(f"{folder}/**/*.py" for folder in SOURCES))
+    patterns = (f"{folder}/**/*.py" for folder in SOURCES)
+    return sources_digest(*patterns)
 
 
 def trial_digest(scene: Scene, asked: Accuracy) -> str:
@@ -153,4 +157,5 @@ def trial_digest(scene: Scene, asked: Accuracy) -> str:
 
 
 def _digest_of(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+    digest = hashlib.sha256(text.encode())
+    return digest.hexdigest()[:DIGITS]

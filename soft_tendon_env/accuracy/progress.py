@@ -46,11 +46,13 @@ class Progress:
     def reference(self, work: float) -> None:
         """Some of the reference's work is done."""
         self._done += work
-        done_share = min(self._done / self._planned, 1.0)
+        ratio = self._done / self._planned
+        done_share = min(ratio, 1.0)
         share = REFERENCE_SHARE * done_share
         growth = share - self._bar.n
         self._bar.update(max(growth, 0.0))
 
     def candidate(self) -> None:
         """One more candidate was judged."""
-        self._bar.update(CANDIDATE_SHARE * (1.0 - self._bar.n))
+        left = CANDIDATE_SHARE * (1.0 - self._bar.n)
+        self._bar.update(left)

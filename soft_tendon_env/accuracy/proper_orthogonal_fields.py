@@ -140,7 +140,8 @@ def fields_path(scene: Scene) -> Path:
     ]
     text = json.dumps(made_for, sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return new_data_folder("fields") / f"{digest[:16]}{SUFFIX}"
+    name = f"{digest[:16]}{SUFFIX}"
+    return new_data_folder("fields") / name
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
@@ -155,13 +156,15 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     def residuals(run: Run) -> Array | None:
         effects = scene.effects
         if run.number % 2:  # half of the motions have other loads
-            seeds = [run.number, MOTIONS.index(run.kind)]
+            motion_number = MOTIONS.index(run.kind)
+            seeds = [run.number, motion_number]
             random = np.random.default_rng(seeds)
             effects = effects.sample_smaller(random)
         table = effects.model_dump(mode="json", exclude_none=True)
         loaded = scene.replace({"effects": table})
         model = reference_model(loaded, level, steps)
-        tensions = motion_tensions(scene, run.kind, FIRST_SEED + run.number)
+        seed = FIRST_SEED + run.number
+        tensions = motion_tensions(scene, run.kind, seed)
         motion = trajectory(model, tensions)
         if motion is None:
             return None
@@ -171,7 +174,8 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
             weight = WILD
         else:
             weight = 1.0
-        return weight * wrenches.reshape(len(wrenches), -1)
+        in_rows = wrenches.reshape(len(wrenches), -1)
+        return weight * in_rows
 
     runs = [Run(kind, number) for number in range(RUNS) for kind in TRAINED]
     label = f"{scene.name}: snapshots of full physics"
@@ -218,7 +222,8 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     k, p = np.split(strain, 2, axis=-1)
 
     # what the tensions make, Phi_a(xi), in the norm of the compliance
-    geometry = tendon_geometry(scene, grid)[:, grid.real]
+    every_point = tendon_geometry(scene, grid)
+    geometry = every_point[:, grid.real]
     geometry = geometry.reshape(model.tendon_count, -1, 5)
     elasticity, root = energy_norm(scene, grid)
     curvature = k[:, None]
@@ -286,7 +291,8 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     fields = fields / energy
     fields = fields.reshape(count, -1, 6)
     coefficients = fit_polynomials(fields, scene, grid)
-    relative = sizes[:count] / sizes[0]
+    kept = sizes[:count]
+    relative = kept / sizes[0]
     return coefficients, relative
 
 
@@ -337,7 +343,8 @@ def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     places = grid.points[grid.real].ravel()
     count = len(fields)
     orders = SNAPSHOT_ORDER + 1
-    shape = (count, borders.size - 1, 6, orders)
+    pieces = borders.size - 1
+    shape = (count, pieces, 6, orders)
     coefficients = np.zeros(shape)
     for piece, (a, b) in enumerate(itertools.pairwise(borders)):
         inside = (places > a) & (places < b)
@@ -394,8 +401,10 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
             model = model_on(scene.replace(changes), TEST_INTERVALS)
             errors = np.empty(len(inputs))
             for place, tensions in enumerate(inputs):
-                errors[place] = distance(tip_path(model, tensions), exact[place])
-            return errors.reshape(len(USUAL), TESTS).max(axis=1)
+                path_of_model = tip_path(model, tensions)
+                errors[place] = distance(path_of_model, exact[place])
+            by_kind = errors.reshape(len(USUAL), TESTS)
+            return by_kind.max(axis=1)
 
         label = f"{scene.name}: tests of the fields"
         results = run_all(largest, counts, processors(), label, unit="model", threads=True)

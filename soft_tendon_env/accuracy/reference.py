@@ -221,7 +221,8 @@ class Rung:
             coarse = None
         else:
             coarse = self.coarser.slack_rest
-        return self.rest(slack_tensions(self.model.scene), coarse)
+        slack = slack_tensions(self.model.scene)
+        return self.rest(slack, coarse)
 
     @cached_property
     def start(self) -> State | None:
@@ -230,7 +231,8 @@ class Rung:
             # not from the coarser level, which would agree wherever it fell
             return start_at_rest(self.model)
         slack = slack_tensions(self.model.scene)
-        return Simulation(self.model).reset(self.slack_rest, tension=slack)
+        simulation = Simulation(self.model)
+        return simulation.reset(self.slack_rest, tension=slack)
 
     @cached_property
     def _projection(self) -> Array:
@@ -240,7 +242,8 @@ class Rung:
         packed = packed.reshape(count, -1)
         fields = self.model.grid.unpacked(packed)
         fields = fields.reshape(count, -1)
-        return np.asarray(np.linalg.pinv(fields.T))
+        inverse = np.linalg.pinv(fields.T)
+        return np.asarray(inverse)
 
     def nearest(self, coarse: Array) -> Array:
         """Coordinates (n,) whose strain is nearest to that of the coarser level's coordinates."""
@@ -372,7 +375,9 @@ class ReferenceMotion:
         errors = np.full(len(tips), np.inf)
         if coarse is not None:
             both = min(len(tips), len(coarse))
-            differences = tips[:both] - coarse[:both]
+            finer = tips[:both]
+            coarser = coarse[:both]
+            differences = finer - coarser
             apart = np.linalg.norm(differences, axis=1)
             change = np.maximum.accumulate(apart)
             # time steps may err alike at both levels
@@ -383,8 +388,10 @@ class ReferenceMotion:
         if coarse is not None and has_no_work_left and errors[-1] <= self.lost:
             # what follows is known from the level before
             later = slice(len(tips), None)
-            tips = np.concatenate([tips, coarse[later]])
-            errors = np.concatenate([errors, coarse_errors[later]])
+            parts = [tips, coarse[later]]
+            tips = np.concatenate(parts)
+            parts_of_errors = [errors, coarse_errors[later]]
+            errors = np.concatenate(parts_of_errors)
             errors = np.maximum.accumulate(errors)
         self.tips = tips
         self.errors = errors
@@ -402,7 +409,8 @@ class ReferenceMotion:
         tensions = self.tensions[: self._rows]
         for piece in pieces(rung.model, tensions, rung.start):
             tips = continued(tips, piece)
-            work_left -= piece.evaluations * rung.model.coordinate_count**2.0
+            cost = rung.model.coordinate_count**2.0
+            work_left -= piece.evaluations * cost
             if work_left <= 0.0 or self._has_strayed(tips):
                 self._rows = len(tips) - 1  # nothing can be compared with what follows
                 break
@@ -413,8 +421,10 @@ class ReferenceMotion:
         if self.tips is None or len(tips) > len(self.tips):
             return False
         last = len(tips) - 1
-        difference = tips[last] - self.tips[last]
-        return float(np.linalg.norm(difference)) > self.lost
+        known = self.tips[last]
+        difference = tips[last] - known
+        distance = float(np.linalg.norm(difference))
+        return distance > self.lost
 
 
 def remaining_error(change: Array, before: Array | None) -> Array:
@@ -429,7 +439,8 @@ def remaining_error(change: Array, before: Array | None) -> Array:
     samples = min(len(change), len(before))
     last = change[:samples]
     smallest = np.finfo(float).tiny
-    change_before = np.maximum(before[:samples], smallest)
+    known_before = before[:samples]
+    change_before = np.maximum(known_before, smallest)
     ratio = np.minimum(last / change_before, LARGEST_RATIO)
     left = last * ratio / (1.0 - ratio)
     larger = np.maximum(last, left)
@@ -475,11 +486,13 @@ def reference_motions(
     unsettled = list(motions)
     for depth in range(most):
         count = ladder.rung(depth).model.coordinate_count
-        refine_once(unsettled, f"{scene.name}: full physics, {count} coordinates")
+        title = f"{scene.name}: full physics, {count} coordinates"
+        refine_once(unsettled, title)
         level = LEVELS[depth]
         unsettled = [motion for motion in unsettled if motion.error > tolerance]
         # what full physics has not at this level it has at no finer one, where others are settled
-        is_hopeless = all(not motion.is_whole for motion in unsettled)
+        is_unknown = (not motion.is_whole for motion in unsettled)
+        is_hopeless = all(is_unknown)
         if is_hopeless and len(unsettled) < len(motions):
             break
     whole_tips = (motion.tips if motion.is_whole else None for motion in motions)

@@ -147,7 +147,8 @@ class Trial:
         low, high = tension_limits(self.scene)
         random = np.random.default_rng(SEED)
         shares = random.random((RESTS, low.size))
-        drawn = low + shares * (high - low)
+        above = shares * (high - low)
+        drawn = low + above
         rests = [slack_tensions(self.scene), *drawn]
         motions = [motion_tensions(self.scene, kind, SEED, SECONDS) for kind in USUAL]
 
@@ -169,7 +170,8 @@ class Trial:
         return inputs
 
     def _reference(self, ladder: Ladder, tensions: Array) -> ReferenceMotion:
-        return ReferenceMotion(ladder, tensions, MOST_WORK, UNSURE * self.unit)
+        doubt = UNSURE * self.unit
+        return ReferenceMotion(ladder, tensions, MOST_WORK, doubt)
 
     def _compute(self, everything: list[TrialInput]) -> None:
         """Computes the reference to where it can judge.
@@ -211,7 +213,8 @@ class Trial:
                 break
             test = self._with_smaller_tensions(test)
         reference = test.reference
-        is_unsure = reference.error > UNSURE * self.unit
+        doubt = UNSURE * self.unit
+        is_unsure = reference.error > doubt
         if not reference.is_equilibrium:
             is_unsure = not self._is_certain(reference)
         if reference.tips is None:
@@ -243,7 +246,8 @@ class Trial:
             if self._can_judge(smaller):
                 break
             smaller.refine()
-        return test._replace(reference=smaller, share=SMALLER * test.share)
+        share = SMALLER * test.share
+        return test._replace(reference=smaller, share=share)
 
     def _with_unique_starts(self, everything: list[TrialInput]) -> list[TrialInput]:
         """Tests without the motions that begin where a column may fall to any side."""
@@ -289,11 +293,13 @@ class Trial:
                 enough = self._enough(test)
             else:
                 enough = np.inf
-            path = models.path(test, enough + test.bound)
+            far = enough + test.bound
+            path = models.path(test, far)
             self._decide(test, path, enough)
             error = test.bound
             away = test.distance(path)
-            if not error <= UNSURE * self.unit:  # refined, it turned out to be not unique
+            doubt = UNSURE * self.unit
+            if not error <= doubt:  # refined, it turned out to be not unique
                 self.tests.remove(test)
                 self.not_unique += 1
                 continue
@@ -322,7 +328,8 @@ class Trial:
             error = test.bound
             is_near = away + error <= enough
             is_far = away - error > enough
-            is_clear = np.isfinite(enough) and (is_near or is_far)
+            is_finite = np.isfinite(enough)
+            is_clear = is_finite and (is_near or is_far)
             if is_clear:
                 return
             reference.refine()
@@ -339,7 +346,8 @@ class Trial:
             if not test.reference.is_equilibrium:
                 bounds = models.bounds(test)
                 known = len(bounds)
-                worst[:known] = np.maximum(worst[:known], bounds)
+                worst_before = worst[:known]
+                worst[:known] = np.maximum(worst_before, bounds)
                 worst[known:] = np.inf
         return worst
 
@@ -356,7 +364,8 @@ class Trial:
     @property
     def share(self) -> float:
         """Part of the tensions of the usual motions that all motions had."""
-        return min((test.share for test in self.tests), default=1.0)
+        shares = (test.share for test in self.tests)
+        return min(shares, default=1.0)
 
     def agree_at_rest(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """Whether the tips of two models with the same coordinates agree at some rests.
@@ -364,8 +373,10 @@ class Trial:
         They are apart by a part of what is asked for at most.
         """
         tests = [test for test in self.tests if test.reference.is_equilibrium]
-        ours = CaseModels(self.cases, self.model(first))
-        theirs = CaseModels(self.cases, self.model(second))
+        first_model = self.model(first)
+        ours = CaseModels(self.cases, first_model)
+        second_model = self.model(second)
+        theirs = CaseModels(self.cases, second_model)
         for test in tests[::EVERY]:
             model = ours.model(test.case)
             rest = static_equilibrium(model, test.tensions)
@@ -384,8 +395,10 @@ class Trial:
     def agree_in_motion(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """As `agree_at_rest`, in some motions, of models with any coordinates."""
         tests = [test for test in self.tests if not test.reference.is_equilibrium]
-        ours = CaseModels(self.cases, self.model(first))
-        theirs = CaseModels(self.cases, self.model(second))
+        first_model = self.model(first)
+        ours = CaseModels(self.cases, first_model)
+        second_model = self.model(second)
+        theirs = CaseModels(self.cases, second_model)
         for test in tests[::EVERY]:
             path = ours.path(test)
             other = theirs.path(test)
@@ -413,7 +426,8 @@ def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
             if trial.left_out and not is_last:
                 continue
             choice = best_choice(trial, asked, progress, least)
-            if choice.error <= asked.share or is_last:
+            is_within = choice.error <= asked.share
+            if is_within or is_last:
                 break
     return choice
 
@@ -480,7 +494,8 @@ def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
     largest = trial.cases[case]
     is_accurate = choice.error <= asked.share
     is_within = is_accurate and trial.seconds == DURATION
-    if np.isfinite(choice.error) and not is_within:
+    is_known = np.isfinite(choice.error)
+    if is_known and not is_within:
         bounds_in_metres = trial.growth(trial.model(choice))
         bounds = bounds_in_metres / rod_length(trial.scene)
         is_accurate_until = bounds <= asked.share

@@ -62,7 +62,8 @@ class Style(NamedTuple):
     @property
     def rgb(self) -> tuple[float, ...]:
         """The colour as Matplotlib takes it, 0 to 1."""
-        return tuple(value / 255 for value in self.colour)
+        shares = (value / 255 for value in self.colour)
+        return tuple(shares)
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
@@ -84,7 +85,8 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     taken_colours = [other.colour for other in taken]
     colours = [*OTHERS]
     if kind is not None:
-        colours = [*_shades(kind, share), *OTHERS]
+        shades = _shades(kind, share)
+        colours = [*shades, *OTHERS]
     for colour in colours:
         if colour not in taken_colours:
             return Style(colour, marker)
@@ -134,4 +136,8 @@ def _shades(kind: str, share: float) -> Iterator[RGB]:
     for sibling in SIBLINGS:
         lightness = share * sibling
         # no lightness is changed by way of HLS that need not be: its numbers are rounded
-        yield colour if lightness == 1.0 else lighten(colour, lightness)
+        if lightness == 1.0:
+            shade = colour
+        else:
+            shade = lighten(colour, lightness)
+        yield shade

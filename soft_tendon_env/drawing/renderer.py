@@ -235,7 +235,8 @@ class ArmRenderer:
         # a ring without radius closes the tip
         tip = backbone[-1:]
         sections = np.concatenate([backbone, tip])
-        point = np.zeros((1, *CIRCLE.shape))
+        shape = (1, *CIRCLE.shape)
+        point = np.zeros(shape)
         outline = np.append(self._outline, point, axis=0)
         rod = tube(sections, outline)
         depth, radius = shapes.mount_size(self._model.scene)
@@ -257,7 +258,8 @@ class ArmRenderer:
         Those of the far side are faded.
         """
         towards = self.turn[2]
-        colours = shapes.tension_colors(self._model, tension) / 255.0
+        colours_of_tensions = shapes.tension_colors(self._model, tension)
+        colours = colours_of_tensions / 255.0
         axis = shapes.positions(backbone[0])
         axis_depth = -axis @ towards
         # painted after all sections around, whatever its tendons' own depth
@@ -280,7 +282,8 @@ class ArmRenderer:
             far = middle(far_side[inside])
             near = middle(near_side[inside])
             painted = np.where(is_behind, far, near)
-            lines.append(line(curve, shade, TENDON, painted))
+            tendon = line(curve, shade, TENDON, painted)
+            lines.append(tendon)
         return lines
 
 
@@ -469,7 +472,8 @@ def trail(points: Array, turn: Array) -> list[Pieces]:
     paper = np.array(PAPER)
     coloured = (1.0 - pale) * TRAIL
     colour = pale * paper + coloured
-    depth = middle(-points @ turn[2])
+    towards = -points @ turn[2]
+    depth = middle(towards)
     return [line(points, colour, THREAD, depth)]
 
 
@@ -522,7 +526,8 @@ def paint_floor(
     floor = lowest_corner[vertical]
     spacing = GRID * rod_length(scene)
     lines = []
-    for along, aside in ((first, second), (second, first)):
+    directions = ((first, second), (second, first))
+    for along, aside in directions:
         # lines through multiples of the spacing in the world
         share = lower[aside] / spacing
         begin = np.ceil(share)

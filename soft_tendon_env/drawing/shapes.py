@@ -169,7 +169,8 @@ def surface(
         return np.asarray(turned + position)
     lower, upper = box
     middle = 0.5 * (lower + upper)
-    extent = float(np.max(upper - lower))
+    largest = np.max(upper - lower)
+    extent = float(largest)
     half_width = 0.5 * extent
     part = half_width * _square() @ rotation.T
     normal = rotation[:, 2]
@@ -232,7 +233,8 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
     velocity = np.zeros(6)
     row = np.concatenate([[kind], motion, sizes, position, rotation, velocity])
     points = box.reshape(-1, 3)
-    nearest = np.empty((1, len(points), 3))
+    shape = (1, len(points), 3)
+    nearest = np.empty(shape)
     distances = np.empty((1, len(points)))
     read_distances(row[None], points, 0.0, distances, nearest)
     return nearest.reshape(box.shape)
@@ -309,7 +311,8 @@ def viewpoint(
     z = sign * np.sin(height)
     direction = [x, y, z]
     towards = np.roll(direction, vertical - 2)
-    against_gravity = sign * np.eye(3)[vertical]
+    axis = np.eye(3)[vertical]
+    against_gravity = sign * axis
     right = np.cross(against_gravity, towards)
     right /= np.linalg.norm(right)
     up = np.cross(towards, right)
@@ -346,7 +349,8 @@ def rotation_from_z(direction: Array) -> Array:
     # the cross product of z and the direction, then its length and their inner product: a
     # quaternion of half the angle between them
     x, y, z = np.moveaxis(direction, -1, 0)
-    squares = x**2 + y**2 + z**2
+    in_plane = x**2 + y**2
+    squares = in_plane + z**2
     length = np.sqrt(squares)
     about_z = np.zeros_like(x)
     components = [-y, x, about_z, length + z]
@@ -375,7 +379,8 @@ def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
     right = viewpoint(vertical, upright)[0]
     # of the box as it is seen
     extent = upper - lower
-    width = float(np.abs(right) @ extent)
+    sizes = np.abs(right)
+    width = float(sizes @ extent)
     distance = SPACING * number * width
     x, y, z = (distance * right).tolist()
     return x, y, z
@@ -422,9 +427,11 @@ def camera(
     middle = 0.5 * (lowest + highest)
     # every point is within the field of view: the nearer, the farther the camera stands back
     slope = math.tan(0.5 * FIELD_OF_VIEW)
-    slopes = slope * np.array([aspect, 1.0])
+    aspects = np.array([aspect, 1.0])
+    slopes = slope * aspects
     from_middle = seen - middle
-    aside = np.abs(from_middle)[:, :2]
+    distances = np.abs(from_middle)
+    aside = distances[:, :2]
     towards = from_middle[:, 2:]
     needed = aside / slopes + towards
     distance = needed.max()
@@ -433,7 +440,8 @@ def camera(
         sign = 1.0
     else:
         sign = -1.0
-    upward = sign * np.eye(3)[vertical]
+    axis = np.eye(3)[vertical]
+    upward = sign * axis
     return position @ turn, middle @ turn, upward
 
 
@@ -448,5 +456,6 @@ def tension_colors(model: Model, tension: Array) -> Array:
     share = tension / largest
     channels = []
     for channel in PULL_COLORS.T:
-        channels.append(np.interp(share, PULLS, channel))
+        pulled = np.interp(share, PULLS, channel)
+        channels.append(pulled)
     return np.stack(channels, axis=-1)

@@ -76,7 +76,8 @@ class BenchmarkPolicy(Configuration):
         """
         (files,) = agents_of(task, [self.policy]).values()
         if files.keys() == {None}:
-            files = trained_alike(PolicyName.parse(self.policy, task))
+            name = PolicyName.parse(self.policy, task)
+            files = trained_alike(name)
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
@@ -182,7 +183,8 @@ class Benchmark(Workers):
             episodes = tuple(part)
             for regime in self.regimes:
                 observed = interface_options(policy, regime)
-                reason = misfit(policy, {"scene": self.scene, **observed}, regime)
+                options = {"scene": self.scene, **observed}
+                reason = misfit(policy, options, regime)
                 if reason:
                     reasons.append(f"{regime}: {reason}")
                     continue
@@ -282,7 +284,8 @@ def standings_by_regime(
             before = of_regime[key].scores
         else:
             before = []
-        of_regime[key] = Standing([*before, member])
+        every_member = [*before, member]
+        of_regime[key] = Standing(every_member)
     return dict(standings)
 
 
@@ -298,7 +301,8 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     for entrant in benchmark.entrants:
         if entrant.name not in played:
             continue
-        policy = next(iter(entrant.members(benchmark.task).values()))
+        members = entrant.members(benchmark.task).values()
+        policy = next(iter(members))
         is_told = is_told or entrant.told
         if not isinstance(policy, Controller):
             others.add(entrant.name)
@@ -309,7 +313,8 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
         definitions.append(TOLD_LEGEND)
     texts = ["\n".join(definitions)]
     for regime, standings in by_regime.items():
-        texts.append(_regime_text(regime, standings, others, kind))
+        text = _regime_text(regime, standings, others, kind)
+        texts.append(text)
     return "\n\n".join(texts)
 
 
@@ -331,12 +336,14 @@ def _regime_text(regime: str, standings: Standings, others: set[str], kind: str)
 
     description = REGIMES[regime].description.capitalize()
     parts = [f"### {REGIMES[regime].title}"]
-    parts.append(f"`{regime}`: {description}.{verdict(by_label, kind)}")
+    sentence = f"`{regime}`: {description}.{verdict(by_label, kind)}"
+    parts.append(sentence)
     parts += number_tables(standings)
     rows = []
     for setting in by_label["return"]:
         row = {f"best {kind} minus best controller": setting}
-        rows.append(row | {heading: cells[setting] for heading, cells in columns.items()})
+        setting_cells = {heading: cells[setting] for heading, cells in columns.items()}
+        rows.append(row | setting_cells)
     if rows:
         parts.append(record_table(rows))
     return "\n\n".join(parts)
@@ -365,7 +372,8 @@ def gaps(
     else:
         sign = 1.0
     by_setting = dict[str, Mean]()
-    for setting in dict.fromkeys(setting for _, setting in standings):
+    every_setting = (setting for _, setting in standings)
+    for setting in dict.fromkeys(every_setting):
         agents = list[Standing]()
         controllers = list[Standing]()
         for (name, own_setting), standing in standings.items():
@@ -375,8 +383,11 @@ def gaps(
             best_agent = _least(agents, key, sign)
             best_controller = _least(controllers, key, sign)
             mean = difference(best_agent, best_controller, key)
-            low, high = sorted((sign * mean.low, sign * mean.high))
-            by_setting[setting] = Mean(sign * mean.value, low, high)
+            first = sign * mean.low
+            second = sign * mean.high
+            low, high = sorted((first, second))
+            value = sign * mean.value
+            by_setting[setting] = Mean(value, low, high)
     return by_setting
 
 
@@ -387,7 +398,8 @@ def _least(
 ) -> Standing:
     """The standing with the least mean of a number times a sign; NaN counts as the largest."""
     means = [sign * standing.mean(key).value for standing in standings]
-    return standings[int(np.argsort(means, kind="stable")[0])]
+    best = int(np.argsort(means, kind="stable")[0])
+    return standings[best]
 
 
 def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy") -> str:
@@ -409,10 +421,12 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy
                 where = ", ".join(settings)
             parts.append(f"{side} in {where}")
         if parts:
-            texts.append(f" By {label}: {'; '.join(parts)}.")
+            sentence = f" By {label}: {'; '.join(parts)}."
+            texts.append(sentence)
     if not texts:
         return ""
-    return "".join([f" The best {kind} against the best controller.", *texts])
+    sentences = [f" The best {kind} against the best controller.", *texts]
+    return "".join(sentences)
 
 
 def _side(gap: Mean) -> str:

@@ -65,7 +65,8 @@ def shared_arms(
     trained = {key: value for key, value in shared.items() if value != usual[key]}
     if trained:
         numbers = ", ".join(f"{key} = {shown(value)}" for key, value in trained.items())
-        print(f"note: {task}: on the arm of the agents, {numbers}", file=sys.stderr)
+        note = f"note: {task}: on the arm of the agents, {numbers}"
+        print(note, file=sys.stderr)
     options = {**trained, **settings.options}
     return {name: policy.options(options) for name, policy in policies.items()}
 
@@ -80,7 +81,8 @@ def _shared_arm(
     """
     if not arms:
         return {}
-    first, shared = next(iter(arms.items()))
+    pairs = iter(arms.items())
+    first, shared = next(pairs)
     for name, arm in arms.items():
         for key in ARM:
             if key not in options and arm[key] != shared[key]:
@@ -117,7 +119,8 @@ def make_cell(
             rows=False,
         )
     # a network rounds otherwise for many observations than for one
-    rows = not isinstance(PolicyName.parse(policy, task), Agent)
+    name = PolicyName.parse(policy, task)
+    rows = not isinstance(name, Agent)
     return Cell(
         task,
         policy,
@@ -142,7 +145,8 @@ def compare(
     """
     seeds = EVALUATION_SEEDS[: settings.episodes]
     labels = [(policy, TIME) for policy in arms]
-    labels += [(policy, error) for policy in arms for error in settings.errors]
+    erroneous = [(policy, error) for policy in arms for error in settings.errors]
+    labels += erroneous
     cells = dict[tuple[str, str], Cell]()
     for policy, error in labels:
         cells[policy, error] = make_cell(settings, seeds, task, policy, arms[policy], error)
@@ -156,7 +160,8 @@ def standings_of(
 
     Raises ValueError, OSError.
     """
-    errors = dict.fromkeys(error for _, error in experiment.cells)
+    names = (error for _, error in experiment.cells)
+    errors = dict.fromkeys(names)
     standings = dict[tuple[str, str], Standing]()
     summaries = dict[tuple[str, str], Summary]()
     for name, by_seed in files.items():
@@ -185,8 +190,10 @@ def numbers_table(
     models = dict[str, str]()
     for policy, by_seed in files.items():
         first = next(iter(by_seed.values()))
-        models[policy] = model_in_the_loop(PolicyName.parse(first, task))
-    errors = list(dict.fromkeys(error for _, error in summaries))
+        name = PolicyName.parse(first, task)
+        models[policy] = model_in_the_loop(name)
+    names = (error for _, error in summaries)
+    errors = list(dict.fromkeys(names))
     if len(files) == 1:
         ((policy, model),) = models.items()
         by_error = {error: summaries[policy, error] for error in errors}

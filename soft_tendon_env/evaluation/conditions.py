@@ -116,7 +116,8 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
         (0.4, [0.0, swing, 0.0], 0.3),
         (0.6, [0.0, 0.0, swing], 0.4),
     ):
-        forward = place * length * base[:3, 0]
+        axis = base[:3, 0]
+        forward = place * length * axis
         middle = base[:3, 3] + forward
         ball = {
             "type": "sphere",
@@ -210,7 +211,8 @@ def model_error(names: str) -> Condition:
     keys = [key for part in parts for key in part.randomize]
     twice = sorted({key for key in keys if keys.count(key) > 1})
     if twice:
-        raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
+        message = f"names {names!r}, in which {', '.join(twice)} is said twice"
+        raise ValueError(message)
 
     def changes(scene: Scene) -> dict[str, Any]:
         together = dict[str, Any]()

@@ -91,7 +91,8 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
                 difference = f"{key} = {value!r}, not {first[key]!r}"
                 differences.append(difference)
         if differences:
-            raise ValueError(f"{folder} has {', '.join(differences)}: compare it apart")
+            message = f"{folder} has {', '.join(differences)}: compare it apart"
+            raise ValueError(message)
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
@@ -103,7 +104,8 @@ def seed_folders(folder: Path) -> dict[int, Path]:
     for path in folder.glob("seed_*"):
         match = SEED.fullmatch(path.name)
         if match is not None:
-            runs.append((int(match[1]), path))
+            numbered = (int(match[1]), path)
+            runs.append(numbered)
     if not runs:
         raise FileNotFoundError(
             f"{folder} has no folders seed_0, seed_1, ... of runs, as `soft-tendon sweep` leaves"

@@ -11,7 +11,7 @@ import json
 import sys
 import sysconfig
 import warnings
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -78,7 +78,8 @@ class Cell(NamedTuple):
                 env = gym.make(IDS[self.task], **options)
             scene = believed_scene(name, self.controller_scene)
             has_other_effects = self.controller_scene is not None
-            return name.load(env, scene, other_effects=has_other_effects), env
+            loaded = name.load(env, scene, other_effects=has_other_effects)
+            return loaded, env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the sources' `code`.
@@ -113,7 +114,8 @@ def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | Non
     """
     if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
-    scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
+    options = Options(scene=dict(controller_scene), fidelity="scene")
+    scene = resolved_scene(options)
     if isinstance(policy, Controller) and policy.belief:
         return scene
     return at_fidelity(scene, BELIEF)
@@ -122,7 +124,10 @@ def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | Non
 def _files_in(value: Any) -> Iterator[str]:
     """Paths of files that plain tables name."""
     if isinstance(value, Mapping | list):
-        for inner in value.values() if isinstance(value, Mapping) else value:
+        parts: Iterable[Any] = value
+        if isinstance(value, Mapping):
+            parts = value.values()
+        for inner in parts:
             yield from _files_in(inner)
     elif isinstance(value, str) and value and Path(value).is_file():
         yield value
@@ -248,7 +253,8 @@ class Experiment(Generic[Label]):
         """
         path = self._paths[label]
         try:
-            return list(map(score_from, read_json(path)["scores"]))
+            scores = read_json(path)["scores"]
+            return list(map(score_from, scores))
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"{path} is no result of an experiment: take it away, and it is played again"

@@ -147,7 +147,8 @@ def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
 
     Raises KeyError, TypeError for another.
     """
-    errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
+    saved_errors = saved["errors"].items()
+    errors = {name: ErrorScore(**error) for name, error in saved_errors}
     return EpisodeScore(**{**saved, "errors": errors})
 
 
@@ -197,7 +198,8 @@ def has_settled(
     else:
         first = 0
     periods = len(error) - 1 - first
-    return bool(periods * period >= STAY - 1e-9)
+    duration = periods * period
+    return bool(duration >= STAY - 1e-9)
 
 
 def chatter(tension: Array, period: float) -> float:
@@ -220,10 +222,12 @@ def chatter(tension: Array, period: float) -> float:
     frequency = np.fft.rfftfreq(steps, period)
     # the same at negative frequencies, but at Nyquist's
     is_paired = frequency * period < 0.5 - 1e-9
-    twice = np.where(is_paired, 2.0, 1.0)[:, None]
+    factors = np.where(is_paired, 2.0, 1.0)
+    twice = factors[:, None]
     fast_power = (twice * power)[frequency > FAST]
     fast = fast_power.sum(axis=0)
-    per_sample = fast.mean() / (steps * np.sum(window**2))
+    power_of_window = steps * np.sum(window**2)
+    per_sample = fast.mean() / power_of_window
     return float(np.sqrt(per_sample))
 
 

@@ -77,10 +77,14 @@ def draw_overview(overview: Overview, path: Path) -> None:
     grid = figure.add_gridspec(3, 2, height_ratios=HEIGHTS, width_ratios=WIDTHS)
     figure.suptitle(overview.headline, fontsize=HEADLINE, fontweight="bold")
     looks = styles(overview.numbers)
-    draw_arm(figure.add_subplot(grid[0, 0]), overview, looks)
-    draw_paths(figure.add_subplot(grid[0, 1]), overview, looks)
-    draw_errors_over_time(figure.add_subplot(grid[1, :]), overview, looks)
-    draw_numbers(figure.add_subplot(grid[2, :]), overview.numbers, looks)
+    arm = figure.add_subplot(grid[0, 0])
+    draw_arm(arm, overview, looks)
+    paths = figure.add_subplot(grid[0, 1])
+    draw_paths(paths, overview, looks)
+    errors = figure.add_subplot(grid[1, :])
+    draw_errors_over_time(errors, overview, looks)
+    table = figure.add_subplot(grid[2, :])
+    draw_numbers(table, overview.numbers, looks)
     save_figure(figure, path)
 
 
@@ -112,7 +116,8 @@ def draw_arm(
         )
     points = np.concatenate([target, *backbones])
     show_around(axes, points, ROOM_OF_ARM)
-    axes.set_title(f"arm: {overview.bent}", fontsize=LETTERS, color=GREY)
+    title = f"arm: {overview.bent}"
+    axes.set_title(title, fontsize=LETTERS, color=GREY)
 
 
 def backbones_on_the_way(rollout: Rollout) -> Array:
@@ -120,7 +125,8 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
 
     Those of the first and of the last sample are among them.
     """
-    even = np.linspace(0, rollout.samples - 1, SHAPES)
+    last = rollout.samples - 1
+    even = np.linspace(0, last, SHAPES)
     samples = even.round().astype(int)
     stations = shapes.drawing_stations(rollout.model, STATIONS)
     times = samples * rollout.period
@@ -161,7 +167,8 @@ def draw_paths(
     # a path that leaves the surroundings of the target is cut off
     show_around(axes, target, ROOM)
     for name, width in line_widths(overview).items():
-        path = shapes.positions(overview.rollouts[name].tip_pose)
+        rollout = overview.rollouts[name]
+        path = shapes.positions(rollout.tip_pose)
         tip = path @ across
         axes.plot(
             *tip.T,
@@ -178,10 +185,12 @@ def line_widths(overview: Overview) -> dict[str, float]:
     Each can so be seen on those below it.
     """
     count = len(overview.rollouts)
-    widths = np.linspace(WIDEST, THINNEST, count).tolist()
+    even = np.linspace(WIDEST, THINNEST, count)
+    widths = even.tolist()
     by_policy = dict(zip(overview.rollouts, widths, strict=True))
     for name, rollout in overview.rollouts.items():
-        error = np.median(rollout.scalars[overview.error])  # the way to the target does not count
+        errors = rollout.scalars[overview.error]
+        error = np.median(errors)  # the way to the target does not count
         bad = BAD * rollout.model.length
         if not error <= bad:
             by_policy[name] = LOST_WIDTH
@@ -247,9 +256,11 @@ def draw_numbers(
 ) -> None:
     """Draw a table of cells by policy and heading, with the policies' colours and markers."""
     axes.set_axis_off()
-    heights = (len(numbers) - 0.5, -HEADING_ROWS)
+    lowest = len(numbers) - 0.5
+    heights = (lowest, -HEADING_ROWS)
     axes.set(xlim=(0.0, 1.0), ylim=heights)  # the first row is on top
-    headings = list(next(iter(numbers.values())))
+    first = next(iter(numbers.values()))
+    headings = list(first)
     right_edges = np.linspace(FIRST_NUMBER, 1.0, len(headings))
     above = -0.6  # of the first row, in rows
     for heading, edge in zip(headings, right_edges, strict=True):

@@ -37,7 +37,8 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
     policies = (policy for panel in panels.values() for policy, _ in panel)
     looks = styles(dict.fromkeys(policies))
     heights = [ROW * len({condition for _, condition in panel}) for panel in panels.values()]
-    rows = math.ceil(len(looks) / LEGEND_COLUMNS)
+    full_rows = len(looks) / LEGEND_COLUMNS
+    rows = math.ceil(full_rows)
     legend = LEGEND_LINE * rows
     figure, columns = plt.subplots(
         len(panels),
@@ -47,7 +48,8 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
         constrained_layout=True,
         squeeze=False,
     )
-    for axes, (title, panel) in zip(columns[:, 0], panels.items(), strict=True):
+    rows_of_panels = columns[:, 0]
+    for axes, (title, panel) in zip(rows_of_panels, panels.items(), strict=True):
         _draw_panel(axes, panel, looks)
         axes.set_title(title)
     handles = dict[str, Artist]()
@@ -85,11 +87,14 @@ def _draw_panel(
             if (policy, condition) in panel:
                 standing = panel[policy, condition]
                 places.append(place)
-                means.append(standing.mean(f"{standing.error}_rms"))
+                mean = standing.mean(f"{standing.error}_rms")
+                means.append(mean)
         values = np.array(means)
         value, low, high = unit.factor * values.T
-        aside = (index + 0.5) / len(policies) - 0.5
-        y = np.array(places) + SPREAD * aside
+        share = (index + 0.5) / len(policies)
+        aside = share - 0.5
+        middles = np.array(places)
+        y = middles + SPREAD * aside
         axes.plot(
             value,
             y,

@@ -143,7 +143,8 @@ def play_steps(
         action, state = policy.predict(observation, state, ended, deterministic=True)
         seconds = (time.perf_counter() - started) / rows
         observation, reward, terminated, truncated, _ = env.step(action)
-        ended = np.atleast_1d(np.logical_or(terminated, truncated))
+        is_over = np.logical_or(terminated, truncated)
+        ended = np.atleast_1d(is_over)
         reward_row = np.asarray(reward, dtype=float)
         yield Step(np.atleast_1d(reward_row), ended, seconds)
 
@@ -170,7 +171,8 @@ def play(
             np.array([*episodes.errors.values()]).T,
         )
         course.append(sample)
-        for row in map(int, np.flatnonzero(step.ended)):
+        ended_rows = map(int, np.flatnonzero(step.ended))
+        for row in ended_rows:
             cause = None
             if episodes.diverged[row]:
                 cause = episodes.cause(row)
@@ -190,7 +192,8 @@ def play(
             np.array([values[row] for values in column]) for column in columns
         )
         # the target's changes in the last two steps: still, then a jump
-        steps_of_target = np.diff(target[-3:], axis=0)
+        last_targets = target[-3:]
+        steps_of_target = np.diff(last_targets, axis=0)
         changes = np.abs(steps_of_target)
         moves = (changes > STILL).any(axis=(1, 2))
         return Episode(

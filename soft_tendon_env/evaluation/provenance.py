@@ -58,7 +58,8 @@ def commit() -> str | None:
     """
     if not (PACKAGE.parent / ".git").exists():
         return None
-    commands = (["rev-parse", "HEAD"], ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"])
+    status = ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"]
+    commands = (["rev-parse", "HEAD"], status)
     try:
         head, changed = (
             subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True)
@@ -97,6 +98,7 @@ def write_json(
     path.parent.mkdir(parents=True, exist_ok=True)
     written = json.dumps(content)
     plain = json.loads(written, parse_constant=lambda number: None)
-    path.write_text(json.dumps(plain, indent=1) + "\n")
+    content_text = json.dumps(plain, indent=1)
+    path.write_text(content_text + "\n")
     if say:
         print(f"written: {path}")

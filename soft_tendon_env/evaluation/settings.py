@@ -28,7 +28,8 @@ def _one_of(what: str, valid: Mapping[str, Any]) -> AfterValidator:
 
     def checked(name: str) -> str:
         if name not in valid:
-            raise ValueError(f"should be {what}: {not_among(name, valid)}")
+            hint = not_among(name, valid)
+            raise ValueError(f"should be {what}: {hint}")
         return name
 
     return AfterValidator(checked)

@@ -36,11 +36,13 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
     A quarter of the count is cut at either end, rounded down. Raises ValueError without any.
     """
     array = np.asarray(values, dtype=float)
-    ordered = np.sort(np.moveaxis(array, axis, 0), axis=0)
+    by_sample = np.moveaxis(array, axis, 0)
+    ordered = np.sort(by_sample, axis=0)
     if not len(ordered):
         raise ValueError("values should have at least one run")
     cut = int(CUT * len(ordered))
-    middle = ordered[cut : len(ordered) - cut]
+    last = len(ordered) - cut
+    middle = ordered[cut:last]
     mean = middle.mean(axis=0)
     if mean.ndim:
         return mean
@@ -52,10 +54,12 @@ def tails(values: ArrayLike) -> tuple[float, float]:
 
     Values may be infinite, and there is at least one.
     """
-    flat = np.ravel(np.asarray(values, dtype=float))
+    array = np.asarray(values, dtype=float)
+    flat = np.ravel(array)
     ordered = np.sort(flat)  # NaN last
     places = np.arange(ordered.size)
-    place = HIGH * (ordered.size - 1) / 100
+    scaled = HIGH * (ordered.size - 1)
+    place = scaled / 100
     percentile = np.interp(place, places, ordered)
     return float(ordered.mean()), float(percentile)
 
@@ -91,7 +95,8 @@ def bootstrap_interval(
     tail = (1.0 - CONFIDENCE) / 2.0
     place = math.ceil(tail * RESAMPLES) - 1
     low = ordered[place]
-    place_above = math.ceil((1.0 - tail) * RESAMPLES) - 1
+    count_above = math.ceil((1.0 - tail) * RESAMPLES)
+    place_above = count_above - 1
     high = ordered[place_above]
     if ordered.ndim > 1:
         return (low, high)
@@ -144,7 +149,8 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     errors = dict[str, ErrorScore]()
     metrics = dict[str, float]()
     for name in scores[0].errors:
-        of_lived = [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
+        errors_of_lived = [score.errors[name] for score in lived]
+        of_lived = errors_of_lived or [ErrorScore(math.nan, math.nan)]
         values = [error.rms for error in of_lived]
         rms = root_mean_square(np.array(values))
         percentiles = [error.percentile_95 for error in of_lived]
@@ -152,7 +158,8 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         errors[name] = ErrorScore(rms, percentile)
     for name in scores[0].metrics:
         values = [score.metrics[name] for score in lived]
-        metrics[name] = root_mean_square(np.array(values))
+        array = np.array(values)
+        metrics[name] = root_mean_square(array)
     reached = [score.reached for score in scores if score.reached is not None]
     known = [score.action_time for score in scores if math.isfinite(score.action_time)]
     return Summary(
@@ -178,8 +185,10 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
         worst = WORST * score.length
         if score.diverged is not None:
             return worst
-        error = next(iter(score.errors.values())).rms
-        chatter = float(np.nan_to_num(score.metrics["chatter"]))  # NaN of too few samples
+        errors = iter(score.errors.values())
+        error = next(errors).rms
+        lived_chatter = score.metrics["chatter"]
+        chatter = float(np.nan_to_num(lived_chatter))  # NaN of too few samples
         chatter_cost = CHATTER_COST * score.length * chatter
         return min(error + chatter_cost, worst)
 
@@ -216,7 +225,8 @@ class Standing(NamedTuple):
 
     def values(self, key: str) -> Array:
         """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
-        return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
+        numbers = [[score.numbers[key] for score in of_member] for of_member in self.scores]
+        return np.array(numbers)
 
     def mean(self, key: str) -> Mean:
         """Interquartile mean over all episodes of all members, with its interval.

@@ -37,7 +37,8 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number to some significant digits; "-" where there is none."""
     if value is None or math.isnan(value):
         return "-"
-    if abs(value) >= 10.0**digits - 0.5:  # all digits are before the point
+    largest = 10.0**digits - 0.5
+    if abs(value) >= largest:  # all digits are before the point
         return f"{value:.0f}"
     return f"{value:#.{digits}g}".removesuffix(".")
 
@@ -70,7 +71,8 @@ def summary_cells(summary: Summary) -> dict[str, str]:
         text = number(unit.factor * error.rms)
         cells[f"{unit.heading} RMS"] = text + flag
     if summary.reached is not None:
-        cells["reached"] = f"{100 * summary.reached:.0f} %"
+        percent = 100 * summary.reached
+        cells["reached"] = f"{percent:.0f} %"
     cells["settled"] = f"{summary.settled} of {summary.episodes}"
     for name, value in summary.metrics.items():
         metric = METRICS[name]
@@ -105,7 +107,8 @@ def error_text(standing: Standing) -> str:
     factor = error_unit(standing.error).factor
     key = f"{standing.error}_rms"
     interquartile = standing.mean(key).value
-    mean, _ = tails(standing.values(key))
+    values = standing.values(key)
+    mean, _ = tails(values)
     first = number(factor * interquartile)
     second = number(factor * mean)
     text = f"{first} / {second}"
@@ -145,7 +148,8 @@ def number_tables(standings: Standings) -> list[str]:
         text = _mean_text(f"{name}_rms", unit.factor)
         title = f"{unit.heading} RMS"
         tables.append(_narrow_table(title, standings, text))
-    tables.append(_narrow_table("return", standings, _mean_text("return", 1.0)))
+    returns = _narrow_table("return", standings, _mean_text("return", 1.0))
+    tables.append(returns)
     tables.append(_narrow_table("bad episodes [%]", standings, _bad_text))
     return tables
 
@@ -176,7 +180,8 @@ def _mean_text(key: str, factor: float) -> Callable[[Standing], str]:
     """Text of a cell: the interquartile mean of a number of episodes times a factor, (the mean)."""
 
     def text(standing: Standing) -> str:
-        mean, _ = tails(standing.values(key))
+        values = standing.values(key)
+        mean, _ = tails(values)
         mean_of_key = standing.mean(key)
         interquartile = number(factor * mean_of_key.value, NARROW_DIGITS)
         text = number(factor * mean, NARROW_DIGITS)
@@ -187,7 +192,8 @@ def _mean_text(key: str, factor: float) -> Callable[[Standing], str]:
 
 def _bad_text(standing: Standing) -> str:
     """Share of bad episodes in percent."""
-    bad_share = np.mean([score.bad for score in standing.episodes])
+    bad_shares = [score.bad for score in standing.episodes]
+    bad_share = np.mean(bad_shares)
     return f"{100 * bad_share:.0f}"
 
 
@@ -206,13 +212,16 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table that reads well as it is and as Markdown."""
     rest = map(tuple, rows)
     cells = [tuple(header), *rest]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    columns = zip(*cells, strict=True)
+    widths = [max(map(len, column)) for column in columns]
     lines = []
     for row in cells:
-        padded = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        pairs = zip(row, widths, strict=True)
+        padded = [cell.ljust(width) for cell, width in pairs]
         lines.append(f"| {' | '.join(padded)} |")
     dashes = ["-" * (width + 2) for width in widths]
-    lines.insert(1, f"|{'|'.join(dashes)}|")
+    rule = f"|{'|'.join(dashes)}|"
+    lines.insert(1, rule)
     return "\n".join(lines)
 
 
@@ -232,7 +241,8 @@ def records(standings: Standings) -> list[dict[str, Any]]:
         }
         for key in standing.episodes[0].numbers:
             tails_of_key = tails(standing.values(key))
-            numbers = (*standing.mean(key), *tails_of_key)
+            mean_of_key = standing.mean(key)
+            numbers = (*mean_of_key, *tails_of_key)
             for ending, value in zip(STATISTICS, numbers, strict=True):
                 row[f"{key}{ending}"] = float(f"{value:.5g}")
         rows.append(row)

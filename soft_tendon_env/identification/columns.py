@@ -87,7 +87,8 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
     for quantity, unit in units.items():
         expected[quantity] = Expected(quantity, quantity, Column(), unit)
     # whole names come last: they beat patterns
-    by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
+    columns = markers.columns.items()
+    by_pattern = sorted(columns, key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
         matches = matches_of(key, units)
         if not matches:
@@ -119,8 +120,10 @@ def _check_unit(key: str, column: Column, si_unit: str) -> None:
     has_unit = column.unit is not None
     if has_unit and column.unit not in allowed:
         names = ", ".join(allowed)
-        raise ValueError(f"columns.{key}.unit is {column.unit!r}: it should be one of {names}")
-    if column.unit == COUNTS and not has_scale:
+        message = f"columns.{key}.unit is {column.unit!r}: it should be one of {names}"
+        raise ValueError(message)
+    has_counts = column.unit == COUNTS
+    if has_counts and not has_scale:
         raise ValueError(
             f"columns.{key}.unit is {COUNTS!r}: scale should say how many {si_unit} a count is"
         )
@@ -164,7 +167,8 @@ def _header_name(table: Table, column: str) -> str | None:
     matches = [name for name in table.header if name.casefold() == folded]
     if len(matches) > 1:
         names = " and as ".join(matches)
-        raise ValueError(f"{table.where}: column {column} is there as {names}")
+        message = f"{table.where}: column {column} is there as {names}"
+        raise ValueError(message)
     if not matches:
         return None
     return matches[0]
@@ -177,8 +181,10 @@ def _check_complete(
     optional: set[str],
 ) -> None:
     """Raises ValueError where a table lacks columns, of `time` and `hold` both."""
-    absent = expected.keys() - sources.keys() - optional
-    missing = sorted(expected[quantity].name for quantity in absent)
+    unread = expected.keys() - sources.keys()
+    absent = unread - optional
+    absent_names = (expected[quantity].name for quantity in absent)
+    missing = sorted(absent_names)
     has_optional = bool(sources.keys() & OPTIONAL_COLUMNS)
     if not missing and not has_optional:
         missing = sorted(OPTIONAL_COLUMNS)
@@ -188,20 +194,23 @@ def _check_complete(
             f"there is no column {names}: [columns] of the markers' file gives columns other names"
         )
         columns_there = _columns_there(missing[0], table)
-        raise ValueError(f"{table.where}: {text}; {columns_there}")
+        message = f"{table.where}: {text}; {columns_there}"
+        raise ValueError(message)
 
 
 def _columns_there(missing: str, table: Table) -> str:
     """End of an error about a missing column: those of the table, or that there is none."""
     # what is no table is not shown
     cells = len(table.header)
-    longest = max(map(len, table.header), default=0)
+    lengths = map(len, table.header)
+    longest = max(lengths, default=0)
     is_long = cells > MOST_SHOWN or longest > LONGEST_NAME
     first_row = ""
     if table.rows:
         _, row = table.rows[0]
         first_row = "".join(row)
-    has_numbers = any(character.isdigit() for character in first_row)
+    is_digit = (character.isdigit() for character in first_row)
+    has_numbers = any(is_digit)
     if is_long or not has_numbers:
         return (
             f"the line that seems to be the header has {cells} cells, the longest of {longest}"
@@ -218,7 +227,8 @@ def _check_decimal_marks(table: Table, columns: Sequence[str]) -> None:
         for place in places:
             is_date = ":" in cells[place]
             for mark in ",.":
-                if mark in cells[place] and not is_date:
+                has_mark = mark in cells[place]
+                if has_mark and not is_date:
                     marks[mark] = where
     if len(marks) > 1:
         raise ValueError(

@@ -77,7 +77,8 @@ def findings(
             " intervals may be off. Estimate fewer, and none that the data do not contain."
         )
     parameters = fitted.plants.parameters
-    texts += [_unseen_text(direction, parameters) for direction in unseen]
+    unseen_texts = [_unseen_text(direction, parameters) for direction in unseen]
+    texts += unseen_texts
     misfits = _misfits(estimate, fitted, judge)
     drift = drift_text(misfits)
     if drift:  # which the parameters, outliers and residuals follow from
@@ -156,7 +157,8 @@ def _parameter_texts(parameter: Parameter, x: float) -> list[str]:
             )
     # the coordinate of a factor is its logarithm
     times = np.exp(abs(x))
-    if parameter.name.endswith("young_modulus") and times > UNLIKELY:
+    is_modulus = parameter.name.endswith("young_modulus")
+    if is_modulus and times > UNLIKELY:
         if x > 0:
             direction = "greater"
         else:

@@ -60,7 +60,8 @@ class Fit(NamedTuple):
         It is without the priors.
         """
         product = self.jacobian.T @ self.jacobian
-        return np.asarray(product) / self.sigma**2
+        variance = self.sigma**2
+        return np.asarray(product) / variance
 
 
 class Intervals(NamedTuple):
@@ -208,7 +209,8 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     from scipy.special import stdtrit
 
     parameters = readings.plants.parameters
-    bounds = np.array([parameter.bounds for parameter in parameters])
+    every_bound = [parameter.bounds for parameter in parameters]
+    bounds = np.array(every_bound)
     tail = 0.5 * (1.0 + CONFIDENCE)
     # Student's t of an error that is estimated from the same readings
     freedom = estimate.residual.size - estimate.x.size
@@ -216,7 +218,8 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     deviation = np.sqrt(variances(estimate))
     linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
-    cluster_freedom = max(int(readings.cluster.max()), 1)
+    clusters = int(readings.cluster.max())
+    cluster_freedom = max(clusters, 1)
     draws = _bootstrap(estimate, readings.cluster)
     drawn_deviation = draws.std(axis=0)
     bootstrap = stdtrit(cluster_freedom, tail) * drawn_deviation
@@ -230,7 +233,9 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     values = []
     for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True):
         # the value of a factor of a negative number falls with its coordinate
-        unordered = (parameter.at(x_low), parameter.at(x_high))
+        at_low = parameter.at(x_low)
+        at_high = parameter.at(x_high)
+        unordered = (at_low, at_high)
         ends = sorted(unordered)
         values.append(ends)
     low, high = np.array(values).T
@@ -252,7 +257,8 @@ def variances(estimate: Fit) -> Array:
     Returns:
         Variances (k,), infinite without information.
     """
-    total = estimate.information + np.diag(estimate.prior)
+    prior = np.diag(estimate.prior)
+    total = estimate.information + prior
     information, directions = np.linalg.eigh(total)
     tiny = np.finfo(float).tiny
     largest = max(information[-1], tiny)
@@ -260,7 +266,9 @@ def variances(estimate: Fit) -> Array:
     empty = directions[:, ~is_known]
     known = directions[:, is_known]
     # parameters with a part of an empty direction
-    is_part = np.abs(empty) > np.sqrt(SINGULAR)
+    size = np.abs(empty)
+    least_size = np.sqrt(SINGULAR)
+    is_part = size > least_size
     is_free = is_part.any(axis=1)
     parts = known**2 / information[is_known]
     variances = parts.sum(axis=1)
@@ -312,12 +320,15 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     prior_draw = normal * prior_root
     # one Newton step of each draw: (J^T J + P) step = J^T r + P x - b
     P = estimate.prior
-    data_part = np.einsum("dr,rij->dij", times, np.array(curvature))
+    curvatures = np.array(curvature)
+    data_part = np.einsum("dr,rij->dij", times, curvatures)
     A = data_part + np.diag(P)
     gradient_part = times @ np.array(gradient)
-    right = gradient_part + P * estimate.x - prior_draw
+    pull = P * estimate.x
+    right = gradient_part + pull - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
-    ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
+    traces = np.trace(A, axis1=1, axis2=2)
+    ridge = SINGULAR * traces
     factors = ridge[:, None, None]
     A += factors * np.eye(k)
     columns = right[..., None]

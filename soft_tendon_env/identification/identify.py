@@ -140,7 +140,8 @@ def identify(
         advice = misread_text(fitted, None, noise) or LOOK
         reason = str(error).rstrip(".")
         raise NoHoldError(f"{reason}. {advice}") from error
-    values = [parameter.at(x) for parameter, x in zip(chosen, estimate.x, strict=True)]
+    pairs = zip(chosen, estimate.x, strict=True)
+    values = [parameter.at(x) for parameter, x in pairs]
     measurement = plants.measurement(estimate.x)
     before_mean = mean_of_finite(before_fit.values())
     before_held_out_mean = mean_of_finite(before_held_out.values())
@@ -210,7 +211,8 @@ def save_estimate(estimate: Estimate, folder: Path) -> list[Path]:
     scene_file = folder / "scene.toml"
     markers_file = folder / "markers.toml"
     estimate_file = folder / "estimate.json"
-    comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
+    lines_of_summary = summary(estimate).splitlines()
+    comments = [f"# {line}".rstrip() for line in lines_of_summary]
     table = scene_to_dict(estimate.scene)
     lines = [
         "# Identified by soft-tendon identify:",
@@ -325,7 +327,8 @@ def randomize(estimate: Estimate) -> dict[str, Any]:
     """
     tension_limits = [tendon.tension_limits for tendon in estimate.scene.tendons]
     tension_span = np.ptp(tension_limits, axis=1)
-    command_span = np.ptp(command_limits(estimate.scene), axis=1)
+    limits = command_limits(estimate.scene)
+    command_span = np.ptp(limits, axis=1)
     tension_of_command = tension_span / command_span
     table = dict[str, Any]()
     gains = list[float]()

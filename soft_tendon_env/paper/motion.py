@@ -57,9 +57,11 @@ class ClosedLoop:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
         tension = self.law(t, q, q_dot, terms)
-        force = terms.actuation @ tension + terms.external_force
+        actuation = terms.actuation @ tension
+        force = actuation + terms.external_force
         loss = terms.damping @ q_dot
-        unbalanced = force - terms.bias - loss - terms.elastic_force
+        without_springs = force - terms.bias - loss
+        unbalanced = without_springs - terms.elastic_force
         q_ddot = np.linalg.solve(terms.mass, unbalanced)
         return np.concatenate([q_dot, q_ddot])
 
@@ -86,7 +88,8 @@ def integrate(
     """Closed-loop motion from rest without tension, over `duration` [s]."""
     n = loop.model.coordinate_count
     period_count = round(duration / SAMPLE_PERIOD)
-    times = SAMPLE_PERIOD * np.arange(period_count + 1)
+    numbers = np.arange(period_count + 1)
+    times = SAMPLE_PERIOD * numbers
     say(f"{label}: {duration:g} s")
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
@@ -111,10 +114,12 @@ def integrate(
     tension = []
     for t, x in zip(solution.t, states, strict=True):
         q, q_dot = np.split(x, 2)
-        position = loop.model.tip_pose(q)[:3, 3]
+        pose = loop.model.tip_pose(q)
+        position = pose[:3, 3]
         tip.append(position)
         terms = loop.model.terms(q, q_dot)
-        tension.append(loop.law(t, q, q_dot, terms))
+        command = loop.law(t, q, q_dot, terms)
+        tension.append(command)
     return Motion(
         solution.t,
         states[:, :n],
@@ -175,20 +180,24 @@ def track(
         StaticFeedforward(model, limits, PERIOD, aim),
         TipTracking(model, limits, PERIOD, aim, **GAINS),
     )
-    say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
+    title = f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms"
+    say(title)
     q = []
     tip = []
     tension = []
     policy = ControllerPolicy(controller, env)
     for step in play_steps(policy, env, [0]):
         # the next step overwrites what the environment has now
-        q.append(episodes.arms.rows.q[0].copy())
-        position = episodes.arms.reading.tip_pose[0, :3, 3].copy()
+        coordinates = episodes.arms.rows.q[0].copy()
+        q.append(coordinates)
+        row_position = episodes.arms.reading.tip_pose[0, :3, 3]
+        position = row_position.copy()
         tip.append(position)
         tension.append(episodes.tension[0].copy())
         if step.ended.any():
             break
-    time = PERIOD * np.arange(len(q))
+    numbers = np.arange(len(q))
+    time = PERIOD * numbers
     return Motion(
         time,
         np.stack(q),

@@ -38,7 +38,8 @@ class Result(NamedTuple):
     @property
     def tables(self) -> str:
         """Table of claims, and the further ones."""
-        parts = [claims_table(self.claims), *self.more]
+        table = claims_table(self.claims)
+        parts = [table, *self.more]
         return "\n\n".join(parts)
 
 
@@ -50,7 +51,8 @@ def claims_table(claims: Iterable[Claim]) -> str:
             verdict = "yes"
         else:
             verdict = "**NO, missed**"
-        rows.append((claim.figure, claim.paper, claim.measured, verdict))
+        row = (claim.figure, claim.paper, claim.measured, verdict)
+        rows.append(row)
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 
 
@@ -61,11 +63,13 @@ def draw_arms(
     colour: str,
 ) -> None:
     """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
-    even = np.linspace(0, len(motion) - 1, SNAPSHOTS)
+    last = len(motion) - 1
+    even = np.linspace(0, last, SNAPSHOTS)
     samples = even.astype(int)
     opacities = np.linspace(PALEST, 1.0, SNAPSHOTS)
     for opacity, q in zip(opacities, motion[samples], strict=True):
-        backbone = model.backbone(q)[:, :3, 3]
+        poses = model.backbone(q)
+        backbone = poses[:, :3, 3]
         axes.plot(
             *backbone.T,
             color=colour,
@@ -80,7 +84,8 @@ def box(axes: Any, title: str, **paths: np.ndarray) -> None:
 
     Axes have projection="3d".
     """
-    for (name, path), colour in zip(paths.items(), (ACTUAL, DESIRED), strict=False):
+    curves = zip(paths.items(), (ACTUAL, DESIRED), strict=False)
+    for (name, path), colour in curves:
         axes.plot(
             *path.T,
             color=colour,

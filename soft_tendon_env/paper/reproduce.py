@@ -24,16 +24,19 @@ def reproduce(seconds: float, out: Path) -> None:
 
     Raises OSError.
     """
-    results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
+    figures = (validation, shape, tip)
+    results = {module: module.reproduce(seconds, out) for module in figures}
     claims = list[Claim]()
     numbers = dict[str, Any]()
     for result in results.values():
         print(f"\n{result.tables}")
         claims += result.claims
         numbers |= result.numbers
-    missed = sum(not claim.holds for claim in claims)
+    misses = (not claim.holds for claim in claims)
+    missed = sum(misses)
     print(f"\n{missed} of {len(claims)} claims missed")
-    content = {"claims": [claim._asdict() for claim in claims], **numbers}
+    claim_tables = [claim._asdict() for claim in claims]
+    content = {"claims": claim_tables, **numbers}
     write_json(out / "numbers.json", content)
     write_markdown(out / "paper.md", document(results))
 

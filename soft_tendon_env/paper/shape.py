@@ -42,7 +42,8 @@ PARTS = (0.1, 0.01)  # of the largest error of feedforward, below which errors a
 
 def target(t: float) -> ShapeTarget:
     """Tensions that hold the wanted shape at time t [s], and their rates."""
-    tension, rate = COURSE(np.array([t]))
+    times = np.array([t])
+    tension, rate = COURSE(times)
     return ShapeTarget(tension[0], rate[0])
 
 
@@ -66,9 +67,11 @@ def reproduce(seconds: float, folder: Path) -> Result:
     for name, model in models.items():
         for law, gains in LAWS.items():
             loop = ClosedLoop(model, law_of(model, gains))
-            motion = integrate(loop, duration, f"Figure 3, {name}, {law}")
+            title = f"Figure 3, {name}, {law}"
+            motion = integrate(loop, duration, title)
             motions[name, law] = motion
-            error = wanted_shapes(model, motion.time) - motion.q
+            wanted = wanted_shapes(model, motion.time)
+            error = wanted - motion.q
             errors[name, law] = np.linalg.norm(error, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
@@ -143,7 +146,8 @@ def draw_laws(
         times = motions[name, law].time
         courses[f"{MODELS[name]}, {law}"] = (times[1:], values[1:])
     draw_errors(error, courses, "shape error", "(b) shape error")
-    for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
+    rows = ((full, "paper", "c"), (under, "paper_16dof", "d"))
+    for axes, name, letter in rows:
         title = f"({letter}) tensions with feedback, {MODELS[name]}"
         draw_tensions(
             axes,

@@ -85,7 +85,8 @@ INVERSES: Mapping[LeftInverse, str] = {
 
 def target(t: float) -> TipPoseTarget:
     """Pose, twist and acceleration of the target at time t [s]."""
-    offsets = APART * np.array([-1.0, 0.0, 1.0])
+    directions = np.array([-1.0, 0.0, 1.0])
+    offsets = APART * directions
     samples = COURSE.sample(t + offsets)
     before, twist, after = samples.tip_twist
     acceleration = (after - before) / (2.0 * APART)
@@ -128,7 +129,8 @@ def reproduce(seconds: float, folder: Path) -> Result:
     rows = []
     for name, (scene, passive, inverse) in DESIGNS.items():
         result = outcome(numbers[name])
-        rows.append((scene, passive, INVERSES[inverse], result))
+        row = (scene, passive, INVERSES[inverse], result)
+        rows.append(row)
     table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), rows)
     return Result(claims(numbers), {"tip_error": numbers}, (table,))
 
@@ -142,7 +144,8 @@ def tip_error(motion: Motion) -> np.ndarray:
 def target_path(motion: Motion) -> np.ndarray:
     """Positions (m, 3) [m] of the target at the times of a motion."""
     course = COURSE.sample(motion.time)
-    return np.asarray(course.tip_pose[:, :3, 3])
+    positions = course.tip_pose[:, :3, 3]
+    return np.asarray(positions)
 
 
 def summary(motion: Motion, duration: float) -> dict[str, float]:
@@ -157,9 +160,11 @@ def summary(motion: Motion, duration: float) -> dict[str, float]:
     first_turn = min(CIRCLE.period, 0.5 * duration)
     late = motion.time >= first_turn
     smooth = motion.time >= SMOOTH
-    first = np.abs(motion.tension[~smooth])
+    rough = motion.tension[~smooth]
+    first = np.abs(rough)
     then = np.abs(motion.tension[smooth])
-    changes = np.diff(motion.tension[smooth], axis=0)
+    tension = motion.tension[smooth]
+    changes = np.diff(tension, axis=0)
     change = np.abs(changes)
     return numbers | {
         "below_1_mm_from_s": below_for_good(motion.time, error, VERY_SMALL),
@@ -242,9 +247,12 @@ def draw(
     motion = motions[name]
     figure = plt.figure(figsize=(16, 8), constrained_layout=True)
     grid = figure.add_gridspec(2, 3)
-    arms = figure.add_subplot(grid[:, 0], projection="3d")
-    tensions = figure.add_subplot(grid[0, 1:])
-    errors = figure.add_subplot(grid[1, 1:])
+    left_column = grid[:, 0]
+    arms = figure.add_subplot(left_column, projection="3d")
+    upper_right = grid[0, 1:]
+    tensions = figure.add_subplot(upper_right)
+    lower_right = grid[1, 1:]
+    errors = figure.add_subplot(lower_right)
     draw_arms(arms, model, motion.q, ACTUAL)
     box(
         arms,
@@ -254,10 +262,12 @@ def draw(
     )
     draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
     is_smooth = motion.time >= SMOOTH
-    largest = np.abs(motion.tension[is_smooth]).max()
+    sizes = np.abs(motion.tension[is_smooth])
+    largest = sizes.max()
     tensions.set_ylim(-1.5 * largest, 1.5 * largest)  # cuts off what is high at first
     courses = {}
-    for label in (FULL, UNDER, PRINTED, SAMPLED[name]):
+    labels = (FULL, UNDER, PRINTED, SAMPLED[name])
+    for label in labels:
         error = tip_error(motions[label])
         courses[f"(39), {label}"] = (motions[label].time, 1e3 * error)
     draw_errors(errors, courses, "tip error [mm]", "(c) distance of the tip from the target")

@@ -44,8 +44,10 @@ FULL = "paper_48dof"
 
 def tension(t: float) -> np.ndarray:
     """Tensions (10,) [N] at time t [s]."""
-    angle = np.pi * FREQUENCY * min(t, HELD)
-    smooth = AMPLITUDE * np.sin(angle) ** 2
+    time = min(t, HELD)
+    angle = np.pi * FREQUENCY * time
+    sine = np.sin(angle)
+    smooth = AMPLITUDE * sine**2
     if t >= STEP:
         return smooth + STEP_TENSION
     return smooth
@@ -58,7 +60,8 @@ def reproduce(seconds: float, folder: Path) -> Result:
         for name in (*REDUCED, FULL)
     }
     duration = min(seconds, DURATION)
-    say(f"Figure 2: {duration:g} s of {', '.join(models)}")
+    title = f"Figure 2: {duration:g} s of {', '.join(models)}"
+    say(title)
     motions = {
         name: ste.simulate(model, tension, duration, SAMPLE_PERIOD)
         for name, model in models.items()
@@ -86,7 +89,8 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
         "end": float(error[-1]),
     }
     # a shorter motion says nothing of the step
-    if time[-1] < STEP + AFTER_STEP:
+    last = time[-1]
+    if last < STEP + AFTER_STEP:
         return numbers
     before = time < STEP
     is_soon = time <= STEP + AFTER_STEP
@@ -153,7 +157,8 @@ def draw(
     grid = figure.add_gridspec(2, 3)
     reduced = motions["paper"]
     time = motions[FULL].time
-    tensions = np.array([tension(t) for t in time])
+    tensions_of_times = [tension(t) for t in time]
+    tensions = np.array(tensions_of_times)
     draw_tensions(
         figure.add_subplot(grid[0, 0]),
         time,
@@ -167,7 +172,8 @@ def draw(
         reduced.q,
         title,
     )
-    arms = figure.add_subplot(grid[0, 2], projection="3d")
+    right = grid[0, 2]
+    arms = figure.add_subplot(right, projection="3d")
     draw_arms(arms, model, reduced.q, ACTUAL)
     tip_path = reduced.tip_pose[:, :3, 3]
     box(arms, "(d) shapes of the fully actuated system", actual=tip_path)

@@ -484,7 +484,8 @@ def _lines(points: Array) -> rr.ComponentColumnList:
 def _poses(pose: Array) -> rr.ComponentColumnList:
     """A transform per pose (samples, 4, 4)."""
     rotation = pose[:, :3, :3]
-    return rr.Transform3D.columns(translation=shapes.positions(pose), mat3x3=rotation)
+    translation = shapes.positions(pose)
+    return rr.Transform3D.columns(translation=translation, mat3x3=rotation)
 
 
 def _cylinders(centers: Array, quaternions: Array) -> rr.ComponentColumnList:
@@ -498,9 +499,12 @@ def _cylinders(centers: Array, quaternions: Array) -> rr.ComponentColumnList:
 
 def _mesh(corners: Array) -> list[rr.ComponentColumn]:
     """Quadrilaterals (n, 4, 3) as a mesh, at one time."""
-    corner_places = np.arange(len(corners))[:, None]
+    numbers = np.arange(len(corners))
+    corner_places = numbers[:, None]
     first = 4 * corner_places  # number of a quadrilateral's first corner
-    halves = [first + [0, 1, 2], first + [0, 2, 3]]
+    lower = first + [0, 1, 2]
+    upper = first + [0, 2, 3]
+    halves = [lower, upper]
     triangles = np.concatenate(halves)
     directions = np.repeat(normals(corners), 4, axis=0)
     vertices_in_rows = corners.reshape(-1, 3)
@@ -524,7 +528,8 @@ def _seen_through(corners: Array) -> list[rr.ComponentColumn]:
 
 def _moments(known: DrawnArm, rollout: Rollout) -> Array:
     """Times (samples,) [s] of a rollout's samples since its episode began."""
-    numbers = known.shown + np.arange(rollout.samples)
+    numbers_of_samples = np.arange(rollout.samples)
+    numbers = known.shown + numbers_of_samples
     return np.asarray(numbers * rollout.period)
 
 

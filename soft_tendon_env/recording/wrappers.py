@@ -212,7 +212,8 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         super().__init__(env)
         unknown = [row for row in rows if not 0 <= row < env.num_envs]
         if unknown:
-            raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
+            last = env.num_envs - 1
+            raise ValueError(f"rows should be from 0 to {last}, not {unknown}")
         self._episodes = episodes_of(env)
         self._file = _open(path)
         self._recorders = dict[int, RowRecorder]()
@@ -237,7 +238,8 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         mask = (options or {}).get("reset_mask")
         seeds = seed
         if seed is None or isinstance(seed, int):  # as Gymnasium counts on
-            seeds = [None if seed is None else seed + row for row in range(self.num_envs)]
+            rows = range(self.num_envs)
+            seeds = [None if seed is None else seed + row for row in rows]
         for row, recorder in self._recorders.items():
             if mask is None or mask[row]:
                 recorder.begin(seeds[row])

@@ -185,10 +185,12 @@ class DynamixelRobot:
             TypeError: for what is no array of numbers.
             ValueError: for another shape.
         """
-        tension = checked_array("command", command, (len(self.ids),))
+        shape = (len(self.ids),)
+        tension = checked_array("command", command, shape)
         steps = tension / self._tension_unit
         direction = np.sign(steps)
-        whole = np.trunc(steps + ROUND_OFF * direction)
+        rounded = steps + ROUND_OFF * direction
+        whole = np.trunc(rounded)
         most = np.array(self._most)
         ticks = np.clip(whole, -most, most)
         silence = perf_counter() - self._heard
@@ -255,10 +257,12 @@ class DynamixelRobot:
                 if not isinstance(lost, Exception):
                     raise
                 raise ConnectionError(f"{self.port} is lost: {lost}") from lost
-            if result == self._success and not error:
+            succeeded = result == self._success
+            if succeeded and not error:
                 return value
         if result == self._success:
             reason = self._packets.getRxPacketError(error)
         else:
             reason = self._packets.getTxRxResult(result)
-        raise ConnectionError(f"{who} on {self.port}: {reason}")
+        message = f"{who} on {self.port}: {reason}"
+        raise ConnectionError(message)

@@ -187,7 +187,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             observation, reward, terminated, truncated, info = self.env.step(action)
         except RobotStopped as stopped:
             observation, info = self._last
-            return observation, 0.0, False, True, {**info, "stopped": str(stopped)}
+            last_info = {**info, "stopped": str(stopped)}
+            return observation, 0.0, False, True, last_info
         self._last = observation, info
         return observation, float(reward), terminated, truncated, info
 
@@ -255,9 +256,11 @@ class MeasuredArm(Arms):
         self._command = episodes.start_command
         self._actuation = episodes.actuation
         # the pretension is not there before the rate has led to it
-        distances = np.abs(self._command - robot.slack)
+        differences = self._command - robot.slack
+        distances = np.abs(differences)
         way = float(distances.max())
-        self._rise = max(settle, way / robot.rate)
+        seconds = way / robot.rate
+        self._rise = max(settle, seconds)
         # [s], at least half a swing, which stands still where it turns
         self._window = max(WINDOW, half_swing(episodes))
         self._is_there = settle == 0.0  # whether the robot rests under the first command
@@ -280,14 +283,16 @@ class MeasuredArm(Arms):
             self.pacer = Pacer(self.robot.clock, self.pacer.period)
         self._is_there = False
         if not self._has_zeros:
-            for name in {"tendon_length", "strain"} & {*self.robot.senses}:
+            names = {"tendon_length", "strain"} & {*self.robot.senses}
+            for name in names:
                 # the simulated arm is at rest under the same command
                 values_by_reading = [getattr(reading, name) for reading in readings]
                 measured = np.mean(values_by_reading, axis=0)
                 value = getattr(self.reading, name)[0]
                 self.zero[name] = value - measured
         # of the last two the earlier one is the log's row before time 0; there may be one alone
-        self._take(readings[-2:][0])
+        last = readings[-2:][0]
+        self._take(last)
         if self._log is not None:
             self._log.begin(self.pacer.period, self._time, self.reading, self._command)
         self._take(readings[-1])
@@ -326,7 +331,8 @@ class MeasuredArm(Arms):
         self.reading.tension[:] = np.nan  # unless it is measured
         for name in self.robot.senses:
             zero = self.zero.get(name, 0.0)
-            getattr(self.reading, name)[0] = getattr(measured, name) + zero
+            value = getattr(measured, name)
+            getattr(self.reading, name)[0] = value + zero
 
     def _wait_for_rest(self) -> list[Measurement]:
         """Last readings of the arm at rest under the first command.
@@ -336,16 +342,19 @@ class MeasuredArm(Arms):
         period = self.pacer.period
         slack = self.robot.slack
         # in periods
-        rise = max(round(self._rise / period), 1)
+        periods_of_rise = round(self._rise / period)
+        rise = max(periods_of_rise, 1)
         periods = round(self._window / period)
         window = max(periods, READINGS)
         between_looks = max(window // LOOKS, 1)
         last = deque[tuple[int, Measurement]](maxlen=window)  # new readings, by their period
         was_still = False
         for k in itertools.count(1 - rise):  # period 0 is the first at the whole command
-            share = min((k + rise) / rise, 1.0)
+            part = (k + rise) / rise
+            share = min(part, 1.0)
             way = self._command - slack
-            self.robot.write(slack + share * way)
+            command = slack + share * way
+            self.robot.write(command)
             self.pacer.wait()
             measured = self.robot.read()
             if k > 0 and (not last or measured.time_of_pose != last[-1][1].time_of_pose):
@@ -403,7 +412,8 @@ def speed_of(position: Array, period: float) -> float:
     order = np.arange(1, count)
     angle = np.pi * order
     rate = angle / (count * period)  # [rad/s] of the modes
-    square = np.sum(rate**2 * motion)
+    products = rate**2 * motion
+    square = np.sum(products)
     return float(np.sqrt(square))
 
 
@@ -463,9 +473,11 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     errors = list[list[float]]()  # of every period, by the names of the episodes' errors
     try:
         _check_length(env, seconds, steps)
-        for k, step in enumerate(play_steps(policy, env, [seed])):
+        played = play_steps(policy, env, [seed])
+        for k, step in enumerate(played):
             if robot.stopped is None:
-                last_errors = [float(values[0]) for values in episodes.errors.values()]
+                values_of_rows = episodes.errors.values()
+                last_errors = [float(values[0]) for values in values_of_rows]
                 errors.append(last_errors)
             if k == steps:
                 robot.stop(FINISHED)
@@ -482,7 +494,8 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
         timing = arm.pacer.timing
         env.close()
     by_episode = np.array(errors)
-    by_name = by_episode.reshape(-1, len(episodes.errors)).T
+    error_count = len(episodes.errors)
+    by_name = by_episode.reshape(-1, error_count).T
     stop = robot.stop(FINISHED)
     return Report(
         errors=dict(zip(episodes.errors, by_name, strict=True)),

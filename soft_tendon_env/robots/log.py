@@ -74,7 +74,8 @@ class RobotLog:
         self._writer = csv.writer(self._file, lineterminator="\n")
         kinds = ("sent", "asked", *senses)
         measured = [column for name in kinds for column in columns[name]]
-        self._writer.writerow(["hold", "time", "measured_time", *measured])
+        header = ["hold", "time", "measured_time", *measured]
+        self._writer.writerow(header)
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
         """Begins another motion, at time 0, from rest under a command (n_a,).
@@ -96,7 +97,8 @@ class RobotLog:
         """
         self._motions += len(self._waiting)
         row = self._row(time, measured_time, reading, asked, sent)
-        self._writer.writerows([*self._waiting, row])
+        rows = [*self._waiting, row]
+        self._writer.writerows(rows)
         self._waiting = []
         self._file.flush()
 
@@ -108,7 +110,8 @@ class RobotLog:
         for name in self._senses:
             value = getattr(reading, name)[0]
             if name == "tip_pose":
-                rotation = Rotation.from_matrix(value[:3, :3])
+                matrix = value[:3, :3]
+                rotation = Rotation.from_matrix(matrix)
                 quaternion = rotation.as_quat(canonical=True, scalar_first=True)
                 position = value[:3, 3]
                 value = np.concatenate([position, quaternion])

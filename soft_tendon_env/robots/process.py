@@ -260,7 +260,8 @@ class WatchedDriver:
         """Lets the tendons go where the program was silent for too long."""
         silence = self._clock.now() - self._called
         is_slack = np.array_equal(self._sent, self._slack)
-        if silence > self.patience and not is_slack:
+        is_silent = silence > self.patience
+        if is_silent and not is_slack:
             self.let_go(
                 f"no call for {1e3 * silence:.0f} ms: patience is {1e3 * self.patience:g} ms"
             )
@@ -320,7 +321,8 @@ def serve() -> None:
                     value = getattr(driver, name)(*arguments)
                 answer = pickle.dumps((number, True, value))
             except Exception as error:
-                answer = pickle.dumps((number, False, _portable(error)))
+                message = (number, False, _portable(error))
+                answer = pickle.dumps(message)
             answers.write(answer)
             if name == "close":
                 driver = None  # there is no second time

@@ -111,7 +111,8 @@ class SafeRobot:
         else:
             self.slack = limits[:, 0].copy()
         self.senses = read_fields(robot, sensors)
-        self.clock: Clock = getattr(robot, "clock", None) or Clock()
+        own_clock = getattr(robot, "clock", None)
+        self.clock: Clock = own_clock or Clock()
         self._period = period
         self._patience = patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
@@ -126,7 +127,8 @@ class SafeRobot:
         self._orders = SimpleQueue[tuple[str, threading.Event]]()
         self._newest_order = threading.Event()
         self._newest_order.set()  # nothing was ordered
-        threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
+        watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        watchdog.start()
         atexit.register(self.stop, "the interpreter ended")
         HOLDERS.add(self)
 
@@ -147,7 +149,8 @@ class SafeRobot:
         watch = getattr(self.robot, "watch", None)
         if watch is not None:
             try:
-                guard = partial(watch, self.slack.copy(), self._patience)
+                slack = self.slack.copy()
+                guard = partial(watch, slack, self._patience)
                 self._turns.take(guard, TRYING)
             except Exception as error:
                 self.fail(f"the robot's own watchdog failed: {first_line(error)}", error)
@@ -207,7 +210,8 @@ class SafeRobot:
         if newest is None or newest.tip_pose is None:
             return False
         newest_position = newest.tip_pose[:3, 3]
-        distance = float(np.linalg.norm(pose[:3, 3] - newest_position))
+        difference = pose[:3, 3] - newest_position
+        distance = float(np.linalg.norm(difference))
         # after a late period the next one is short, and the pose as old as ever
         duration = max(self._readings.age_of_pose, self._period)
         by_noise = NOISY * self._arm.length
@@ -281,7 +285,8 @@ class SafeRobot:
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
-        floor = np.minimum(least, self.slack) - margin
+        lower = np.minimum(least, self.slack)
+        floor = lower - margin
         is_above = sent >= floor
         is_below = sent <= greatest + margin
         if not (is_above & is_below).all():

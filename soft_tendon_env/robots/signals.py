@@ -98,7 +98,8 @@ class Holders:
             self._restore()
             signal.raise_signal(number)
             return
-        if any(arm.is_letting_go for arm in self._arms):
+        is_any_letting_go = any(arm.is_letting_go for arm in self._arms)
+        if is_any_letting_go:
             return  # a second Ctrl-C does not interrupt what lets the tendons go
         self._interrupt(f"interrupted by {name_of(number)}")
 

@@ -57,7 +57,8 @@ class SimulatedRobot:
             raise ConfigurationError(problems, "SimulatedRobot")
         # a target costs nothing, and nobody sees it
         target = {"type": "hold", "pose": np.eye(4).tolist()}
-        parsed = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
+        values = {"sensors": SENSORS, **options, "target": target}
+        parsed = Options.parse(values, "SimulatedRobot")
         # the delay is taken here, where commands come as often as they like
         scene = given_scene(parsed.scene)
         delay = getattr(scene.effects.actuators, "delay", 0.0)
@@ -84,11 +85,14 @@ class SimulatedRobot:
         )
         self._readings = np.zeros(1, dtype=np.int64)
         # these two compile, so that no reading waits for that
-        self._arms.step(first[None, None], ROW)
+        commands = first[None, None]
+        self._arms.step(commands, ROW)
         self._sensors.measured(self._arms.reading, self._readings, ROW)
-        generators = [np.random.default_rng(checked_count("seed", seed, 0))]
+        checked_seed = checked_count("seed", seed, 0)
+        generators = [np.random.default_rng(checked_seed)]
         episodes.begin(ROW, generators)
-        self._latency = delay + self._actuation.delay(0)
+        own_delay = self._actuation.delay(0)
+        self._latency = delay + own_delay
         self._acting = self._actuation.acting(first, 0)
         self._coming = deque[tuple[float, Array]]()  # commands by the time when they arrive [s]
         self._time = np.inf  # [s] of the arm, once it moves
@@ -107,7 +111,8 @@ class SimulatedRobot:
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
         fields = {name: getattr(noisy, name)[0].copy() for name in noisy._fields}
-        tip_twist = self._arms.reading.tip_twist[0].copy()
+        twist = self._arms.reading.tip_twist[0]
+        tip_twist = twist.copy()
         return Measurement(time, tip_twist=tip_twist, **fields)
 
     def write(self, command: Array) -> Array:
@@ -153,7 +158,8 @@ class SimulatedRobot:
             commands = self._acting[None, None]
             durations = np.array([[duration]])
             self._arms.step(commands, ROW, durations)
-            if self._arms.outcome.status[0] != OK:
+            code = self._arms.outcome.status[0]
+            if code != OK:
                 raise SimulationDiverged(
                     self._episodes.state(0),
                     self._episodes.cause(0),

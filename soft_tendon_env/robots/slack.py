@@ -100,7 +100,8 @@ def send_on_the_way(send: Callable[[Array], Any], command: Array, slack: Array, 
     """Sends a command on the way to slack; what comes of it stands in the stop."""
     try:
         send(command)
-        stop.slack = bool((command == slack).all())
+        is_slack = (command == slack).all()
+        stop.slack = bool(is_slack)
     except BaseException as error:
         # also those that are no Exception: there is nobody to raise them to
         stop.failures.append(first_line(error))

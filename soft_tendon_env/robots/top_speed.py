@@ -51,13 +51,16 @@ def top_speed(episodes: Episodes) -> float:
         pulled = np.where(pulls, strongest, rest)
         for command in (pulled, rest):
             for _ in range(periods):
-                episodes.arms.step(command[None, None], ROW)
-                if episodes.arms.outcome.status[0] != OK:
+                commands = command[None, None]
+                episodes.arms.step(commands, ROW)
+                code = episodes.arms.outcome.status[0]
+                if code != OK:
                     return np.inf
                 velocity = episodes.arms.reading.tip_twist[0, 3:]
                 speed = float(np.linalg.norm(velocity))
                 fastest = max(fastest, speed)
-    episodes.arms.place(ROW, episodes.starts.q[None], episodes.start_tension)
+    start_again = episodes.starts.q[None]
+    episodes.arms.place(ROW, start_again, episodes.start_tension)
     return MARGIN * fastest
 
 

@@ -105,7 +105,8 @@ class Range(NamedTuple):
         key = self.keys[0]
         least = self.changes(self.least)[key]
         greatest = self.changes(self.greatest)[key]
-        number = numbers.get(key, self.values[0])
+        usual = self.values[0]
+        number = numbers.get(key, usual)
         width = greatest - least
         return (number - least) / width
 
@@ -131,7 +132,8 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
         ConfigurationError: for keys of anything else, with those that there are.
     """
     entries = scene_entries(scene)
-    return tuple(_parameter(name, entries) for name in names)
+    parameters = (_parameter(name, entries) for name in names)
+    return tuple(parameters)
 
 
 def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
@@ -148,7 +150,8 @@ def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
         ConfigurationError: for keys and values that are not allowed.
     """
     effects = {key.split(".")[1] for key in changes if key.startswith("effects.")}
-    lacking_effects = effects - scene.effects.chosen().keys()
+    known = scene.effects.chosen().keys()
+    lacking_effects = effects - known
     tables = dict[str, Any]()
     for name, table in _idle_effects(lacking_effects).items():
         tables[f"effects.{name}"] = table
@@ -314,7 +317,8 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
     for key, value in entries.items():
         if isinstance(value, float) and _array_of(key) in arrays:
             sizes.append(abs(value))
-    values = tuple(entries[key] for key in keys)
+    numbers = (entries[key] for key in keys)
+    values = tuple(numbers)
     return Parameter(
         name,
         keys=tuple(keys),
@@ -330,7 +334,8 @@ def _array_of(key: str) -> str:
 
 def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     """Reason why a name stands for no parameter, for a message."""
-    for key in (name, f"{name}.0".replace(".*", "")):
+    first_entry = f"{name}.0".replace(".*", "")
+    for key in (name, first_entry):
         if key in entries:
             misfit = _misfit(key, entries[key])
             if misfit:
@@ -381,7 +386,8 @@ def _interval(key: str, value: Any) -> tuple[float, float]:
         least, greatest = pair
         if least <= greatest:
             return float(least), float(greatest)
-    _fail(key, f"has {shown(value)}: it should be {NUMBER}")
+    message = f"has {shown(value)}: it should be {NUMBER}"
+    _fail(key, message)
 
 
 def _is_number(value: Any) -> bool:

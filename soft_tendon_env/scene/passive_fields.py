@@ -60,9 +60,12 @@ class PassiveFields:
     @cached_property
     def digest(self) -> str:
         """16 hex digits of the numbers that they are made of."""
-        arrays = [self.borders.tolist(), self.coefficients.tolist()]
+        borders = self.borders.tolist()
+        coefficients = self.coefficients.tolist()
+        arrays = [borders, coefficients]
         numbers = json.dumps(arrays)
-        return hashlib.sha256(numbers.encode()).hexdigest()[:16]
+        digest = hashlib.sha256(numbers.encode())
+        return digest.hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
         """Returns the fewest fields whose errors are within a tolerance.
@@ -117,7 +120,9 @@ class PassiveFields:
         Returns:
             True if segments and tendons have the same geometry.
         """
-        return _geometry(self.arm) == _geometry(arm_of(scene))
+        own = _geometry(self.arm)
+        expected = _geometry(arm_of(scene))
+        return own == expected
 
     def is_of(self, scene: Scene) -> bool:
         """Tells whether the fields were made for an arm of this material and these limits.
@@ -232,7 +237,8 @@ def read_fields(path: Path) -> PassiveFields:
         pieces = fields.borders.size - 1
         shape = (count, pieces, 6, SNAPSHOT_ORDER + 1)
         is_finite = np.isfinite(coefficients).all()
-        if coefficients.shape != shape or not is_finite:
+        is_other = coefficients.shape != shape
+        if is_other or not is_finite:
             raise ValueError(
                 f"its coefficients should be finite and of shape {shape}, not {coefficients.shape}"
             )
@@ -334,7 +340,8 @@ def fields_of(scene: Scene) -> PassiveFields:
         raise _passive_error("file", text)
     count = len(fields.coefficients)
     if passive.fields > count:
-        raise _passive_error("fields", f"is {passive.fields}: there are {count} of this arm")
+        message = f"is {passive.fields}: there are {count} of this arm"
+        raise _passive_error("fields", message)
     # those that are named by their digest were chosen as they are
     if passive.digest is None:
         misfit = fields.misfit(scene)
@@ -359,7 +366,8 @@ def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
             return _read_once(Path(passive.file))
         fields = find_fields(scene, passive.digest)
     except (OSError, ValueError) as error:
-        raise _passive_error("file", f"is {passive.file!r}: {error}") from None
+        message = f"is {passive.file!r}: {error}"
+        raise _passive_error("file", message) from None
     if fields is None:
         text = "names passive fields that this arm has not: `soft-tendon fields SCENE` makes them"
         raise _passive_error("file", text)
@@ -368,4 +376,5 @@ def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
 
 def _passive_error(key: str, text: str) -> ConfigurationError:
     """Error about a key of the table `strain.passive`."""
-    return ConfigurationError([Problem(("strain", "passive", key), text)])
+    problem = Problem(("strain", "passive", key), text)
+    return ConfigurationError([problem])

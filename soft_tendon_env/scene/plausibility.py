@@ -156,7 +156,8 @@ def scales_of(scene: Scene) -> ArmScales:
     retardation_times = viscous_bending / bending
     longest_time = np.max(retardation_times)
     damping_ratio = float(0.5 * rate * longest_time)
-    moduli = stretch / (np.pi * radius**2)
+    area = np.pi * radius**2
+    moduli = stretch / area
     limits = [abs(limit) for tendon in scene.tendons for limit in tendon.tension_limits]
     return ArmScales(
         length,
@@ -172,7 +173,8 @@ def scales_of(scene: Scene) -> ArmScales:
 
 def _middles_of_parts(start: float, end: float) -> Array:
     """Middles (PLACES,) [m] of equal parts between two arc lengths [m]."""
-    shares = (np.arange(PLACES) + 0.5) / PLACES
+    numbers = np.arange(PLACES) + 0.5
+    shares = numbers / PLACES
     return start + (end - start) * shares
 
 
@@ -260,7 +262,8 @@ def _of_segment(segment: Segment, key: str, arm: ArmScales) -> Iterator[Quantity
     torsion, *bends = segment.curvature
     curvature = math.hypot(*bends)
     curvature_key = f"{key}.curvature"
-    yield Quantity("bow", curvature_key, curvature, curvature * arm.radius)
+    bow = curvature * arm.radius
+    yield Quantity("bow", curvature_key, curvature, bow)
     total = math.hypot(torsion, curvature)
     turned_angle = total * segment.length
     turns = turned_angle / (2.0 * math.pi)
@@ -285,7 +288,8 @@ def _of_discs(discs: Discs, key: str, arm: ArmScales) -> Iterator[Quantity]:
 
 def _of_stiffness(section: Stiffness, length: float, key: str) -> Iterator[Quantity]:
     """Numbers of a section that are stiffnesses, beside each other and its radius."""
-    places = length * np.array([0.0, 0.5, 1.0])
+    shares = np.array([0.0, 0.5, 1.0])
+    places = length * shares
     radii, _ = section.outer_radius(places, length)
     radius = float(np.median(radii))
     for stiffness in section.bending:
@@ -326,7 +330,8 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
     # tendons of backbones run through discs, which a scene need not have, and those of soft
     # bodies inside of them
     has_discs = bool(disc_rows(scene).size)
-    is_thick = arm.radius > SLENDER * arm.length
+    slender_radius = SLENDER * arm.length
+    is_thick = arm.radius > slender_radius
     is_soft = arm.modulus < SOFT and is_thick
     if is_soft and not has_discs:
         places = _middles_of_parts(start, end)
@@ -343,9 +348,11 @@ def _of_angles(key: str, angles: tuple[float, ...]) -> Iterator[Quantity]:
     """Angles in degrees: 1 where the size of one is a usual part of a turn in radians."""
     usual = np.array(RADIANS + MORE_RADIANS)
     for angle in angles:
-        difference = np.abs(abs(angle) - usual)
+        from_usual = abs(angle) - usual
+        difference = np.abs(from_usual)
         is_usual = difference <= SAME_ANGLE * usual
-        yield Quantity("radians", key, angle, float(is_usual.any()))
+        is_any_usual = float(is_usual.any())
+        yield Quantity("radians", key, angle, is_any_usual)
 
 
 def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -401,7 +408,8 @@ def _sag(force: float, arm: ArmScales) -> float:
     if force < HEAVY * own_weight:
         return 0.0
     # F l^2 / (2 E I)
-    return force * arm.length**2 / (2.0 * arm.bending)
+    doubled_bending = 2.0 * arm.bending
+    return force * arm.length**2 / doubled_bending
 
 
 def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
@@ -425,7 +433,8 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     acceleration = math.hypot(*motion.acceleration)
     yield Quantity("motion of the base", f"{key}.acceleration", acceleration, acceleration)
     amplitude = math.hypot(*motion.amplitude)
-    yield Quantity("motion of the base", f"{key}.amplitude", amplitude, rate**2 * amplitude)
+    acceleration_size = rate**2 * amplitude
+    yield Quantity("motion of the base", f"{key}.amplitude", amplitude, acceleration_size)
     amplitude_share = amplitude / arm.length
     yield Quantity("swing", f"{key}.amplitude", amplitude, amplitude_share)
     velocity = math.hypot(*motion.velocity)
@@ -455,7 +464,8 @@ def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
             sizes = map(abs, getattr(elasticity, name))
             greatest = max(sizes, default=0.0)
             share = greatest / arm.length
-            yield Quantity("displacement", f"{key}.{name}", greatest, share)
+            option = f"{key}.{name}"
+            yield Quantity("displacement", option, greatest, share)
     friction = effects.tendon_friction
     if friction is not None:
         key = "effects.tendon_friction"
@@ -470,7 +480,8 @@ def _of_actuators(actuators: Actuators, arm: ArmScales) -> Iterator[Quantity]:
     key = "effects.actuators"
     for name in ("time_constant", "delay"):
         value = getattr(actuators, name)
-        yield Quantity("lag", f"{key}.{name}", value, value)
+        option = f"{key}.{name}"
+        yield Quantity("lag", option, value, value)
     limit = actuators.rate_limit
     if limit is not None and arm.pull:
         limit_share = limit / arm.pull
@@ -523,7 +534,8 @@ def _of_obstacle(obstacle: Any, distance: float, key: str, arm: ArmScales) -> It
         value = getattr(obstacle, name, 0.0)
         size = float(np.max(value))
         size_share = size / arm.length
-        yield Quantity("obstacle", f"{key}.{name}", size, size_share)
+        option = f"{key}.{name}"
+        yield Quantity("obstacle", option, size, size_share)
     speed = math.hypot(*obstacle.velocity)
     yield Quantity("current", f"{key}.velocity", speed, speed)
     yield from _of_signal(obstacle, key, arm)

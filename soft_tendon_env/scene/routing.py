@@ -98,7 +98,8 @@ class LinearTaper(Taper):
     tip: Length
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        slope = (self.tip - self.base) / segment_length
+        change = self.tip - self.base
+        slope = change / segment_length
         size = self.base + slope * arc_length
         return size, np.full_like(arc_length, slope)
 
@@ -127,7 +128,8 @@ class TaperTable(Taper):
 
     def misfit(self, segment_length: float) -> str | None:
         first, *_, last = self.arc_length
-        ends_there = abs(last - segment_length) <= ROUND_OFF * segment_length
+        distance = abs(last - segment_length)
+        ends_there = distance <= ROUND_OFF * segment_length
         if first == 0.0 and ends_there:
             return None
         return (
@@ -205,7 +207,8 @@ class StraightRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         yz = np.array(self.offset)
-        offset = np.tile(yz, (len(arc_length), 1))
+        repeats = (len(arc_length), 1)
+        offset = np.tile(yz, repeats)
         return offset, np.zeros_like(offset)
 
 
@@ -224,12 +227,15 @@ class ConvergingRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         start, end = ends
-        way = np.array(self.end_offset) - self.start_offset
+        end_offset = np.array(self.end_offset)
+        way = end_offset - self.start_offset
         slope = way / (end - start)
         from_start = arc_length - start
-        offset = self.start_offset + np.outer(from_start, slope)
+        change = np.outer(from_start, slope)
+        offset = self.start_offset + change
         # the same at all arc lengths
-        slopes = np.tile(slope, (len(arc_length), 1))
+        repeats = (len(arc_length), 1)
+        slopes = np.tile(slope, repeats)
         return offset, slopes
 
 
@@ -280,7 +286,9 @@ class HelixRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
+        phase = np.deg2rad(self.phase)
+        turned = self.angular_rate * arc_length
+        angle = phase + turned
         y = self.radius * np.cos(angle)
         z = self.radius * np.sin(angle)
         offset = np.stack([y, z], axis=-1)
@@ -318,7 +326,8 @@ class TableRouting(TendonRouting):
         # here: it takes longer to import than all else that most scenes need
         from scipy.interpolate import CubicSpline
 
-        points = np.column_stack([self.y, self.z])
+        columns = [self.y, self.z]
+        points = np.column_stack(columns)
         curve = CubicSpline(self.arc_length, points)
         offset = curve(arc_length)
         slope = curve(arc_length, 1)

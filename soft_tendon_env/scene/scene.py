@@ -184,7 +184,8 @@ class Segment(Configuration):
 
     def _disc_problems(self, discs: Discs) -> list[Problem]:
         """Problem of discs that are beyond the segment, or inside of the rod."""
-        places = discs.rows(self.length)[:, 0]
+        rows = discs.rows(self.length)
+        places = rows[:, 0]
         last = places.max()
         end = self.length * (1 + SAME_PLACE)
         if last > end:
@@ -452,7 +453,8 @@ def along_rod(
         parts.append((is_inside, own_values))
     _, first_values = parts[0]
     count = len(first_values)
-    together = np.empty((count, *arc_length.shape))
+    shape = (count, *arc_length.shape)
+    together = np.empty(shape)
     for is_inside, part in parts:
         together[:, is_inside] = part
     return together

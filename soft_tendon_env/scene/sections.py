@@ -298,7 +298,8 @@ class Rectangle(Flat):
         short, long = np.sort(sizes, axis=0)
         ratio = short / long
         # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
-        argument = 0.5 * np.pi * ODD / ratio
+        scaled_orders = 0.5 * np.pi * ODD
+        argument = scaled_orders / ratio
         remainder = 1.0 - np.tanh(argument)
         lacking = remainder / ODD**5
         series = SUM_OF_ODD - lacking.sum(axis=0)
@@ -399,7 +400,8 @@ class Ellipse(Flat):
         along_y = cosine**2 / a**2
         sine = np.sin(angle)
         along_z = sine**2 / b**2
-        radius = 1.0 / np.sqrt(along_y + along_z)
+        reciprocal = np.sqrt(along_y + along_z)
+        radius = 1.0 / reciprocal
         # r' = r^3 ((cos / a)^2 a' / a + (sin / b)^2 b' / b)
         of_a = along_y * a_slope / a
         of_b = along_z * b_slope / b
@@ -454,7 +456,8 @@ class Stiffness(Section):
             shares = [0.5 * mass, 0.25 * mass, 0.25 * mass]
             unit_rotary = np.outer(shares, ones)
             rotary = unit_rotary * radius**2
-        moving = np.outer([mass, mass, mass], ones)
+        masses = [mass, mass, mass]
+        moving = np.outer(masses, ones)
         inertia = np.concatenate([rotary, moving])
         return np.stack([elasticity, viscosity, inertia])
 
@@ -511,5 +514,6 @@ class Discs(Configuration):
             places = np.array(self.places)
         thickness = self.thickness or 0.0
         disc = [self.mass, self.radius, thickness]
-        discs = np.tile(disc, (places.size, 1))
+        repeats = (places.size, 1)
+        discs = np.tile(disc, repeats)
         return np.column_stack([places, discs])

@@ -115,7 +115,8 @@ def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Arra
     is_inside = is_behind_start & is_before_end
     polynomials = legendre.legvander(on_unit, order)
     values = polynomials * is_inside[..., None]
-    return np.asarray(np.moveaxis(values, -1, 0))
+    fields = np.moveaxis(values, -1, 0)
+    return np.asarray(fields)
 
 
 class Snapshots(Configuration):

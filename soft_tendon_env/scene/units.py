@@ -111,7 +111,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     if not SHORTEST_ROD <= length <= LONGEST_ROD:
         question = _ask(length, USUAL_LENGTH, UNITS)
         yield f"the rod is {length:g} m long{question}"
-    distance = max(map(abs, scene.base.position))
+    distances = map(abs, scene.base.position)
+    distance = max(distances)
     if distance > FAR_BASE * length:
         yield (
             f"base.position is up to {distance:g} m from the origin of an arm of {length:g}"
@@ -155,7 +156,8 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
         question = _ask(E, usual, MODULI)
         yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
     # the strain at the base of a standing rod
-    compression = GRAVITY * density * length / E
+    weight = GRAVITY * density * length
+    compression = weight / E
     if not LIGHTEST <= density <= HEAVIEST:
         question = _ask(density, USUAL_DENSITY, DENSITIES)
         yield f"segments[{i}].density is {density:g} kg/m^3{question}"
@@ -183,7 +185,8 @@ class _Path(NamedTuple):
         start, end = tendon_ends(scene, tendon)
         length = end - start
         shares = np.arange(PLACES) + 0.5
-        places = start + length * shares / PLACES
+        from_start = length * shares / PLACES
+        places = start + from_start
         offset, _ = tendon_offset(scene, tendon, places)
         radius, _ = rod_radius(scene, places)
         bending, stretch = along_rod(scene, places, _stiffness)

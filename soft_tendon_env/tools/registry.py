@@ -188,7 +188,8 @@ def check_class(kind: str, name: str, thing: Any, *bases: type) -> None:
     Raises:
         TypeError: it is no subclass of a base, or lacks methods that the base leaves open.
     """
-    if not isinstance(thing, type) or not issubclass(thing, bases):
+    is_class = isinstance(thing, type)
+    if not is_class or not issubclass(thing, bases):
         names = (f"{base.__module__}.{base.__qualname__}" for base in bases)
         valid = " or ".join(names)
         raise TypeError(f"the {kind} {name!r} should be a subclass of {valid}, not {shown(thing)}")
