@@ -418,8 +418,17 @@ def _distance(tracking: Tracking) -> Array:
     return tracking.distance
 
 
+POSITION = TrackingError(
+    "position_error", "position", "tip position error [m]", 0.05, _distance, of_length=True
+)
+
+
 def _angle(tracking: Tracking) -> Array:
     return tracking.angle
+
+
+ANGLE_TEXT = "angle between the tip's and the target's frame [rad]"
+ANGLE = TrackingError("angle_error", "angle", ANGLE_TEXT, 0.5, _angle)
 
 
 def _backbone_distance(tracking: Tracking) -> Array:
@@ -431,42 +440,21 @@ def _backbone_distance(tracking: Tracking) -> Array:
     return np.asarray(np.sqrt(mean_square))
 
 
+BACKBONE_TEXT = "root mean square distance between backbone and target [m]"
+BACKBONE = TrackingError(
+    "backbone_error", "backbone", BACKBONE_TEXT, 0.05, _backbone_distance, of_length=True
+)
+
+
 def _coordinate_distance(tracking: Tracking) -> Array:
     target = tracking.target.q[:, 0]
     return norm(target - tracking.q)
 
 
-POSITION = TrackingError(
-    name="position_error",
-    term="position",
-    description="tip position error [m]",
-    scale=0.05,
-    value=_distance,
-    of_length=True,
-)
-ANGLE = TrackingError(
-    name="angle_error",
-    term="angle",
-    description="angle between the tip's and the target's frame [rad]",
-    scale=0.5,
-    value=_angle,
-)
-BACKBONE = TrackingError(
-    name="backbone_error",
-    term="backbone",
-    description="root mean square distance between backbone and target [m]",
-    scale=0.05,
-    value=_backbone_distance,
-    of_length=True,
-)
+COORDINATES_TEXT = "norm of the coordinates' error, newton for tensions"
 COORDINATES = TrackingError(
-    name="coordinate_error",
-    term="coordinates",
-    description="norm of the coordinates' error, newton for tensions",
-    scale=10.0,
-    value=_coordinate_distance,
+    "coordinate_error", "coordinates", COORDINATES_TEXT, 10.0, _coordinate_distance
 )
-
 
 ERRORS = (POSITION, ANGLE, BACKBONE, COORDINATES)
 """Errors of the package, whose terms no other may be called."""
