@@ -72,7 +72,8 @@ class Arms:
         self.size = rows
         self.period = period
         self.places = model.grid.places(stations, sensors)
-        most = min(threads or processors(), rows // LEAST_ROWS)
+        workers = threads or processors()
+        most = min(workers, rows // LEAST_ROWS)
         self.threads = max(1, most)
         control = step_control(model, period)
         method = step_method(model)

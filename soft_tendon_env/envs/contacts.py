@@ -76,7 +76,8 @@ class ObstacleFreeSpace:
         scene = model.scene
         self._arms = arms
         without_obstacles = {"effects": scene.effects.everywhere()}
-        self.model = model.with_scene(scene.model_copy(update=without_obstacles))
+        bare_scene = scene.model_copy(update=without_obstacles)
+        self.model = model.with_scene(bare_scene)
         self._contact = scene.effects.contact
         self._parameters = self._contact.parameters(model.discretisation)  # once for all poses
         places = self._contact.sample_places(model.discretisation)
@@ -89,8 +90,11 @@ class ObstacleFreeSpace:
         reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
         depths = []
         for poses in reading.backbone:
-            gaps = np.empty((len(self._contact.obstacles), len(poses)))
-            read_gaps(self._parameters, np.ascontiguousarray(poses), 0.0, gaps)
-            depths.append(deepest(self._contact, gaps, standing=True).depth)
+            shape = (len(self._contact.obstacles), len(poses))
+            gaps = np.empty(shape)
+            in_order = np.ascontiguousarray(poses)
+            read_gaps(self._parameters, in_order, 0.0, gaps)
+            deepest_place = deepest(self._contact, gaps, standing=True)
+            depths.append(deepest_place.depth)
         is_clear = np.array(depths) < 0.0
         return has_strain & is_clear

@@ -488,8 +488,10 @@ class Episodes:
 
         shape = (members.size, 1)
         tension = np.tile(self.start_tension, shape)
-        command = np.tile(self.start_command, (members.size, 1))
-        rests = np.array([arm.rest for arm in drawn.values()])
+        repeats = (members.size, 1)
+        command = np.tile(self.start_command, repeats)
+        rest_rows = [arm.rest for arm in drawn.values()]
+        rests = np.array(rest_rows)
         self.arms.place(members, rests, tension)
         self.step_count[members] = 0
         action = self.actions.action(command, command)
@@ -665,7 +667,8 @@ class Episodes:
     def _goal(self, position: Array) -> NDArray[np.float32]:
         """Positions (rows, 3) [m] of the tip as goals, within their space."""
         bound = np.float32(self.goal_bound)
-        raised = np.maximum(position.astype(np.float32), -bound)
+        single = position.astype(np.float32)
+        raised = np.maximum(single, -bound)
         return np.minimum(raised, bound)
 
     def _seen(self, measured: Reading | Measured, error: Array) -> Observed:

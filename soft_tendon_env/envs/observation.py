@@ -183,10 +183,14 @@ def _target_from_tip(observed: Observed) -> Array:
     r = observed.tip_pose[:, None, :3, 3:]
     target = observed.target.tip_pose
     # g^-1 g_bar = R^T [R_bar, r_bar] - R^T r [0, 0, 0, 1]; products as sums over rows of R
-    products = R[..., None] * target[:, :, :3, None, :]
+    factors = R[..., None]
+    axes = target[:, :, :3, None, :]
+    products = factors * axes
     turned = products.sum(2)
     place_of_tip = (R * r).sum(2)
-    offset = place_of_tip[..., None] * target[:, :, 3:, :]
+    place = place_of_tip[..., None]
+    last_row = target[:, :, 3:, :]
+    offset = place * last_row
     seen = turned - offset
     columns = seen[..., POSITION_AND_COLUMNS].swapaxes(2, 3)
     return columns.reshape(*columns.shape[:2], 9)
@@ -375,7 +379,8 @@ class Layout:
             self.slices[HISTORY] = slice(end, history_end)
         scaled = CHANGE * unit[self.kept]
         unit_of_changes = np.tile(scaled, history)
-        scaled_bound = 2.0 / CHANGE * self.bound[self.kept]
+        kept_bound = self.bound[self.kept]
+        scaled_bound = 2.0 / CHANGE * kept_bound
         bound_of_changes = np.tile(scaled_bound, history)
         self._units = np.concatenate([unit, unit_of_changes])
         every_bound = np.concatenate([self.bound, bound_of_changes])
@@ -384,7 +389,8 @@ class Layout:
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """The groups' observation now, a new array (rows, size of the groups)."""
-        parts = [group.values(observed) for group in self.groups.values()]
+        groups = self.groups.values()
+        parts = [group.values(observed) for group in groups]
         values = np.concatenate(parts, axis=1)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self.scale, self.bound, present)
@@ -400,7 +406,8 @@ class Layout:
             By group (rows, size of the group), in the units of `Observed`.
         """
         unscaled = observation * self._units
-        return {name: unscaled[:, columns] for name, columns in self.slices.items()}
+        slices = self.slices.items()
+        return {name: unscaled[:, columns] for name, columns in slices}
 
 
 def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:

@@ -101,7 +101,8 @@ def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
 def _usual_preview(values: dict[str, Any]) -> tuple[float, ...]:
     """Default preview times [s] of options that are valid so far."""
     period = values.get("control_period", 0.0)
-    return max(0.1, period), max(0.2, 2 * period)
+    coarser = max(0.2, 2 * period)
+    return max(0.1, period), coarser
 
 
 class Options(Configuration):
@@ -372,7 +373,8 @@ def row_seeds(seed: Any, rows: int) -> list[int | None]:
         if own is None:
             seeds.append(None)
         else:
-            seeds.append(checked_count(f"seed[{row}]", own, 0))
+            row_seed = checked_count(f"seed[{row}]", own, 0)
+            seeds.append(row_seed)
     return seeds
 
 
@@ -490,7 +492,8 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     length = rod_length(scene)
     farthest = options.sensor_places(scene).max(initial=0.0)
     if farthest > length:
-        _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
+        message = f"names {farthest:g}: it should be at most the rod's length, {length:g}"
+        _fail("sensors", message)
     target = options.target or usual_target(task)
     leaves_nothing_open = checked_target(None, options, task, scene) is target
     if leaves_nothing_open and options.difficulty is not None:

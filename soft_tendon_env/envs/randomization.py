@@ -304,7 +304,8 @@ class Sensors:
         Returns:
             The measured values.
         """
-        at_end = members[step_count[members] % CHUNK == 0]
+        is_end = step_count[members] % CHUNK == 0
+        at_end = members[is_end]
         for row in at_end:
             self._draw_chunk(row)
         noise = self._noise_now(step_count)
@@ -329,7 +330,8 @@ class Sensors:
         sample = step_count % CHUNK
         drawn = self._noise[rows, sample]
         noise = drawn * self._is_noisy
-        return {part: noise[:, columns] for part, columns in self._columns.items()}
+        slices = self._columns.items()
+        return {part: noise[:, columns] for part, columns in slices}
 
 
 def _moved(pose: Array, position: Array, rotation: Array) -> Array:

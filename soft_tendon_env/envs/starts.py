@@ -93,7 +93,8 @@ class Starts:
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
         if effects.contact is not None:
             free = ObstacleFreeSpace(arms)
-            rests_clear = free.holds(self.q[None]).all()
+            is_clear = free.holds(self.q[None])
+            rests_clear = is_clear.all()
             if rests_clear:  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
         self._usual = Drawn(model, self.q)
@@ -208,7 +209,8 @@ class Starts:
             shares = random.random(len(self._ranges))
             omitted = None
             if self._omit:
-                omitted = random.random(shares.size) < self._omit
+                draws = random.random(shares.size)
+                omitted = draws < self._omit
             try:
                 return self._make_arm(shares, omitted)
             except ConfigurationError:

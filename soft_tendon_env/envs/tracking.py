@@ -300,7 +300,8 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     x = way[..., 0]
     y = way[..., 1]
     z = way[..., 2]
-    square = x * x + y * y + z * z
+    in_plane = x * x + y * y
+    square = in_plane + z * z
     return np.asarray(np.sqrt(square))
 
 
@@ -328,7 +329,8 @@ def goal_reward(
     if not dense:
         return np.asarray(distance <= threshold, dtype=np.float64)
     grades = [closeness(distance, grade * HALF * threshold) for grade in GRADES]
-    return np.asarray(sum(grades) / len(GRADES))
+    mean_grade = sum(grades) / len(GRADES)
+    return np.asarray(mean_grade)
 
 
 class Tracking(NamedTuple):
@@ -434,7 +436,8 @@ ANGLE = TrackingError("angle_error", "angle", ANGLE_TEXT, 0.5, _angle)
 def _backbone_distance(tracking: Tracking) -> Array:
     """Root mean square distances (rows,) [m] of the stations from those of the target."""
     stations = tracking.reading.backbone[..., :3, 3]
-    differences = tracking.target.backbone[:, 0] - stations
+    target = tracking.target.backbone[:, 0]
+    differences = target - stations
     distances = norm(differences)
     mean_square = np.mean(distances**2, axis=1)
     return np.asarray(np.sqrt(mean_square))

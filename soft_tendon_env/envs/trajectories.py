@@ -153,7 +153,8 @@ class TargetTrajectories:
         else:
             count = FIRST_CHUNK + self._longest
         counts = np.arange(start, start + count)
-        return np.asarray(self._first[row] + counts)
+        numbers = self._first[row] + counts
+        return np.asarray(numbers)
 
     def _keep(
         self,
@@ -276,7 +277,8 @@ class TargetTrajectories:
         rows = len(step_count)
         count = self._table.ahead.size
         pose = np.empty((rows, count, 4, 4))
-        shape = (rows, count, self._borders[-1])
+        width = self._borders[-1]
+        shape = (rows, count, width)
         other = np.empty(shape)
         error = np.empty((rows, count, 6))
         offset = np.empty((2, rows))
@@ -313,7 +315,8 @@ class TargetTrajectories:
                 f" for {periods}"
             )
         ahead = np.arange(1 + periods)
-        place = (step_count[:, None] + ahead) % self._room
+        numbers = step_count[:, None] + ahead
+        place = numbers % self._room
         rows = np.arange(len(place))
         row = rows[:, None]
         pose = self._table.pose[row, place]
@@ -448,7 +451,8 @@ class TargetDraws:
         tip: Array,
     ) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
-        time = np.array([self._period * first])
+        seconds = self._period * first
+        time = np.array([seconds])
         (samples,) = self._trajectories.sample([course], [time])
         position = samples.tip_pose[0, :3, 3]
         start = position.astype(np.float32)

@@ -37,13 +37,15 @@ def _position_square(trajectories: Trajectories, position: float, angle: float) 
 
 
 def _angle_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
-    ratio = trajectories.error[..., :3] / angle
+    angles = trajectories.error[..., :3]
+    ratio = angles / angle
     return ratio.square().sum(-1)
 
 
 def _backbone_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
     ratio = trajectories.backbone_error / position
-    return ratio.square().sum(-1).mean(-1)
+    squares = ratio.square().sum(-1)
+    return squares.mean(-1)
 
 
 SQUARES: Mapping[str, Square] = {
@@ -126,7 +128,8 @@ class TrackingCost:
         # Cauchy's loss, and a distance whose gradient does not fade far off
         near = 0.5 * total.log1p()
         far = (1.0 + total).sqrt()
-        tracking = (near + settings.far_weight * far).mean()
+        weighted = near + settings.far_weight * far
+        tracking = weighted.mean()
         change = trajectories.action_change.square().mean()
         return tracking + settings.smoothness * change
 

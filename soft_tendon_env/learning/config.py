@@ -113,7 +113,8 @@ class Training(Configuration):
         Returns:
             The seed.
         """
-        sequence = np.random.SeedSequence((self.seed, done))
+        seeds = (self.seed, done)
+        sequence = np.random.SeedSequence(seeds)
         (word,) = sequence.generate_state(1, np.uint64)
         drawn = word >> np.uint64(16)
         return SEEDS["training"].start + int(drawn)

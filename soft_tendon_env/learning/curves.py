@@ -64,7 +64,8 @@ def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
         by_steps = {row["steps"]: row for row in rows}
         runs.append(by_steps)
     if runs:
-        steps = sorted(set.intersection(*map(set, runs)))
+        common_steps = set.intersection(*map(set, runs))
+        steps = sorted(common_steps)
     else:
         steps = []
     if not steps:
@@ -155,5 +156,6 @@ def show_curves(folders: Sequence[Path]) -> bool:
         key = next(errors)
         picture = folders[0].parent / f"learning_curves_{task}.png"
         draw_curves(of_task, key, picture)
-        print(f"\n## {task}\n\n{curve_table(of_task, key)}")
+        table = curve_table(of_task, key)
+        print(f"\n## {task}\n\n{table}")
     return bool(by_task)

@@ -239,7 +239,8 @@ class Teacher:
 def loss(means: Tensor, answers: Tensor) -> Tensor:
     """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
     raised = means.clamp(min=-1.0)
-    least = torch.where(answers <= -1.0, raised, means)
+    is_least = answers <= -1.0
+    least = torch.where(is_least, raised, means)
     lowered = means.clamp(max=1.0)
     bounded = torch.where(answers >= 1.0, lowered, least)
     return torch.nn.functional.smooth_l1_loss(bounded, answers, beta=EXACT)
@@ -272,7 +273,8 @@ class DAgger(ActorAlgorithm):
             )
         # what a loaded training has already
         known = vars(self)
-        known.setdefault("generator", np.random.default_rng(self.seed))
+        generator = np.random.default_rng(self.seed)
+        known.setdefault("generator", generator)
         known.setdefault("_shown", [])
         episodes = self.rows.episodes
         if "_teacher" not in known or self._teacher.episodes is not episodes:
@@ -309,7 +311,8 @@ class DAgger(ActorAlgorithm):
         """
         env: Any = self.env
         observation: Any = self._last_obs
-        for done in range(self.num_timesteps // self.n_envs, end):
+        begin = self.num_timesteps // self.n_envs
+        for done in range(begin, end):
             answers = self._teacher.actions()
             self._shown.append((observation, answers))
             actions = self._noisy_actions(observation, answers)

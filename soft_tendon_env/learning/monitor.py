@@ -247,7 +247,8 @@ class TrainingMonitor(ABC):
 
     def _seconds(self) -> float:
         """How long it has learned [s], without evaluations."""
-        elapsed = self._before + time.perf_counter() - self._started
+        now = self._before + time.perf_counter()
+        elapsed = now - self._started
         return elapsed - self._untimed
 
 

@@ -207,7 +207,8 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: distribution}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
-        values = self.policy.predict_values(batch[Columns.OBS])
+        observation = batch[Columns.OBS]
+        values = self.policy.predict_values(observation)
         return values.squeeze(-1)
 
 

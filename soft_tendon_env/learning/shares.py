@@ -99,7 +99,8 @@ def _early_turn(phase: float) -> float:
 
     It is that of an oscillator without damping, which swings as far beyond its rest as to it.
     """
-    return 1.0 - math.cos(min(phase, math.pi))
+    cosine = math.cos(min(phase, math.pi))
+    return 1.0 - cosine
 
 
 def _pace(scene: Scene, arm: ArmScales) -> float:
@@ -109,8 +110,10 @@ def _pace(scene: Scene, arm: ArmScales) -> float:
         payload = 0.0
     else:
         payload = tip_load.mass
-    loading = math.sqrt(1.0 + TIP_SHARE * payload / arm.mass)
-    period = 2.0 * math.pi / arm.rate * loading
+    whole_mass = 1.0 + TIP_SHARE * payload / arm.mass
+    loading = math.sqrt(whole_mass)
+    own_period = 2.0 * math.pi / arm.rate
+    period = own_period * loading
     return _rounded(max(1.0, SLOW * period))
 
 

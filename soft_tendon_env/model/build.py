@@ -131,4 +131,5 @@ def _check_coordinates(model: Model) -> None:
 
 def _strain_error(text: str, *keys: str) -> ConfigurationError:
     """Error about the scene's strain, or about a key of its table."""
-    return ConfigurationError([Problem(("strain", *keys), text)])
+    problem = Problem(("strain", *keys), text)
+    return ConfigurationError([problem])

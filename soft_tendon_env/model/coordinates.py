@@ -53,7 +53,8 @@ def coordinate_count(scene: Scene) -> int:
 
     They are counted where the points of the quadrature tell all of its fields apart.
     """
-    grid = make_grid(scene, max(COUNTING_INTERVALS, resolving_intervals(scene)))
+    intervals = max(COUNTING_INTERVALS, resolving_intervals(scene))
+    grid = make_grid(scene, intervals)
     stress_free = at_points(scene, grid)
     return make_strain(scene, grid, stress_free).size
 

@@ -120,7 +120,8 @@ class Balance:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
         unit = self.model.coordinate_scale()
-        computed = self._compute(q, part, True, np.diag(unit))
+        directions = np.diag(unit)
+        computed = self._compute(q, part, True, directions)
         if computed is None:
             return None
         evaluation, out = computed
@@ -149,7 +150,8 @@ class Balance:
         if np.isfinite(S).all() and self._is_symmetric(S):
             symmetric = 0.5 * (S + S.T)
             values, vectors = np.linalg.eigh(symmetric)
-            is_stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
+            least = NEUTRAL * np.linalg.norm(S)
+            is_stiff = np.abs(values) > least
             stiff_vectors = vectors[:, is_stiff]
             modes = self.model.metric_unit @ stiff_vectors
             stiff_values = values[is_stiff]
@@ -168,7 +170,8 @@ class Balance:
         arm = self.model.arm
         if isinstance(arm.strain, Loaded) and arm.strain.has_potential and not arm.effects.load:
             return True
-        asymmetry = np.linalg.norm(S - S.T)
+        difference = S - S.T
+        asymmetry = np.linalg.norm(difference)
         size = np.linalg.norm(S)
         return bool(asymmetry <= ASYMMETRIC * size)
 
@@ -287,7 +290,8 @@ class Balance:
         S = self._by_metric(point.stiffness)
         # of the state (q, q_dot): q_dot, and q_ddot = -M^-1 (S q + D q_dot)
         try:
-            both = np.hstack([-S, -D])
+            parts = [-S, -D]
+            both = np.hstack(parts)
             acceleration = np.linalg.solve(M, both)
         except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns
             return False
@@ -299,5 +303,6 @@ class Balance:
         # an oscillation turns, and grows by more than round-off while it turns
         turning = np.abs(rates.imag)
         growing_oscillation = np.minimum(turning, rates.real)
-        is_growing = growing_oscillation > NEUTRAL * np.abs(rates)
+        slow = NEUTRAL * np.abs(rates)
+        is_growing = growing_oscillation > slow
         return bool(is_growing.any())

@@ -91,7 +91,8 @@ def tension_for_tip_pose(
         raise ValueError(
             "pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R"
         )
-    search = _TipSearch(model, pose, ANGLE_WEIGHT * model.length)
+    angle_weight = ANGLE_WEIGHT * model.length
+    search = _TipSearch(model, pose, angle_weight)
     return search.nearest(start)
 
 

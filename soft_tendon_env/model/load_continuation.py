@@ -103,7 +103,8 @@ class LoadPath:
             point: of the path, from which it is followed.
         """
         balance = self.balance
-        way = balance.angle(point.tangent - self._answer)
+        change = point.tangent - self._answer
+        way = balance.angle(change)
         step = 1.0
         if way > FIRST_REACH:
             step = max(FIRST_REACH / way, LEAST_LOAD)
@@ -116,7 +117,8 @@ class LoadPath:
                 point = ahead
                 continue
             step = 0.5 * (aim - part)
-            is_shortest = step < max(SHORTEST * part, LEAST_LOAD)
+            shortest = max(SHORTEST * part, LEAST_LOAD)
+            is_shortest = step < shortest
             is_too_long = balance.linearisations > self.most
             if is_too_long and not is_shortest:
                 balance.obstacle = f"the path is too winding, {self.most} iterations did not do"
@@ -140,7 +142,8 @@ class LoadPath:
             return None
         # branches lie close where the arm is soft
         least = min(point.stability.least, ahead.stability.least)
-        soft = max(min(1.0, least / SOFT), SOFTEST)
+        softness = min(1.0, least / SOFT)
+        soft = max(softness, SOFTEST)
         q_ahead = ahead.evaluation.q
         correction = balance.angle(q_ahead - predicted)
         if correction <= soft * CORRECTION:

@@ -413,7 +413,8 @@ class Model:
             by_node = by_pack.swapaxes(1, 2).reshape(-1, 12)
         if effects is not None:
             state = checked_array("effects", effects, state.shape)
-        root = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6)
+        root_stiffness = grid.at_points(rod.root_stiffness, 6)
+        root = root_stiffness.reshape(-1, 6)
         stiffness = root**2
         weight = grid.weights.ravel()
         configured = Configured(

@@ -296,7 +296,8 @@ def _unloaded_share(
             continue
         from_base = [tip - base, fine_tip - base]
         distances = np.linalg.norm(from_base, axis=1)
-        if distances.max() <= FARTHEST * coarse.length:
+        allowed = FARTHEST * coarse.length
+        if distances.max() <= allowed:
             displacement = np.linalg.norm(fine_tip - tip)
             return float(displacement) / coarse.length
         tension = 0.5 * tension

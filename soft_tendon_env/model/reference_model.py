@@ -118,7 +118,8 @@ def reference_model(scene: Scene, level: Level, tolerance: float | None = None) 
     per_part = INTERVALS * level.order / parts
     intervals = math.ceil(per_part)
     resolving = order + SPARE_INTERVALS
-    return model_on(scene.replace(changes), max(resolving, intervals))
+    finest = max(resolving, intervals)
+    return model_on(scene.replace(changes), finest)
 
 
 def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
@@ -190,7 +191,8 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
         if last_tip is not None:
             change = float(np.linalg.norm(reference_tip - last_tip))
         negligible = NEGLIGIBLE * model.length
-        if change <= max(AGREED * error, negligible):
+        allowed = max(AGREED * error, negligible)
+        if change <= allowed:
             return error
         bound = error + change
         last_tip = reference_tip

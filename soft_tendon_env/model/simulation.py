@@ -675,13 +675,16 @@ def period_derivatives(
     # steps of the differences, by the unit of every input
     effects = model.scene.effects
     scale = model.coordinate_scale()
-    state_unit = np.maximum(np.abs(start.state), LEAST_STATE_UNIT)
+    state_size = np.abs(start.state)
+    state_unit = np.maximum(state_size, LEAST_STATE_UNIT)
     limits = effects.command_limits(model.discretisation.tension_limits)
     command_unit = np.abs(limits).max(axis=1)
     rate_unit = RATE_UNIT * scale
-    unit = np.concatenate([scale, rate_unit, state_unit, command_unit])
+    units = [scale, rate_unit, state_unit, command_unit]
+    unit = np.concatenate(units)
     step = DIFFERENCE_SHARE * unit
-    is_contact = (effect.is_contact for effect in effects.chosen().values())
+    chosen = effects.chosen().values()
+    is_contact = (effect.is_contact for effect in chosen)
     has_contact = any(is_contact)
     if has_contact:
         step *= CONTACT_FACTOR

@@ -98,7 +98,8 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
         checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,))
         for name in ("q", "q_dot")
     )
-    shape = (2 * int(model.grid.real.sum()), 6)
+    points = int(model.grid.real.sum())
+    shape = (2 * points, 6)
     strain = checked_array("state.strain", state.strain, shape)
     if tuple(state.names) != model.state_names:
         wanted, given = (

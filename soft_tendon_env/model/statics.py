@@ -245,14 +245,18 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         with erring_actuators():  # a word of the command is enough
             equilibrium = static_equilibrium(model, u, guess)
         # tensions of the springs: k (command - shortening), within what drives can hold
-        shortening = path.length - model.tendon_lengths(equilibrium.q)
+        lengths = model.tendon_lengths(equilibrium.q)
+        shortening = path.length - lengths
         stretch = command_values - shortening
         pull = path.stiffness * stretch
         spring_tension = np.clip(pull, 0.0, path.strength)
-        largest = np.abs(spring_tension).max() + np.abs(u).max()
+        spring_size = np.abs(spring_tension).max()
+        command_size = np.abs(u).max()
+        largest = spring_size + command_size
         per_length = model.length * path.stiffness
         same = SAME_TENSION * (largest + per_length)
-        is_same = np.abs(spring_tension - u) <= same
+        difference = np.abs(spring_tension - u)
+        is_same = difference <= same
         if not equilibrium.converged or is_same.all():
             iterations = equilibrium.iterations + iteration
             return dataclasses.replace(equilibrium, iterations=iterations), u

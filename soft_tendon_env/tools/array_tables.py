@@ -51,7 +51,8 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
         columns |= _columns(name, array, row_count)
     texts = list[list[str]]()
     for column in columns.values():
-        texts.append([_text(value) for value in column.tolist()])
+        column_texts = [_text(value) for value in column.tolist()]
+        texts.append(column_texts)
     rows = list[tuple[str, list[str]]]()
     for i, cells in enumerate(zip(*texts, strict=True)):
         where = f"{path}, row {i + 1}"

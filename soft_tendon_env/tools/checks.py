@@ -61,7 +61,8 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
     Raises TypeError or ValueError.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
+        message = f"{name} should be {allowed}, not {type(value).__name__}"
+        raise TypeError(message)
     if not (np.isfinite(value) and value >= least):
         raise ValueError(f"{name} should be {allowed}, not {value}")
     return float(value)
@@ -94,5 +95,6 @@ def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
 
 def shown_numbers(values: NDArray[np.float64]) -> str:
     """An array (m,) as text for an error message, in one line: [500, 0, 0.1235]."""
-    listed = ", ".join(f"{value:.4g}" for value in values)
+    texts = (f"{value:.4g}" for value in values)
+    listed = ", ".join(texts)
     return f"[{listed}]"

@@ -105,7 +105,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             TypeError: the thing or a detail is of the wrong type, or unknown.
         """
         if not isinstance(name, str) or not name:
-            raise TypeError(f"the name of a {self.kind} should be a text, not {shown(name)}")
+            message = f"the name of a {self.kind} should be a text, not {shown(name)}"
+            raise TypeError(message)
         owner = self._modules.get(name, module)
         if owner != module:
             raise ValueError(
@@ -133,7 +134,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         for parameter in own:
             is_required = parameter.default is parameter.empty
             if is_required and parameter.name not in details:
-                raise TypeError(f"register({self.kind!r}, ...) needs {parameter.name}=...")
+                message = f"register({self.kind!r}, ...) needs {parameter.name}=..."
+                raise TypeError(message)
 
 
 Table = TypeVar("Table", bound=Configuration)

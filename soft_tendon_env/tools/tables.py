@@ -126,7 +126,8 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
         if not any(cells[len(header) :]):
             cells = cells[: len(header)]
         if not rows and _is_line_of_units(cells):
-            units = dict(zip(header, map(unit_of, cells), strict=False))
+            pairs = zip(header, map(unit_of, cells), strict=False)
+            units = dict(pairs)
             continue
         if len(cells) != len(header):
             raise ValueError(
@@ -257,7 +258,8 @@ def _whole_lines(path: Path, text: str) -> list[str]:
     last_count = _separator_count(lines[-1])
     count_before = _separator_count(lines[-2])
     is_shorter = last_count < count_before
-    if LOGGED not in lines[0] and not is_shorter:
+    is_plain = LOGGED not in lines[0]
+    if is_plain and not is_shorter:
         return lines
     warnings.warn(
         f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole",

@@ -115,7 +115,8 @@ class FileCourse(PoseCourse):
         quaternions = rows[:, 4:]
         self._rotations = Rotation.from_quat(quaternions, scalar_first=True)
         back = self._rotations[:-1].inv()
-        turns = (back * self._rotations[1:]).as_rotvec()
+        between = back * self._rotations[1:]
+        turns = between.as_rotvec()
         angles = np.linalg.norm(turns, axis=1)
         lengths = np.where(angles > 0.0, angles, 1.0)
         self._axes = turns / lengths[:, None]
@@ -133,7 +134,9 @@ class FileCourse(PoseCourse):
         They are 0 where the axes point away from each other: a turn rests before it goes back.
         """
         # the axis of a turn is the same in the frames of both its ends
-        products = self._axes[:-1] * self._axes[1:]
+        one_axis = self._axes[:-1]
+        next_axis = self._axes[1:]
+        products = one_axis * next_axis
         cosines = products.sum(axis=1)
         return np.asarray(np.maximum(cosines, 0.0))
 
@@ -151,7 +154,8 @@ class FileCourse(PoseCourse):
         turned = self._angle(held) - total
         vector = turned[:, None] * axis
         turn = Rotation.from_rotvec(vector)
-        R = (self._rotations[before] * turn).as_matrix()
+        rotations = self._rotations[before] * turn
+        R = rotations.as_matrix()
         shape = (times.size, 1, 1)
         pose = np.tile(np.eye(4), shape)
         pose[:, :3, :3] = R
@@ -174,7 +178,8 @@ def _monotone_slopes(times: Array, values: Array) -> Array:
     """
     from scipy.interpolate import PchipInterpolator
 
-    slopes: Array = PchipInterpolator(times, values).derivative()(times)
+    interpolant = PchipInterpolator(times, values)
+    slopes: Array = interpolant.derivative()(times)
     slopes[[0, -1]] = 0.0
     return slopes
 
@@ -187,7 +192,8 @@ def _read_poses(path: str) -> Array:
     table = read_table(Path(path), COLUMNS)
     missing = [name for name in COLUMNS if name not in table.header]
     if missing:
-        raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
+        message = f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}"
+        raise ValueError(message)
     columns = ((name, 1.0) for name in COLUMNS)
     rows = table.numbers(columns)
     if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:

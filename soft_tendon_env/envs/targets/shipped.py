@@ -61,7 +61,8 @@ class Hold(GivenShapes):
         kinds = {"tension": self.tension, "pose": self.pose, "position": self.position}
         chosen = [name for name, value in kinds.items() if value is not None]
         if len(chosen) > 1:
-            raise ValueError(f"should give {chosen[0]} or {chosen[1]}, not both")
+            message = f"should give {chosen[0]} or {chosen[1]}, not both"
+            raise ValueError(message)
         if self.pose is not None:
             g = np.array(self.pose)
             if not _is_pose(g):
@@ -123,7 +124,8 @@ class FixedPose(PoseCourse):
     def sample(self, times: Array) -> TargetSamples:
         shape = (times.size, 1, 1)
         pose = np.tile(self.pose, shape)
-        return pose_samples(pose, np.zeros((times.size, 6)))
+        no_twist = np.zeros((times.size, 6))
+        return pose_samples(pose, no_twist)
 
 
 def _drawn_shape(
@@ -280,7 +282,8 @@ class CircleCourse(PoseCourse):
         pose = np.tile(np.eye(4), shape)
         pose[:, :3, :3] = self._axes @ R
         circle = self.radius * outward
-        pose[:, :3, 3] = self.centre + circle @ self._axes.T
+        around = circle @ self._axes.T
+        pose[:, :3, 3] = self.centre + around
         return pose_samples(pose, twist)
 
     def _rotation(
@@ -300,7 +303,8 @@ class CircleCourse(PoseCourse):
         # no roll: the axes of the base, carried by the shortest turn
         second = c * radial - s * across
         third = s * radial + c * across
-        return np.stack([first, second, third], axis=-1)
+        columns = [first, second, third]
+        return np.stack(columns, axis=-1)
 
 
 @register("target", "circles")
@@ -372,7 +376,8 @@ class Either(Target):
         return len(self.of)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        number = int(generator.integers(len(self.of)))
+        drawn_number = generator.integers(len(self.of))
+        number = int(drawn_number)
         return self.of[number].draw(generator, setting)
 
 
@@ -417,10 +422,13 @@ class Rise(Tensions):
         x = share[:, None]
         factor = 10.0 + x * (6.0 * x - 15.0)
         part = x * x * x * factor
-        rising = 30.0 * x * x * (1.0 - x)
-        rate = rising * (1.0 - x) / self.duration
+        left = 1.0 - x
+        rate_of_share = 30.0 * x * x * left * left
+        rate = rate_of_share / self.duration
         change = part * self.change
-        return self.start + change, rate * self.change
+        value = self.start + change
+        value_rate = rate * self.change
+        return value, value_rate
 
 
 @register("target", "random")

@@ -53,7 +53,8 @@ class NoEquilibrium(ArithmeticError):
     """Tensions (n_a,) [N] that the arm cannot hold, and why."""
 
     def __init__(self, tension: Array, reason: str) -> None:
-        super().__init__(f"{shown_numbers(tension)} N: {reason}")
+        message = f"{shown_numbers(tension)} N: {reason}"
+        super().__init__(message)
 
 
 class Tensions:
@@ -120,7 +121,8 @@ def shape_course(
     reach = fraction * room
     low = reach[:, 0]
     high = reach[:, 1]
-    offset = generator.uniform(low, high, (count, middle.size))
+    shape = (count, middle.size)
+    offset = generator.uniform(low, high, shape)
     for halvings in range(HALVINGS + 1):
         points = middle + 0.5**halvings * offset
         try:
@@ -169,7 +171,8 @@ def _given_course(
         text = (
             f"is {shown(tension.tolist())}: it should be tensions that the arm can hold, not {why}"
         )
-        raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
+        problem = Problem(("target", "tension"), text)
+        raise ConfigurationError([problem], "environment") from error
 
 
 def _still(value: Array, times: Array, order: int = 0) -> Array:
@@ -339,7 +342,8 @@ class EquilibriumPath:
         rest = LoadPath(balance).equilibrium(guess, 1.0)
         angle = np.inf
         if rest is not None:
-            angle = balance.angle(rest.evaluation.q - guess)
+            difference = rest.evaluation.q - guess
+            angle = balance.angle(difference)
             if angle <= NEAR and rest.stability.stable:
                 self._q = rest.evaluation.q
                 self._tension = tension
