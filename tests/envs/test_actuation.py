@@ -61,8 +61,10 @@ def test_increments_add_up_within_their_rate_and_the_limits():
     np.testing.assert_allclose(
         tension_after(env, [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]), [2.0, 1.0, 1.0]
     )  # no wind-up at the limit
-    np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
-    np.testing.assert_allclose(tension_after(env, *[[1.0] * 3] * 9, [-1.0] * 3), 4.0)
+    actions = [[9.0, 0.1, 0.0]] * 7
+    np.testing.assert_allclose(tension_after(env, *actions), [5.0, 0.7, 0.0])
+    ups = [[1.0] * 3] * 9
+    np.testing.assert_allclose(tension_after(env, *ups, [-1.0] * 3), 4.0)
     np.testing.assert_array_equal(tension_after(env), 0.0)
 
 
@@ -136,7 +138,8 @@ def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
     options = Options(scene="three_tendon", action=action, randomize=Randomization(**randomize))
     if limits is None:
         limits = np.stack([LEAST, GREATEST], axis=1)
-    return Actuation(options, limits, BEFORE, share * np.ones(3), rows, 4)
+    greatest_share = share * np.ones(3)
+    return Actuation(options, limits, BEFORE, greatest_share, rows, 4)
 
 
 def test_increments_are_those_of_the_rate_over_a_period():
@@ -153,15 +156,19 @@ def test_drawn_actuators_err_within_their_ranges_and_are_told():
     for row in range(rows):
         actuators.begin(row, np.random.default_rng(row), BEFORE)
     for name, (least, greatest) in ranges.items():
-        values = np.array([actuators.drawn(row)[name] for row in range(rows)])
+        drawn_values = [actuators.drawn(row)[name] for row in range(rows)]
+        values = np.array(drawn_values)
         assert values.min() >= least
         assert values.max() <= greatest
         assert np.ptp(values) > 0.8 * (greatest - least)
     shares = actuators.shares()
     assert shares.shape == (rows, 7)
     told = actuators.drawn(5)
-    expected = [*(told["tension_gain"] - 0.8) / 0.4, *(told["tension_offset"] + 0.4) / 0.6]
-    np.testing.assert_allclose(shares[5], [*expected, (told["latency"] - 0.01) / 0.04])
+    gain_share = (told["tension_gain"] - 0.8) / 0.4
+    offset_share = (told["tension_offset"] + 0.4) / 0.6
+    expected = [*gain_share, *offset_share]
+    latency_share = (told["latency"] - 0.01) / 0.04
+    np.testing.assert_allclose(shares[5], [*expected, latency_share])
     command = np.array([1.0, 2.0, 3.0])
     acting = actuators.acting(command, 5)
     np.testing.assert_allclose(
@@ -185,8 +192,11 @@ def test_tendons_that_only_pull_go_slack():
     actuators = actuation(tension_offset=-5.0)
     actuators.begin(0, np.random.default_rng(0), BEFORE)
     np.testing.assert_array_equal(actuators.acting(np.array([0.0, 1.0, 3.0]), 0), [-1.0, 0.0, 0.0])
-    acting, _ = actuators.apply(np.zeros((2, 3)), np.array([0, 1]))
-    np.testing.assert_array_equal(acting[0], np.tile([-1.0, 0.0, 0.0], (4, 1)))
+    no_action = np.zeros((2, 3))
+    members = np.array([0, 1])
+    acting, _ = actuators.apply(no_action, members)
+    expected = np.tile([-1.0, 0.0, 0.0], (4, 1))
+    np.testing.assert_array_equal(acting[0], expected)
 
 
 @pytest.mark.parametrize(
@@ -201,11 +211,16 @@ def test_late_commands_take_over_within_a_period(latency, parts):
     assert actuators.delay(0) == pytest.approx(latency)
     history = [BEFORE] * 4
     for action in (0.5, -0.5, 0.25, 1.0):
-        acting, durations = actuators.apply(np.full((2, 3), action), np.array([1]))
+        actions = np.full((2, 3), action)
+        members = np.array([1])
+        acting, durations = actuators.apply(actions, members)
         np.testing.assert_allclose(durations[1], parts, atol=1e-12)
-        history.append(LEAST + 0.5 * (GREATEST - LEAST) * (action + 1.0))
-        newest = len(history) - 1 - int(latency / 0.02 + 1e-9)
-        np.testing.assert_allclose(acting[1], [history[newest - 1], history[newest]])
+        way = 0.5 * (GREATEST - LEAST) * (action + 1.0)
+        history.append(LEAST + way)
+        periods_late = int(latency / 0.02 + 1e-9)
+        newest = len(history) - 1 - periods_late
+        expected = [history[newest - 1], history[newest]]
+        np.testing.assert_allclose(acting[1], expected)
         np.testing.assert_array_equal(acting[0], [BEFORE, BEFORE])
         np.testing.assert_allclose(actuators.sent(1)[-1], history[-1])
     np.testing.assert_array_equal(actuators.command[0], BEFORE)
