@@ -613,9 +613,12 @@ def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
     errors = 3e-4 * ratio ** np.arange(6)
     changes = errors[:-1] - errors[1:]
     for level in range(1, 4):
-        bound = remaining_error(np.full(2, changes[level]), np.full(2, changes[level - 1]))
-        assert np.all(bound >= (1.0 - 1e-12) * errors[level + 1])
-        assert np.all(bound <= changes[level]) or ratio >= CONVERGING
+        change = np.full(2, changes[level])
+        change_before = np.full(2, changes[level - 1])
+        bound = remaining_error(change, change_before)
+        left = errors[level + 1]
+        assert np.all(bound >= (1.0 - 1e-12) * left)
+        assert np.all(bound <= change) or ratio >= CONVERGING
     np.testing.assert_array_equal(remaining_error(changes, None), changes)
 
 

@@ -122,15 +122,19 @@ def test_commands_change_no_faster_than_the_actuators_let_them():
     """Whatever is asked for, within the limits too; increments within the rate are as they were."""
     most = np.array([0.25, 0.5, 3.0])
     scale = ActionScale(LEAST, GREATEST, None, most)
-    np.testing.assert_allclose(scale.command(np.ones(3), BEFORE), [0.25, 1.5, 4.0])
-    np.testing.assert_allclose(scale.command(-np.ones(3), BEFORE), [-0.25, 0.5, 2.0])
-    near = scale.action(np.array([0.1, 0.8, 3.5]), BEFORE)
-    np.testing.assert_allclose(scale.command(near, BEFORE), [0.1, 0.8, 3.5])
+    highest = scale.command(np.ones(3), BEFORE)
+    np.testing.assert_allclose(highest, [0.25, 1.5, 4.0])
+    lowest = scale.command(-np.ones(3), BEFORE)
+    np.testing.assert_allclose(lowest, [-0.25, 0.5, 2.0])
+    near_command = np.array([0.1, 0.8, 3.5])
+    near = scale.action(near_command, BEFORE)
+    np.testing.assert_allclose(scale.command(near, BEFORE), near_command)
     increment = np.array([0.25, 0.3, 0.1])
     limited = ActionScale(LEAST, GREATEST, increment, most)
     free = ActionScale(LEAST, GREATEST, increment)
     for action in (np.ones(3), -np.ones(3), np.array([0.3, -0.7, 0.1])):
-        np.testing.assert_array_equal(limited.command(action, BEFORE), free.command(action, BEFORE))
+        expected = free.command(action, BEFORE)
+        np.testing.assert_array_equal(limited.command(action, BEFORE), expected)
 
 
 def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
