@@ -70,8 +70,8 @@ def reproduce(seconds: float, folder: Path) -> Result:
             title = f"Figure 3, {name}, {law}"
             motion = integrate(loop, duration, title)
             motions[name, law] = motion
-            wanted = wanted_shapes(model, motion.time)
-            error = wanted - motion.q
+            target_shapes = wanted_shapes(model, motion.time)
+            error = target_shapes - motion.q
             errors[name, law] = np.linalg.norm(error, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")

@@ -386,8 +386,8 @@ def _allowed(error: ErrorDetails) -> str:
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
-    given = str(error["input"])
-    is_number_with_unit = re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", given) is not None
+    text = str(error["input"])
+    is_number_with_unit = re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", text) is not None
     if error["type"].startswith("float") and is_number_with_unit:
         message += ", in SI units and without their symbol"
     # The words of TOML in place of Python's.

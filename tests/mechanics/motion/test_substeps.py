@@ -275,8 +275,8 @@ def test_strains_ahead_are_predicted_to_second_order_along_the_motion():
     beside = np.cos(np.arange(10.0))
     work = make_workspace(model.arm)
     work.strain.xi[:] = start = model.packed_strain(q)
-    found = evaluate(model.arm, np.zeros(10), q, q_dot, 1e-12, work)
-    assert found == -1
+    row = evaluate(model.arm, np.zeros(10), q, q_dot, 1e-12, work)
+    assert row == -1
     for direction, order in ((q_dot, 3), (beside, 2)):
         errors = []
         for time in (2.0, 1.0):

@@ -82,8 +82,8 @@ def test_stresses_of_tendons_and_rates_of_tendons_are_transposes(bent):
     stress = np.zeros_like(work.strain.xi)
     tangent = work.strain.tangent
     add_tendon_stress(model.arm.rod, model.arm.tendons, force, tangent, stress)
-    found = force_of(model, work, stress)
-    np.testing.assert_allclose(found, -B @ force, atol=1e-14)
+    generalised_force = force_of(model, work, stress)
+    np.testing.assert_allclose(generalised_force, -B @ force, atol=1e-14)
     size = 3 * work.strain.xi.size
     share = np.ones(size // 6)
     rates = np.empty(3)
