@@ -447,8 +447,8 @@ class Episodes:
                 checked_motion(self.model, options.state)
         target = options.goal or options.target
         if target is None:
-            course = self._targets.usual(row)
-            return Beginning(course.target, options.state)
+            usual = self._targets.usual(row)
+            return Beginning(usual.target, options.state)
         return Beginning(self._targets.settled(target), options.state)
 
     def begin(
@@ -486,9 +486,8 @@ class Episodes:
             if state is not None:
                 motions[row] = checked_motion(drawn[row].model, state)
 
-        shape = (members.size, 1)
-        tension = np.tile(self.start_tension, shape)
         repeats = (members.size, 1)
+        tension = np.tile(self.start_tension, repeats)
         command = np.tile(self.start_command, repeats)
         rest_rows = [arm.rest for arm in drawn.values()]
         rests = np.array(rest_rows)
