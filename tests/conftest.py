@@ -126,7 +126,10 @@ def workspace_at():
     def at(model, q, q_dot=None, tension=None):
         work = make_workspace(model.arm)
         q = np.array(q, dtype=float)
-        q_dot = np.zeros_like(q) if q_dot is None else np.array(q_dot, dtype=float)
+        if q_dot is None:
+            q_dot = np.zeros_like(q)
+        else:
+            q_dot = np.array(q_dot, dtype=float)
         tension = (
             np.zeros(model.tendon_count) if tension is None else np.array(tension, dtype=float)
         )

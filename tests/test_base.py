@@ -70,7 +70,10 @@ def moved(value, key=""):
         return {name: moved(entry, name) for name, entry in value.items()}
     if isinstance(value, tuple) and isinstance(value[0], dict):
         return [moved(entry) for entry in value]
-    turned = BASE.pose[:3, :3] @ value if key in (*VECTORS, "position") else value
+    if key in (*VECTORS, "position"):
+        turned = BASE.pose[:3, :3] @ value
+    else:
+        turned = value
     return (
         (turned + BASE.pose[:3, 3]).tolist()
         if key == "position"

@@ -46,7 +46,9 @@ def known_fields(scene: Scene) -> PassiveFields | None:
 
     They are those of the file that its scene names, or those that ship or are kept.
     """
-    named = scene.strain.passive if isinstance(scene.strain, StaticsBased) else None
+    named = None
+    if isinstance(scene.strain, StaticsBased):
+        named = scene.strain.passive
     if isinstance(named, Snapshots):
         return fields_of(scene)
     return find_fields(scene.replace({"strain": bare_rod(scene)}))
@@ -105,8 +107,13 @@ def least_count(scene: Scene, strain: dict[str, Any]) -> int:
     pieces = breakpoints(changed).size - 1
     count = 0
     for mode in modes:
-        spans = pieces if mode["span"] == "piece" else 1
-        count += spans * len(mode["strains"]) * (mode["order"] + 1)
+        if mode["span"] == "piece":
+            spans = pieces
+        else:
+            spans = 1
+        strain_count = len(mode["strains"])
+        functions = mode["order"] + 1
+        count += spans * strain_count * functions
     return count
 
 

@@ -36,7 +36,9 @@ class TrialInput(NamedTuple):
     def bound(self) -> float:
         """Bound of the reference's error [m] as far as it is certain."""
         errors = self.reference.errors
-        return float(errors[self.rows]) if self.rows < len(errors) else np.inf
+        if self.rows < len(errors):
+            return float(errors[self.rows])
+        return np.inf
 
     def distance(self, path: Array | None) -> float:
         """Largest distance [m] of a path from the reference as far as that is certain."""
@@ -64,7 +66,8 @@ class CaseModels:
         """The model under the loads of a case."""
         if case not in self._models:
             own = self._models[0]
-            loaded = own.scene.replace({"effects": self._cases[case]})
+            changes = {"effects": self._cases[case]}
+            loaded = own.scene.replace(changes)
             self._models[case] = own.with_scene(loaded)
         return self._models[case]
 
@@ -77,7 +80,9 @@ class CaseModels:
             return tip_path(self.model(test.case), test.tensions)
         path = self._begun(test, hopeless)
         is_whole = path is not None and len(path) == test.rows + 1
-        return path if is_whole else None
+        if not is_whole:
+            return None
+        return path
 
     def bounds(self, test: TrialInput) -> Array:
         """Bounds (samples,) [m] of the tip's distance in a motion up to each sample.
@@ -86,12 +91,15 @@ class CaseModels:
         """
         reference = test.reference
         samples = len(reference.errors)
-        path = self._begun(test._replace(rows=samples - 1), np.inf)
+        shorter = test._replace(rows=samples - 1)
+        path = self._begun(shorter, np.inf)
         if path is None or reference.tips is None:
             return np.zeros(0)
         samples = len(path)
-        away = np.linalg.norm(path - reference.tips[:samples], axis=1)
-        return np.asarray(np.maximum.accumulate(away) + reference.errors[:samples])
+        expected = reference.tips[:samples]
+        away = np.linalg.norm(path - expected, axis=1)
+        errors = reference.errors[:samples]
+        return np.asarray(np.maximum.accumulate(away) + errors)
 
     def _begun(self, test: TrialInput, hopeless: float) -> Array | None:
         """Positions of the tip (samples, 3) [m] in a motion, to where it strays or ends."""
@@ -104,8 +112,10 @@ class CaseModels:
 
         # piece by piece, so that a motion which strays ends early
         path: Array | None = None
-        for piece in pieces(model, test.tensions[: test.rows], state):
+        tensions = test.tensions[: test.rows]
+        for piece in pieces(model, tensions, state):
             path = continued(path, piece)
-            if distance(path, tips[: len(path)]) > hopeless:
+            expected = tips[: len(path)]
+            if distance(path, expected) > hopeless:
                 return None
         return path

@@ -79,10 +79,15 @@ class Choice(NamedTuple):
         """
         changed = scene.replace({"strain": strain})
         has_fields = "fields" in strain.get("passive", ())
-        order = SMOOTH_FIELDS if has_fields else changed.strain.highest_order
+        if has_fields:
+            order = SMOOTH_FIELDS
+        else:
+            order = changed.strain.highest_order
 
         # as many along the rod, whatever its pieces
-        spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
+        pieces_asked = breakpoints(scene).size - 1
+        pieces_changed = breakpoints(changed).size - 1
+        spread = pieces_asked / pieces_changed
         along = math.ceil(self.quadrature["least"] * spread)
         least = max(along, order + SPARE_INTERVALS)
         return self._replace(
@@ -109,7 +114,8 @@ class Choice(NamedTuple):
         if not math.isfinite(self.error):
             return f"{kind} are a guess, since {self.obstacle}"
         share = f"{100 * self.error:.2g} % of the length"
-        size = f"{1e3 * self.error * rod_length(scene):.2g} mm"
+        millimetres = 1e3 * self.error * rod_length(scene)
+        size = f"{millimetres:.2g} mm"
         return f"{kind} were within {share}, {size}, in a trial{self.limits}"
 
     @property
@@ -129,12 +135,17 @@ class Choice(NamedTuple):
         known = [pair for pair in self.growth if math.isfinite(pair[1])]
         parts = []
         if 0.0 < self.seconds < DURATION:
-            parts.append(f"{100 * share:.3g} % of the length for {self.seconds:.2g} s")
+            extent = f"{100 * share:.3g} % of the length for {self.seconds:.2g} s"
+            parts.append(extent)
         if known and known[-1][1] > share:
             seconds, bound = known[-1]
-            parts.append(f"{100 * bound:.2g} % after {seconds:.2g} s")
+            extent = f"{100 * bound:.2g} % after {seconds:.2g} s"
+            parts.append(extent)
         if len(known) < len(self.growth):
-            last = known[-1][0] if known else 0.0
+            if known:
+                last = known[-1][0]
+            else:
+                last = 0.0
             parts.append(f"not known after {last:.2g} s")
         return ", ".join(parts)
 
@@ -170,5 +181,8 @@ def describe_strain(strain: dict[str, Any]) -> str:
     kind = "explicit strain"
     if "modes" not in strain:
         kind = f"passive {', '.join(first['strains'])}"
-    span = "the rod" if first["span"] == "rod" else "each part"
+    if first["span"] == "rod":
+        span = "the rod"
+    else:
+        span = "each part"
     return f"{kind} up to order {first['order']} over {span}"

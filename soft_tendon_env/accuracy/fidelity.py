@@ -108,7 +108,8 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
                 " alone and may be far off in motion"
             )
             advice = "say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
-            warnings.warn(f"{scene.name!r} {text}: {advice}", FidelityWarning, stacklevel=2)
+            message = f"{scene.name!r} {text}: {advice}"
+            warnings.warn(message, FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
     if fidelity is not None:
         try:
@@ -131,7 +132,9 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     if fidelity is None and not is_strain_open:
         return _with_open_parts(scene, _parts_without_strain(scene, DEFAULT))
     parts = _parts(scene, fidelity or DEFAULT)
-    return _with_open_parts(scene, parts) if fidelity is None else scene.replace(parts)
+    if fidelity is None:
+        return _with_open_parts(scene, parts)
+    return scene.replace(parts)
 
 
 def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
@@ -141,7 +144,8 @@ def _with_open_parts(scene: Scene, parts: dict[str, Any]) -> Scene:
         "quadrature": scene.quadrature == Quadrature(),
         "integrator": scene.integrator == Integrator(),
     }
-    return scene.replace({name: table for name, table in parts.items() if is_open[name]})
+    open_parts = {name: table for name, table in parts.items() if is_open[name]}
+    return scene.replace(open_parts)
 
 
 def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
@@ -153,8 +157,12 @@ def _parts(scene: Scene, fidelity: str) -> dict[str, Any]:
     fields = known_fields(scene)
     if fields is not None and _are_measured(fields, scene) and not is_length(fidelity):
         is_own = fields.is_of(scene)
-        margin = 1.0 if is_own else ALIKE_MARGIN
-        needed = fields.needed(asked.fields * rod_length(scene) / margin, USUAL)
+        if is_own:
+            margin = 1.0
+        else:
+            margin = ALIKE_MARGIN
+        allowed = asked.fields * rod_length(scene)
+        needed = fields.needed(allowed / margin, USUAL)
         if needed is None and is_own:
             needed = len(fields.coefficients)
         if needed is not None:
@@ -186,7 +194,9 @@ def _chosen(scene: Scene, asked: Accuracy, fidelity: str) -> Choice:
     coarser = _chosen(scene, PRESETS[name], name)
     if choice.coordinates < coarser.coordinates:
         choice = choose(scene, asked, coarser.coordinates)
-    return choice if choice.error <= coarser.error else coarser
+    if choice.error <= coarser.error:
+        return choice
+    return coarser
 
 
 def _is_within(choice: Choice, asked: Accuracy, scene: Scene) -> bool:

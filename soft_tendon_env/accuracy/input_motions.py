@@ -50,7 +50,8 @@ def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    changes = random.uniform(-INCREMENT, INCREMENT, (rows, slack.size))
+    shape = (rows, slack.size)
+    changes = random.uniform(-INCREMENT, INCREMENT, shape)
     walk = np.empty_like(changes)
     share = slack
     for row, change in enumerate(changes):
@@ -60,14 +61,16 @@ def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    middle = HOLD * (np.arange(rows) + 0.5)
+    half_way = np.arange(rows) + 0.5
+    middle = HOLD * half_way
     detuning = random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
     highest = random.random(slack.size)
     # sin² has twice the frequency of its sine
     rate = np.pi * FREQUENCY * detuning
     angle = middle[:, None] * rate
     part = np.sin(angle) ** 2
-    return np.asarray(slack + (highest - slack) * part)
+    pull = (highest - slack) * part
+    return np.asarray(slack + pull)
 
 
 def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
@@ -75,7 +78,8 @@ def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 
 def _step(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    return np.tile(random.random(slack.size), (rows, 1))
+    shares = random.random(slack.size)
+    return np.tile(shares, (rows, 1))
 
 
 class Kind(NamedTuple):
@@ -103,8 +107,11 @@ def slack_tensions(scene: Scene) -> Array:
 
 def tension_limits(scene: Scene) -> tuple[Array, Array]:
     """Lowest and highest tensions (n_a,) [N] of the tendons."""
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-    return limits[:, 0], limits[:, 1]
+    tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+    limits = np.array(tension_limits)
+    low = limits[:, 0]
+    high = limits[:, 1]
+    return low, high
 
 
 def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = DURATION) -> Array:
@@ -118,8 +125,10 @@ def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = D
     kind = KINDS[motion]
     low, high = tension_limits(scene)
     slack = slack_tensions(scene)
-    least = slack + kind.band * (low - slack)
-    greatest = slack + kind.band * (high - slack)
+    reach = kind.band * (low - slack)
+    least = slack + reach
+    reach_up = kind.band * (high - slack)
+    greatest = slack + reach_up
 
     # each kind draws other numbers from the same seed
     place = MOTIONS.index(motion)

@@ -56,7 +56,8 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         kept = kept_choice(folder, key, scene, least)
         if kept is not None:
             if not kept.speaks_of_all:
-                say_once(f"{scene.name!r}: {kept.describe(scene)}, by a trial that was kept")
+                description = kept.describe(scene)
+                say_once(f"{scene.name!r}: {description}, by a trial that was kept")
             return kept
         say_once(
             f"the coordinates of {scene.name!r} are chosen by a trial of some seconds against a"
@@ -65,7 +66,10 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         with compiling_for(scene):
             choice = trial.search(scene, asked, least)
         keep(folder, key, scene, choice)
-    say_once(f"{scene.name!r}: {choice.describe(scene)}; the bound is {100 * asked.share:.3g} %")
+    description = choice.describe(scene)
+    percent = 100 * asked.share
+    message = f"{scene.name!r}: {description}; the bound is {percent:.3g} %"
+    say_once(message)
     return choice
 
 
@@ -76,7 +80,8 @@ def kept_choice(folder: Path, key: str, scene: Scene, least: int = 0) -> Choice 
     """
     fitting = []
     for choice in _kept(folder, key, scene):
-        if choice.coordinates >= least and _reaches(choice, scene):
+        is_enough = choice.coordinates >= least
+        if is_enough and _reaches(choice, scene):
             fitting.append(choice)
     return min(fitting, key=lambda choice: choice.coordinates, default=None)
 
@@ -100,7 +105,8 @@ def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
 def _reaches(choice: Choice, scene: Scene) -> bool:
     """Whether the loads that were tried include the scene's."""
     try:
-        return covers(Effects(**(choice.loads or {})), scene.effects)
+        effects = Effects(**(choice.loads or {}))
+        return covers(effects, scene.effects)
     except ConfigurationError:  # of an effect that is not registered
         return False
 
@@ -109,7 +115,8 @@ def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
     """Writes a choice to the cache, if that can be written."""
     # a file for each range of loads
     loads = json.dumps(choice.loads, sort_keys=True)
-    path = folder / f"{key}_{_digest_of(loads)}.json"
+    file = f"{key}_{_digest_of(loads)}.json"
+    path = folder / file
 
     record = choice._asdict()
     record["codes"] = effect_digests(tried_effects(scene.effects))
@@ -130,7 +137,8 @@ def effect_digests(effects: Effects) -> dict[str, str]:
 @functools.cache
 def code_digest() -> str:
     """Digest of the sources that a trial depends on."""
-    return sources_digest(*(f"{folder}/**/*.py" for folder in SOURCES))
+    patterns = (f"{folder}/**/*.py" for folder in SOURCES)
+    return sources_digest(*patterns)
 
 
 def trial_digest(scene: Scene, asked: Accuracy) -> str:
@@ -151,4 +159,5 @@ def trial_digest(scene: Scene, asked: Accuracy) -> str:
 
 
 def _digest_of(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+    digest = hashlib.sha256(text.encode())
+    return digest.hexdigest()[:DIGITS]

@@ -55,7 +55,8 @@ def scaled_effects(effects: Effects, factor: float) -> Effects:
     for name, effect in effects.chosen().items():
         table = tables[name]
         for key in effect.strengths:
-            larger = factor * np.array(table[key])
+            strengths = np.array(table[key])
+            larger = factor * strengths
             table[key] = larger.tolist()
     return Effects(**tables)
 
@@ -80,7 +81,8 @@ def load_cases(scene: Scene, reach: float, seed: int) -> list[Effects]:
     if reach == 1.0:
         return [own]
     greatest = scaled_effects(own, reach)
-    weaker = weaker_effects(greatest, np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    weaker = weaker_effects(greatest, random)
     return [own, greatest, weaker]
 
 
@@ -124,5 +126,7 @@ def _is_between(value: ArrayLike, largest: ArrayLike) -> bool:
     part = np.array(value, dtype=float)
     whole = np.array(largest, dtype=float)
     is_same_side = part * whole >= 0.0
-    is_smaller = np.abs(part) <= (1.0 + ROUNDING) * np.abs(whole)
+    size = np.abs(whole)
+    bound = (1.0 + ROUNDING) * size
+    is_smaller = np.abs(part) <= bound
     return bool(np.all(is_same_side & is_smaller))

@@ -21,7 +21,9 @@ class Progress:
         # tqdm is not for everyone who imports an environment
         from soft_tendon_env.tools.progress import progress_bar
 
-        label = f"{name}, trial of its accuracy" if shown else None
+        label = None
+        if shown:
+            label = f"{name}, trial of its accuracy"
         self._bar = progress_bar(1.0, label, "trial", LAYOUT)
         self._planned = 0.0
         self._done = 0.0
@@ -44,9 +46,13 @@ class Progress:
     def reference(self, work: float) -> None:
         """Some of the reference's work is done."""
         self._done += work
-        share = REFERENCE_SHARE * min(self._done / self._planned, 1.0)
-        self._bar.update(max(share - self._bar.n, 0.0))
+        ratio = self._done / self._planned
+        done_share = min(ratio, 1.0)
+        share = REFERENCE_SHARE * done_share
+        growth = share - self._bar.n
+        self._bar.update(max(growth, 0.0))
 
     def candidate(self) -> None:
         """One more candidate was judged."""
-        self._bar.update(CANDIDATE_SHARE * (1.0 - self._bar.n))
+        left = CANDIDATE_SHARE * (1.0 - self._bar.n)
+        self._bar.update(left)

@@ -110,10 +110,12 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
         "strains": list(scene.strain.free),
         "borders": list(scene.strain.borders),
     }
-    bare = scene.replace({"effects": scene.effects.everywhere(), "strain": strain})
+    changes = {"effects": scene.effects.everywhere(), "strain": strain}
+    bare = scene.replace(changes)
     samples, grid = snapshots(bare)
     coefficients, singular_values = decompose(bare, samples, grid)
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+    limits = np.array(tension_limits)
     made = PassiveFields(
         arm_of(bare),
         limits,
@@ -138,7 +140,8 @@ def fields_path(scene: Scene) -> Path:
     ]
     text = json.dumps(made_for, sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return new_data_folder("fields") / f"{digest[:16]}{SUFFIX}"
+    name = f"{digest[:16]}{SUFFIX}"
+    return new_data_folder("fields") / name
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
@@ -147,23 +150,32 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     They come with the grid of their points.
     """
     level = snapshot_level(scene)
-    steps = step_tolerance(scene, level, RESOLVED * rod_length(scene))
+    resolution = RESOLVED * rod_length(scene)
+    steps = step_tolerance(scene, level, resolution)
 
     def residuals(run: Run) -> Array | None:
         effects = scene.effects
         if run.number % 2:  # half of the motions have other loads
-            random = np.random.default_rng([run.number, MOTIONS.index(run.kind)])
+            motion_number = MOTIONS.index(run.kind)
+            seeds = [run.number, motion_number]
+            random = np.random.default_rng(seeds)
             effects = effects.sample_smaller(random)
         table = effects.model_dump(mode="json", exclude_none=True)
-        model = reference_model(scene.replace({"effects": table}), level, steps)
-        tensions = motion_tensions(scene, run.kind, FIRST_SEED + run.number)
+        loaded = scene.replace({"effects": table})
+        model = reference_model(loaded, level, steps)
+        seed = FIRST_SEED + run.number
+        tensions = motion_tensions(scene, run.kind, seed)
         motion = trajectory(model, tensions)
         if motion is None:
             return None
         # the first sample is the same in all motions
         wrenches = residual_wrenches(model, motion.q[1:])
-        weight = WILD if run.kind == "wild" else 1.0
-        return weight * wrenches.reshape(len(wrenches), -1)
+        if run.kind == "wild":
+            weight = WILD
+        else:
+            weight = 1.0
+        in_rows = wrenches.reshape(len(wrenches), -1)
+        return weight * in_rows
 
     runs = [Run(kind, number) for number in range(RUNS) for kind in TRAINED]
     label = f"{scene.name}: snapshots of full physics"
@@ -172,7 +184,8 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     if not wrenches:
         text = "full physics diverges under every motion that passive fields are made from"
         raise ConfigurationError([Problem((), text)])
-    return np.concatenate(wrenches), reference_model(scene, level).grid
+    every_wrench = np.concatenate(wrenches)
+    return every_wrench, reference_model(scene, level).grid
 
 
 class Run(NamedTuple):
@@ -185,7 +198,8 @@ class Run(NamedTuple):
 def snapshot_level(scene: Scene) -> Level:
     """The coarsest full physics whose motion the next one hardly changes."""
     trial = [motion_tensions(scene, kind, FIRST_SEED, SHORT) for kind in USUAL]
-    finer = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    resolution = RESOLVED * rod_length(scene)
+    finer = reference_motions(scene, trial, resolution).level
     return LEVELS[LEVELS.index(finer) - 1]
 
 
@@ -208,10 +222,13 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     k, p = np.split(strain, 2, axis=-1)
 
     # what the tensions make, Phi_a(xi), in the norm of the compliance
-    geometry = tendon_geometry(scene, grid)[:, grid.real]
+    every_point = tendon_geometry(scene, grid)
+    geometry = every_point[:, grid.real]
     geometry = geometry.reshape(model.tendon_count, -1, 5)
     elasticity, root = energy_norm(scene, grid)
-    columns = actuation_columns(geometry, k[:, None], p[:, None])
+    curvature = k[:, None]
+    position = p[:, None]
+    columns = actuation_columns(geometry, curvature, position)
     actuation = columns * root
     actuation = actuation.reshape(samples, model.tendon_count, -1)
 
@@ -242,7 +259,8 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     exists = np.array(free, dtype=float)
     weight = grid.weights[grid.real].ravel()
     compliance = exists / elasticity
-    return elasticity, np.sqrt(compliance * weight[:, None])
+    squares = compliance * weight[:, None]
+    return elasticity, np.sqrt(squares)
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
@@ -254,7 +272,8 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     for measure, share in make_measures(scene, grid):
         values = samples @ measure.T
         size = np.linalg.norm(values)
-        measured.append(np.sqrt(share) * values / size)
+        values_of_kind = np.sqrt(share) * values
+        measured.append(values_of_kind / size)
     matrix = np.concatenate(measured, axis=1)
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
 
@@ -272,7 +291,9 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     fields = fields / energy
     fields = fields.reshape(count, -1, 6)
     coefficients = fit_polynomials(fields, scene, grid)
-    return coefficients, sizes[:count] / sizes[0]
+    kept = sizes[:count]
+    relative = kept / sizes[0]
+    return coefficients, relative
 
 
 def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
@@ -285,7 +306,8 @@ def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     elasticity, root = energy_norm(scene, grid)
 
     # integral from the base to each point, with half of the weight of the point itself
-    before = (places[:, None] > places) * weight
+    is_before = places[:, None] > places
+    before = is_before * weight
     half = 0.5 * np.diag(weight)
     reach = before + half
     lever = reach @ reach
@@ -321,11 +343,14 @@ def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     places = grid.points[grid.real].ravel()
     count = len(fields)
     orders = SNAPSHOT_ORDER + 1
-    coefficients = np.zeros((count, borders.size - 1, 6, orders))
+    pieces = borders.size - 1
+    shape = (count, pieces, 6, orders)
+    coefficients = np.zeros(shape)
     for piece, (a, b) in enumerate(itertools.pairwise(borders)):
         inside = (places > a) & (places < b)
         from_base = places[inside] - a
-        place = 2 * from_base / (b - a) - 1  # -1 to 1 along the piece
+        doubled_share = 2 * from_base / (b - a)
+        place = doubled_share - 1  # -1 to 1 along the piece
         basis = legendre.legvander(place, SNAPSHOT_ORDER)
 
         # least squares for every field and component at once
@@ -361,7 +386,8 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
     """
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
-    exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips
+    resolution = REFERENCE * rod_length(scene)
+    exact = reference_motions(scene, inputs, resolution).tips
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tested.json"
         fields.save(path)
@@ -375,8 +401,10 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
             model = model_on(scene.replace(changes), TEST_INTERVALS)
             errors = np.empty(len(inputs))
             for place, tensions in enumerate(inputs):
-                errors[place] = distance(tip_path(model, tensions), exact[place])
-            return errors.reshape(len(USUAL), TESTS).max(axis=1)
+                path_of_model = tip_path(model, tensions)
+                errors[place] = distance(path_of_model, exact[place])
+            by_kind = errors.reshape(len(USUAL), TESTS)
+            return by_kind.max(axis=1)
 
         label = f"{scene.name}: tests of the fields"
         results = run_all(largest, counts, processors(), label, unit="model", threads=True)

@@ -78,7 +78,8 @@ def step_tolerance(scene: Scene, level: Level, tolerance: float) -> float:
 
     It is for motions with this tolerance [m].
     """
-    depth = min(LEVELS.index(level), len(STEPS) - 1)
+    last = len(STEPS) - 1
+    depth = min(LEVELS.index(level), last)
     finest = FINEST_STEPS * LEAST_TOLERANCE * rod_length(scene)
     return max(STEPS[depth] * tolerance, finest)
 
@@ -98,11 +99,15 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
 
     start: where it begins, if `start_at_rest` is known.
     """
-    beginning = start_at_rest(model) if start is None else start
+    if start is None:
+        beginning = start_at_rest(model)
+    else:
+        beginning = start
     if beginning is None:
         return None
     try:
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, beginning)
+        duration = HOLD * len(tensions)
+        return simulate(model, tensions, duration, HOLD, beginning)
     except (SimulationDiverged, StrainLimitError):
         return None
 
@@ -115,7 +120,10 @@ def pieces(model: Model, tensions: Array, start: State | None) -> Iterator[Traje
     state = start
     for begin in range(0, len(tensions), PIECE):
         rows = tensions[begin : begin + PIECE]
-        motion = None if state is None else trajectory(model, rows, state)
+        if state is None:
+            motion = None
+        else:
+            motion = trajectory(model, rows, state)
         if motion is None:
             return
         yield motion
@@ -126,7 +134,9 @@ def continued(tips: Array | None, piece: Trajectory) -> Array:
     """Positions of the tip (samples, 3) [m] with those of the next piece of its motion."""
     positions = piece.tip_pose[:, :3, 3]
     # a piece begins with the last sample of the one before
-    return positions if tips is None else np.concatenate([tips, positions[1:]])
+    if tips is None:
+        return positions
+    return np.concatenate([tips, positions[1:]])
 
 
 def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
@@ -136,9 +146,13 @@ def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array
     """
     if tensions.ndim == 1:
         rest = static_equilibrium(model, tensions)
-        return rest.tip_pose[None, :3, 3] if rest.converged else None
+        if not rest.converged:
+            return None
+        return rest.tip_pose[None, :3, 3]
     motion = trajectory(model, tensions, start)
-    return None if motion is None else motion.tip_pose[:, :3, 3]
+    if motion is None:
+        return None
+    return motion.tip_pose[:, :3, 3]
 
 
 def distance(path: Array | None, reference: Array | None) -> float:
@@ -150,7 +164,8 @@ def distance(path: Array | None, reference: Array | None) -> float:
         return np.nan
     if path is None:
         return np.inf
-    return float(np.linalg.norm(path - reference, axis=1).max())
+    distances = np.linalg.norm(path - reference, axis=1)
+    return float(distances.max())
 
 
 class Ladder:
@@ -167,7 +182,9 @@ class Ladder:
         while len(self._rungs) <= depth:
             # the next one starts its equilibria from those of the last
             count = len(self._rungs)
-            coarser = self._rungs[-1] if count else None
+            coarser = None
+            if count:
+                coarser = self._rungs[-1]
             level = LEVELS[count]
             steps = step_tolerance(self.scene, level, self.tolerance)
             model = reference_model(self.scene, level, steps)
@@ -200,8 +217,12 @@ class Rung:
     @cached_property
     def slack_rest(self) -> Array | None:
         """Coordinates (n,) of a slowly loaded arm with slack tendons; None: it falls over first."""
-        coarse = None if self.coarser is None else self.coarser.slack_rest
-        return self.rest(slack_tensions(self.model.scene), coarse)
+        if self.coarser is None:
+            coarse = None
+        else:
+            coarse = self.coarser.slack_rest
+        slack = slack_tensions(self.model.scene)
+        return self.rest(slack, coarse)
 
     @cached_property
     def start(self) -> State | None:
@@ -210,7 +231,8 @@ class Rung:
             # not from the coarser level, which would agree wherever it fell
             return start_at_rest(self.model)
         slack = slack_tensions(self.model.scene)
-        return Simulation(self.model).reset(self.slack_rest, tension=slack)
+        simulation = Simulation(self.model)
+        return simulation.reset(self.slack_rest, tension=slack)
 
     @cached_property
     def _projection(self) -> Array:
@@ -220,7 +242,8 @@ class Rung:
         packed = packed.reshape(count, -1)
         fields = self.model.grid.unpacked(packed)
         fields = fields.reshape(count, -1)
-        return np.asarray(np.linalg.pinv(fields.T))
+        inverse = np.linalg.pinv(fields.T)
+        return np.asarray(inverse)
 
     def nearest(self, coarse: Array) -> Array:
         """Coordinates (n,) whose strain is nearest to that of the coarser level's coordinates."""
@@ -242,8 +265,11 @@ class Rung:
         """
         if coarse is None:
             equilibrium = static_equilibrium(self.model, tensions)
-            return equilibrium.q if equilibrium.converged else None
-        return rest_near(self.model, self.nearest(coarse), tensions, 1.0, stable=True)
+            if not equilibrium.converged:
+                return None
+            return equilibrium.q
+        guess = self.nearest(coarse)
+        return rest_near(self.model, guess, tensions, 1.0, stable=True)
 
 
 class ReferenceMotion:
@@ -282,17 +308,23 @@ class ReferenceMotion:
     @property
     def is_whole(self) -> bool:
         """Whether the motion is known to its end."""
-        samples = 1 if self.is_equilibrium else len(self.tensions) + 1
+        if self.is_equilibrium:
+            samples = 1
+        else:
+            samples = len(self.tensions) + 1
         return self.tips is not None and len(self.tips) == samples
 
     @property
     def error(self) -> float:
         """Bound of the tips' error [m]; inf where the motion is not known to its end."""
-        return float(self.errors[-1]) if self.is_whole else np.inf
+        if self.is_whole:
+            return float(self.errors[-1])
+        return np.inf
 
     def rows_within(self, error: float) -> int:
         """Rows of tensions through which the tips' error is at most so large [m]."""
-        samples = int(np.count_nonzero(self.errors <= error))
+        is_known = self.errors <= error
+        samples = int(np.count_nonzero(is_known))
         return max(samples - 1, 0)
 
     @property
@@ -302,8 +334,12 @@ class ReferenceMotion:
 
     def size_at(self, depth: int) -> float:
         """Expected cost of a level, in units that are the same for all inputs."""
-        rows = REST_ROWS if self.is_equilibrium else len(self.tensions)
-        return rows * self.ladder.rung(depth).model.coordinate_count ** 2.0
+        if self.is_equilibrium:
+            rows = REST_ROWS
+        else:
+            rows = len(self.tensions)
+        rung = self.ladder.rung(depth)
+        return rows * rung.model.coordinate_count**2.0
 
     def refine(self) -> None:
         """Computes the next level; the change bounds the error."""
@@ -317,7 +353,11 @@ class ReferenceMotion:
     def _refine_rest(self, rung: Rung) -> None:
         before = self.tips
         self._q = rung.rest(self.tensions, self._q)
-        self.tips = None if self._q is None else rung.model.tip_pose(self._q)[None, :3, 3]
+        if self._q is None:
+            self.tips = None
+        else:
+            pose = rung.model.tip_pose(self._q)
+            self.tips = pose[None, :3, 3]
         self.errors = np.full(1, np.inf)
         # the first level has nothing that it could be compared with
         if before is not None:
@@ -335,17 +375,23 @@ class ReferenceMotion:
         errors = np.full(len(tips), np.inf)
         if coarse is not None:
             both = min(len(tips), len(coarse))
-            apart = np.linalg.norm(tips[:both] - coarse[:both], axis=1)
+            finer = tips[:both]
+            coarser = coarse[:both]
+            differences = finer - coarser
+            apart = np.linalg.norm(differences, axis=1)
             change = np.maximum.accumulate(apart)
             # time steps may err alike at both levels
-            errors[:both] = remaining_error(change, self._change) + rung.steps
+            remaining = remaining_error(change, self._change)
+            errors[:both] = remaining + rung.steps
             self._change = change
         has_no_work_left = coarse is not None and len(tips) == self._rows + 1 < len(coarse)
         if coarse is not None and has_no_work_left and errors[-1] <= self.lost:
             # what follows is known from the level before
             later = slice(len(tips), None)
-            tips = np.concatenate([tips, coarse[later]])
-            errors = np.concatenate([errors, coarse_errors[later]])
+            parts = [tips, coarse[later]]
+            tips = np.concatenate(parts)
+            parts_of_errors = [errors, coarse_errors[later]]
+            errors = np.concatenate(parts_of_errors)
             errors = np.maximum.accumulate(errors)
         self.tips = tips
         self.errors = errors
@@ -356,12 +402,15 @@ class ReferenceMotion:
         They end where its work is done, where it has strayed from the coarser level, or where full
         physics has no motion any more.
         """
-        share = WORK_SHARES[min(self.depth, len(WORK_SHARES) - 1)]
+        last_share = len(WORK_SHARES) - 1
+        share = WORK_SHARES[min(self.depth, last_share)]
         work_left = share * self.most_work
         tips: Array | None = None
-        for piece in pieces(rung.model, self.tensions[: self._rows], rung.start):
+        tensions = self.tensions[: self._rows]
+        for piece in pieces(rung.model, tensions, rung.start):
             tips = continued(tips, piece)
-            work_left -= piece.evaluations * rung.model.coordinate_count**2.0
+            cost = rung.model.coordinate_count**2.0
+            work_left -= piece.evaluations * cost
             if work_left <= 0.0 or self._has_strayed(tips):
                 self._rows = len(tips) - 1  # nothing can be compared with what follows
                 break
@@ -372,7 +421,10 @@ class ReferenceMotion:
         if self.tips is None or len(tips) > len(self.tips):
             return False
         last = len(tips) - 1
-        return float(np.linalg.norm(tips[last] - self.tips[last])) > self.lost
+        known = self.tips[last]
+        difference = tips[last] - known
+        distance = float(np.linalg.norm(difference))
+        return distance > self.lost
 
 
 def remaining_error(change: Array, before: Array | None) -> Array:
@@ -387,9 +439,12 @@ def remaining_error(change: Array, before: Array | None) -> Array:
     samples = min(len(change), len(before))
     last = change[:samples]
     smallest = np.finfo(float).tiny
-    ratio = np.minimum(last / np.maximum(before[:samples], smallest), LARGEST_RATIO)
+    known_before = before[:samples]
+    change_before = np.maximum(known_before, smallest)
+    ratio = np.minimum(last / change_before, LARGEST_RATIO)
     left = last * ratio / (1.0 - ratio)
-    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, np.maximum(last, left))
+    larger = np.maximum(last, left)
+    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, larger)
     return np.maximum.accumulate(bound)
 
 
@@ -431,13 +486,16 @@ def reference_motions(
     unsettled = list(motions)
     for depth in range(most):
         count = ladder.rung(depth).model.coordinate_count
-        refine_once(unsettled, f"{scene.name}: full physics, {count} coordinates")
+        title = f"{scene.name}: full physics, {count} coordinates"
+        refine_once(unsettled, title)
         level = LEVELS[depth]
         unsettled = [motion for motion in unsettled if motion.error > tolerance]
         # what full physics has not at this level it has at no finer one, where others are settled
-        is_hopeless = all(not motion.is_whole for motion in unsettled)
+        is_unknown = (not motion.is_whole for motion in unsettled)
+        is_hopeless = all(is_unknown)
         if is_hopeless and len(unsettled) < len(motions):
             break
-    tips = tuple(motion.tips if motion.is_whole else None for motion in motions)
+    whole_tips = (motion.tips if motion.is_whole else None for motion in motions)
+    tips = tuple(whole_tips)
     errors = tuple(motion.error for motion in motions)
     return Reference(tips, errors, level)

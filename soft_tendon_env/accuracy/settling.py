@@ -58,7 +58,8 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     moments = {"strains": angular or free, "order": FEW, "span": "rod"}
     choice = choice.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
     for _ in range(MOST_TIGHTENED):
-        if trial.agree_in_motion(choice, choice.with_finer_steps(FINER_STEPS)):
+        finer = choice.with_finer_steps(FINER_STEPS)
+        if trial.agree_in_motion(choice, finer):
             break
         choice = choice.with_finer_steps(TIGHTER)
     count = coordinate_count(choice.applied_to(scene))
@@ -72,8 +73,10 @@ def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
     """
     scene = trial.scene
     pieces = breakpoints(scene).size - 1
-    order = max(1, RICH - 2 * int(math.log2(pieces)))  # less on many pieces
-    modes = {"strains": list(scene.strain.free), "order": order, "span": "piece"}
+    doublings = 2 * int(math.log2(pieces))
+    order = max(1, RICH - doublings)  # less on many pieces
+    strains = list(scene.strain.free)
+    modes = {"strains": strains, "order": order, "span": "piece"}
     rich = {
         "type": "explicit",
         "modes": [modes],
@@ -85,12 +88,14 @@ def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:
     choice = Choice(rich, quadrature, integrator, 0, np.inf)
 
     # intervals of a part, while the rod is in parts
-    cut = breakpoints(choice.applied_to(scene)).size - 1
+    borders = breakpoints(choice.applied_to(scene))
+    cut = borders.size - 1
     parts = cut / pieces  # of each piece
     fewest = math.ceil(asked.least / parts)
     choice.quadrature["least"] = max(fewest, RICH - 1)
     while choice.quadrature["least"] < MOST_INTERVALS:
-        if trial.agree_at_rest(choice, choice.with_intervals(DENSER)):
+        denser = choice.with_intervals(DENSER)
+        if trial.agree_at_rest(choice, denser):
             break
         choice = choice.with_intervals(MORE_INTERVALS)
 

@@ -123,7 +123,10 @@ class Trial:
         self.scene = scene.replace({"effects": tried_effects(scene.effects)})
         self.unit = share * rod_length(scene)
         self.cases = load_cases(scene, reach, SEED)
-        self._progress = Progress(scene.name) if progress is None else progress
+        if progress is None:
+            self._progress = Progress(scene.name)
+        else:
+            self._progress = progress
         everything = self._inputs()
         self.inputs = len(everything)
         self.missing = 0
@@ -142,17 +145,22 @@ class Trial:
         Each takes turns with the cases of loads.
         """
         low, high = tension_limits(self.scene)
-        shares = np.random.default_rng(SEED).random((RESTS, low.size))
-        drawn = low + shares * (high - low)
+        random = np.random.default_rng(SEED)
+        shares = random.random((RESTS, low.size))
+        above = shares * (high - low)
+        drawn = low + above
         rests = [slack_tensions(self.scene), *drawn]
         motions = [motion_tensions(self.scene, kind, SEED, SECONDS) for kind in USUAL]
 
         ladders = []
         for effects in self.cases:
             loaded = self.scene.replace({"effects": effects})
-            ladders.append(Ladder(loaded, REFERENCE * self.unit))
+            resolution = REFERENCE * self.unit
+            ladders.append(Ladder(loaded, resolution))
 
-        turns = TURNS if len(self.cases) > 1 else (OWN,)
+        turns: tuple[int, ...] = (OWN,)
+        if len(self.cases) > 1:
+            turns = TURNS
         inputs = []
         for group in (rests, motions):
             for place, tensions in enumerate(group):
@@ -162,7 +170,8 @@ class Trial:
         return inputs
 
     def _reference(self, ladder: Ladder, tensions: Array) -> ReferenceMotion:
-        return ReferenceMotion(ladder, tensions, MOST_WORK, UNSURE * self.unit)
+        doubt = UNSURE * self.unit
+        return ReferenceMotion(ladder, tensions, MOST_WORK, doubt)
 
     def _compute(self, everything: list[TrialInput]) -> None:
         """Computes the reference to where it can judge.
@@ -183,12 +192,14 @@ class Trial:
         if is_extended and any(motion.tips is None for motion in rests):
             self.missing = len(motions)
             return
-        self._refine([motion for motion in motions if not motion.is_equilibrium])
+        moving = [motion for motion in motions if not motion.is_equilibrium]
+        self._refine(moving)
         self._refine(motions)
         # finer where no model could be near enough to what is known so far
         for _ in range(FIRST_LEVELS, MOST_LEVELS):
             rough = [motion for motion in motions if not self._can_judge(motion)]
-            if all(motion.tips is None for motion in rough) and len(rough) < len(motions):
+            without_tips = (motion.tips is None for motion in rough)
+            if all(without_tips) and len(rough) < len(motions):
                 break
             self._refine(rough)
 
@@ -202,7 +213,8 @@ class Trial:
                 break
             test = self._with_smaller_tensions(test)
         reference = test.reference
-        is_unsure = reference.error > UNSURE * self.unit
+        doubt = UNSURE * self.unit
+        is_unsure = reference.error > doubt
         if not reference.is_equilibrium:
             is_unsure = not self._is_certain(reference)
         if reference.tips is None:
@@ -210,11 +222,14 @@ class Trial:
         elif is_unsure:
             self.not_unique += 1
         else:
-            self.tests.append(test._replace(rows=self._certain_rows(reference)))
+            certain_rows = self._certain_rows(reference)
+            self.tests.append(test._replace(rows=certain_rows))
 
     def _certain_rows(self, reference: ReferenceMotion) -> int:
         """Rows of tensions through which a reference can be judged by."""
-        return 0 if reference.is_equilibrium else reference.rows_within(CERTAIN * self.unit)
+        if reference.is_equilibrium:
+            return 0
+        return reference.rows_within(CERTAIN * self.unit)
 
     def _is_certain(self, reference: ReferenceMotion) -> bool:
         """Whether a motion is certain for long enough."""
@@ -224,13 +239,15 @@ class Trial:
     def _with_smaller_tensions(self, test: TrialInput) -> TrialInput:
         """The test of a motion with tensions that are nearer to those of the slack arm."""
         slack = slack_tensions(self.scene)
-        tensions = slack + SMALLER * (test.tensions - slack)
+        pull = test.tensions - slack
+        tensions = slack + SMALLER * pull
         smaller = self._reference(test.reference.ladder, tensions)
         for _ in range(MOST_LEVELS):
             if self._can_judge(smaller):
                 break
             smaller.refine()
-        return test._replace(reference=smaller, share=SMALLER * test.share)
+        share = SMALLER * test.share
+        return test._replace(reference=smaller, share=share)
 
     def _with_unique_starts(self, everything: list[TrialInput]) -> list[TrialInput]:
         """Tests without the motions that begin where a column may fall to any side."""
@@ -245,7 +262,10 @@ class Trial:
 
     def _can_judge(self, motion: ReferenceMotion) -> bool:
         """Whether a model could be within what is asked for by this reference, to its end."""
-        part = 1.0 / MARGIN if motion.is_equilibrium else CERTAIN
+        if motion.is_equilibrium:
+            part = 1.0 / MARGIN
+        else:
+            part = CERTAIN
         return motion.error <= part * self.unit
 
     def _refine(self, motions: list[ReferenceMotion]) -> None:
@@ -255,7 +275,8 @@ class Trial:
 
     def model(self, choice: Choice) -> Model:
         """Model of a choice with the fewest of its quadrature intervals."""
-        return model_on(choice.applied_to(self.scene), choice.quadrature["least"])
+        changed = choice.applied_to(self.scene)
+        return model_on(changed, choice.quadrature["least"])
 
     def distance(self, model: Model, is_bounded: bool = False) -> float:
         """Bound of the tip's distance [m] from the reference, whose own uncertainty counts.
@@ -263,14 +284,22 @@ class Trial:
         is_bounded: inf where it is more than that, and too much for what is asked for.
         """
         models = CaseModels(self.cases, model)
-        worst = 0.0 if self.tests else np.inf
+        if self.tests:
+            worst = 0.0
+        else:
+            worst = np.inf
         for test in list(self.tests):
-            enough = self._enough(test) if is_bounded else np.inf
-            path = models.path(test, enough + test.bound)
+            if is_bounded:
+                enough = self._enough(test)
+            else:
+                enough = np.inf
+            far = enough + test.bound
+            path = models.path(test, far)
             self._decide(test, path, enough)
             error = test.bound
             away = test.distance(path)
-            if not error <= UNSURE * self.unit:  # refined, it turned out to be not unique
+            doubt = UNSURE * self.unit
+            if not error <= doubt:  # refined, it turned out to be not unique
                 self.tests.remove(test)
                 self.not_unique += 1
                 continue
@@ -284,7 +313,10 @@ class Trial:
 
     def _enough(self, test: TrialInput) -> float:
         """Largest distance [m] of a tip that is near enough."""
-        margin = LARGER_LOADS_MARGIN if test.case == GREATEST else MARGIN
+        if test.case == GREATEST:
+            margin = LARGER_LOADS_MARGIN
+        else:
+            margin = MARGIN
         return self.unit / margin
 
     def _decide(self, test: TrialInput, path: Array | None, enough: float) -> None:
@@ -296,7 +328,8 @@ class Trial:
             error = test.bound
             is_near = away + error <= enough
             is_far = away - error > enough
-            is_clear = np.isfinite(enough) and (is_near or is_far)
+            is_finite = np.isfinite(enough)
+            is_clear = is_finite and (is_near or is_far)
             if is_clear:
                 return
             reference.refine()
@@ -307,12 +340,14 @@ class Trial:
         They go beyond where the reference is certain; inf: not known.
         """
         models = CaseModels(self.cases, model)
-        worst = np.zeros(round(DURATION / HOLD) + 1)
+        period_count = round(DURATION / HOLD)
+        worst = np.zeros(period_count + 1)
         for test in self.tests:
             if not test.reference.is_equilibrium:
                 bounds = models.bounds(test)
                 known = len(bounds)
-                worst[:known] = np.maximum(worst[:known], bounds)
+                worst_before = worst[:known]
+                worst[:known] = np.maximum(worst_before, bounds)
                 worst[known:] = np.inf
         return worst
 
@@ -329,7 +364,8 @@ class Trial:
     @property
     def share(self) -> float:
         """Part of the tensions of the usual motions that all motions had."""
-        return min((test.share for test in self.tests), default=1.0)
+        shares = (test.share for test in self.tests)
+        return min(shares, default=1.0)
 
     def agree_at_rest(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """Whether the tips of two models with the same coordinates agree at some rests.
@@ -337,8 +373,10 @@ class Trial:
         They are apart by a part of what is asked for at most.
         """
         tests = [test for test in self.tests if test.reference.is_equilibrium]
-        ours = CaseModels(self.cases, self.model(first))
-        theirs = CaseModels(self.cases, self.model(second))
+        first_model = self.model(first)
+        ours = CaseModels(self.cases, first_model)
+        second_model = self.model(second)
+        theirs = CaseModels(self.cases, second_model)
         for test in tests[::EVERY]:
             model = ours.model(test.case)
             rest = static_equilibrium(model, test.tensions)
@@ -348,7 +386,8 @@ class Trial:
             denser = theirs.model(test.case)
             other = static_equilibrium(denser, test.tensions, rest.q)
             moved = other.tip_pose - rest.tip_pose
-            apart = float(np.linalg.norm(moved[:3, 3]))
+            offset = moved[:3, 3]
+            apart = float(np.linalg.norm(offset))
             if other.converged and apart > part * self.unit:
                 return False
         return True
@@ -356,14 +395,17 @@ class Trial:
     def agree_in_motion(self, first: Choice, second: Choice, part: float = SETTLED) -> bool:
         """As `agree_at_rest`, in some motions, of models with any coordinates."""
         tests = [test for test in self.tests if not test.reference.is_equilibrium]
-        ours = CaseModels(self.cases, self.model(first))
-        theirs = CaseModels(self.cases, self.model(second))
+        first_model = self.model(first)
+        ours = CaseModels(self.cases, first_model)
+        second_model = self.model(second)
+        theirs = CaseModels(self.cases, second_model)
         for test in tests[::EVERY]:
             path = ours.path(test)
             other = theirs.path(test)
             if path is None or other is None:
                 continue
-            if distance(path, other) > part * self.unit:
+            allowed = part * self.unit
+            if distance(path, other) > allowed:
                 return False
         return True
 
@@ -384,7 +426,8 @@ def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
             if trial.left_out and not is_last:
                 continue
             choice = best_choice(trial, asked, progress, least)
-            if choice.error <= asked.share or is_last:
+            is_within = choice.error <= asked.share
+            if is_within or is_last:
                 break
     return choice
 
@@ -407,7 +450,8 @@ def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -
     if not trial.tests:
         return settled
     tables = []
-    for table in strain_tables(trial.scene, known_fields(trial.scene), least):
+    fields = known_fields(trial.scene)
+    for table in strain_tables(trial.scene, fields, least):
         tables.append(table)
         choice = judged(trial, settled, table, is_bounded=True)
         progress.candidate()
@@ -443,11 +487,19 @@ def judged(
 
 def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
     """The choice with what it was tried on, and how its error grows where that is not within."""
-    largest = trial.cases[GREATEST if len(trial.cases) > 1 else OWN]
-    is_within = choice.error <= asked.share and trial.seconds == DURATION
-    if np.isfinite(choice.error) and not is_within:
-        bounds = trial.growth(trial.model(choice)) / rod_length(trial.scene)
-        samples = int(np.count_nonzero(bounds <= asked.share))
+    if len(trial.cases) > 1:
+        case = GREATEST
+    else:
+        case = OWN
+    largest = trial.cases[case]
+    is_accurate = choice.error <= asked.share
+    is_within = is_accurate and trial.seconds == DURATION
+    is_known = np.isfinite(choice.error)
+    if is_known and not is_within:
+        bounds_in_metres = trial.growth(trial.model(choice))
+        bounds = bounds_in_metres / rod_length(trial.scene)
+        is_accurate_until = bounds <= asked.share
+        samples = int(np.count_nonzero(is_accurate_until))
         growth = [(seconds, float(bounds[round(seconds / HOLD)])) for seconds in HORIZONS]
         within = HOLD * max(samples - 1, 0)
         choice = choice._replace(seconds=within, growth=tuple(growth))

@@ -72,16 +72,19 @@ def run(settings: Accuracy) -> None:
         except ConfigurationError as error:  # nothing is within this length
             print(error)
             continue
-        records.append(measure(model, trial, fidelity, shares[fidelity] * length))
+        bound = shares[fidelity] * length
+        records.append(measure(model, trial, fidelity, bound))
 
     print(
         f"{scene.name}: largest distance from a converged reference in {len(trial.tests)} motions"
         f" and equilibria; {machine()}.\n"
     )
-    print(f"{markdown_table(HEADER, [cells_of(record) for record in records])}\n")
+    table = markdown_table(HEADER, [cells_of(record) for record in records])
+    print(f"{table}\n")
     write_csv(out / f"{scene.name}.csv", records)
     if settings.within is not None and recommended is not None:
-        path = out / f"{scene.name}_{length_text(settings.within)}.toml"
+        accuracy = length_text(settings.within)
+        path = out / f"{scene.name}_{accuracy}.toml"
         write_recommended(recommended, path)
 
 
@@ -125,7 +128,8 @@ def cpu_time(model: Model, trial: Trial) -> float:
         for tensions in motions:
             trajectory(model, tensions)
         times.append(time.thread_time() - started)
-    simulated = HOLD * sum(len(tensions) for tensions in motions)
+    rows = sum(len(tensions) for tensions in motions)
+    simulated = HOLD * rows
     return min(times) / simulated
 
 

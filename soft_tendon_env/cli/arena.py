@@ -61,7 +61,8 @@ class Arena(Benchmark):
         policies = values.get("policies")
         if not policies:
             return values
-        entrants = tuple(BenchmarkPolicy(policy=policy) for policy in policies)
+        chosen = (BenchmarkPolicy(policy=policy) for policy in policies)
+        entrants = tuple(chosen)
         return {**values, "entrants": entrants}
 
     @classmethod
@@ -89,7 +90,8 @@ def run(settings: Arena) -> None:
     for note in notes:
         print(f"note: {note}")
     missing = experiment.missing()
-    hours = sum(_hours(experiment.cells[label]) for label in missing) / settings.workers
+    core_hours = sum(_hours(experiment.cells[label]) for label in missing)
+    hours = core_hours / settings.workers
     print(
         f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {episodes}, about"
         f" {hours:.2g} hours; {machine()}",
@@ -106,7 +108,8 @@ def run(settings: Arena) -> None:
     rows = []
     panels = {}
     for regime, of_regime in standings.items():
-        rows += [{"regime": regime, **row} for row in records(of_regime)]
+        regime_rows = [{"regime": regime, **row} for row in records(of_regime)]
+        rows += regime_rows
         panels[REGIMES[regime].title] = of_regime
     write_csv(out / "arena.csv", rows)
     draw_errors(panels, out / "arena.png")
@@ -120,5 +123,9 @@ def run(settings: Arena) -> None:
 def _hours(cell: Cell) -> float:
     """Time [h] that a cell is expected to take a core."""
     policy = PolicyName.parse(cell.policy, cell.task)
-    pace = CONTROLLER_PACE if isinstance(policy, Controller) else AGENT_PACE
-    return len(cell.seeds) * cell.seconds * pace / 3600.0
+    if isinstance(policy, Controller):
+        pace = CONTROLLER_PACE
+    else:
+        pace = AGENT_PACE
+    simulated = len(cell.seeds) * cell.seconds
+    return simulated * pace / 3600.0

@@ -65,10 +65,13 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
         print(f"\n## {task}\n")
         if len(files[task]) > 1:
             print(f"{errors}\n\n{tables.ERRORS_LEGEND}\n")
-        print(f"{comparison.numbers_table(task, files[task], summaries)}\n")
+        table = comparison.numbers_table(task, files[task], summaries)
+        print(f"{table}\n")
 
         results = comparison.results_record(settings, task, arms[task], standings, summaries)
         write_json(folder / f"{task}.json", {**origin(), **results})
-        tables.write_csv(folder / f"{task}.csv", tables.records(standings))
-        tables.write_markdown(folder / f"{task}.md", f"{episodes.capitalize()}.\n\n{errors}")
+        records = tables.records(standings)
+        tables.write_csv(folder / f"{task}.csv", records)
+        text = f"{episodes.capitalize()}.\n\n{errors}"
+        tables.write_markdown(folder / f"{task}.md", text)
         draw_errors({task: standings}, folder / f"{task}.png")

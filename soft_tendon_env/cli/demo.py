@@ -95,10 +95,13 @@ def run(settings: Demo) -> None:
     described = {
         name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()
     }
-    print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
-    shown = f"{play(settings, file, out)}\n\n{NOTES}"
+    lines = (f"{name:<24} {text}" for name, text in described.items())
+    print("\n".join(lines), "\n")
+    tables = play(settings, file, out)
+    shown = f"{tables}\n\n{NOTES}"
     print(f"{shown}\n")
-    trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
+    sentences = (f"{name}: {text}" for name, text in agents.items())
+    trained = "; ".join(sentences)
     report = f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}"
     write_markdown(out / "demo.md", report)
     print(opening_hint(out / "demo.rrd"))
@@ -142,7 +145,8 @@ def play(settings: Demo, file: "RerunFile", out: Path) -> str:
             experiment.play(label, settings.workers, settings.cluster)
             _, by_error = standings_of(experiment, files)
             summaries[label] = {name: by_error[name, NOMINAL] for name in files}
-            tables.append(summary_table(label, summaries[label], models))
+            table = summary_table(label, summaries[label], models)
+            tables.append(table)
     overview = Overview(
         headline="One arm, five policies, one circle",
         rollouts=rollouts[circle],
@@ -169,7 +173,8 @@ def make_experiment(
         "options": {**ARM, "target": target},
     }
     chosen = Settings.parse(options, "demo")
-    return compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
+    arms = shared_arms(chosen, TASK, files)
+    return compare(chosen, TASK, arms, out / "cells")
 
 
 def numbers_in_picture(circle: Summary, random: Summary) -> dict[str, str]:

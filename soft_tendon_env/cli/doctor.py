@@ -70,7 +70,9 @@ def run(settings: Doctor) -> None:
 
 def package_version() -> str:
     """Version and folder of this package."""
-    return f"{importlib.metadata.version(PACKAGE)} in {Path(__file__).parents[1]}"
+    version = importlib.metadata.version(PACKAGE)
+    folder = Path(__file__).parents[1]
+    return f"{version} in {folder}"
 
 
 def python_versions() -> str:
@@ -86,7 +88,9 @@ def library_version(name: str) -> str:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return f"not installed: {install_command(OPTIONAL[name])}"
-    return f"{version}, {torch_build()}" if name == "torch" else version
+    if name == "torch":
+        return f"{version}, {torch_build()}"
+    return version
 
 
 def torch_build() -> str:
@@ -130,7 +134,8 @@ def step(id: str, scene: str) -> str:
     started = perf_counter()
     observation, reward, *_ = env.step(action)
     seconds = perf_counter() - started
-    if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
+    is_outside = not env.observation_space.contains(observation)
+    if is_outside or not np.isfinite(float(reward)):
         raise ValueError(
             "the step gave an observation outside of its space, or a reward that is not finite"
         )

@@ -24,16 +24,20 @@ def run(settings: Effects) -> None:
     names = sorted(EFFECTS)
     if settings.name is not None:
         if settings.name not in EFFECTS:
-            raise Mistake(f"name is {settings.name!r}: {not_registered(settings.name, EFFECTS)}")
+            hint = not_registered(settings.name, EFFECTS)
+            raise Mistake(f"name is {settings.name!r}: {hint}")
         names = [settings.name]
-    print("\n\n".join(describe_effect(name, EFFECTS[name]) for name in names))
+    descriptions = (describe_effect(name, EFFECTS[name]) for name in names)
+    print("\n\n".join(descriptions))
 
 
 def describe_effect(name: str, effect: type[Effect]) -> str:
     """Text about an effect: docstrings of its module and its class, and a line per parameter with
     its default and description."""
-    module = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "").partition("\n\n")[0]
-    lines = [f"[effects.{name}]", module, "", inspect.cleandoc(effect.__doc__ or ""), ""]
+    documentation = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "")
+    module = documentation.partition("\n\n")[0]
+    description = inspect.cleandoc(effect.__doc__ or "")
+    lines = [f"[effects.{name}]", module, "", description, ""]
     for key, field in effect.model_fields.items():
         line = f"  {key}: {_default_of(field)}"
         if field.description:

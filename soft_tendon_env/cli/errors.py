@@ -58,7 +58,8 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         yield
         sys.stdout.flush()
     except BrokenPipeError:  # whoever reads what is printed has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
         sys.exit(1)
     except Mistake as mistake:
         print(

@@ -88,9 +88,13 @@ def export_arm(settings: Export) -> None:
         scene = load_scene(settings.agent_or_scene)
         path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
         writable_folder(path.parent)
-    links = LINKS if settings.links is None else settings.links
+    if settings.links is None:
+        links = LINKS
+    else:
+        links = settings.links
     mujoco_chain(scene, links).write(path, encoding="utf-8")
-    left_out = ", ".join(exportable(scene)[1]) or "nothing"
+    names = exportable(scene)[1]
+    left_out = ", ".join(names) or "nothing"
     print(f"written: {path} ({links} links)\nleft out: {left_out}\n")
     if find_spec("mujoco") is None:
         print('to compare the tips, MuJoCo must be there: pip install "soft_tendon_env[mujoco]"')
@@ -111,7 +115,9 @@ def export_arm(settings: Export) -> None:
     rows = []
     for name, distance in distances.items():
         percent = 100.0 * distance / rod_length(scene)
-        rows.append((name, tables.number(1e3 * distance), tables.number(percent, 2)))
+        millimetres = tables.number(1e3 * distance)
+        share = tables.number(percent, 2)
+        rows.append((name, millimetres, share))
     header = ("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]")
     print(tables.markdown_table(header, rows))
 
@@ -120,7 +126,10 @@ def export_policy(settings: Export) -> None:
     """Write the agent as ONNX and compare it with the original. Raises UserError where the file is
     another policy."""
     name = settings.agent_or_scene
-    task = TIP_POSE if settings.task is None else settings.task
+    if settings.task is None:
+        task = TIP_POSE
+    else:
+        task = settings.task
     path = Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")
@@ -134,12 +143,14 @@ def export_policy(settings: Export) -> None:
         model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
-    print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
+    megabytes = path.stat().st_size / 1e6
+    print(f"written: {path} ({megabytes:.2f} MB)\n")
     observations, difference, of_range = compare(path, policy, env)
     metadata = json.loads(model.metadata_props[0].value)
     inputs = []
     for group, properties in metadata["inputs"].items():
-        inputs.append((group, str(tuple(properties["shape"])), properties["unit"]))
+        shape = str(tuple(properties["shape"]))
+        inputs.append((group, shape, properties["unit"]))
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
 
     unit = metadata["command"]["unit"]

@@ -50,7 +50,10 @@ def run(settings: Fields) -> None:
                 f" {scene.name}{SUFFIX}"
             )
     fields = make_passive_fields(scene)
-    path = fields_path(scene) if out is None else Path(out)
+    if out is None:
+        path = fields_path(scene)
+    else:
+        path = Path(out)
     fields.save(path)
     without_fields = {
         "type": "statics_based",
@@ -58,7 +61,8 @@ def run(settings: Fields) -> None:
         "borders": list(scene.strain.borders),
     }
     bare_count = coordinate_count(scene.replace({"strain": without_fields}))
-    print(f"written: {path}\n\n{report(scene, fields, bare_count)}")
+    text = report(scene, fields, bare_count)
+    print(f"written: {path}\n\n{text}")
     if settings.within is None:
         return
 
@@ -66,7 +70,10 @@ def run(settings: Fields) -> None:
     if count is None:
         print("\nno number of fields is enough")
         return
-    file = "" if out is None else f', file = "{path.name}"'
+    if out is None:
+        file = ""
+    else:
+        file = f', file = "{path.name}"'
     entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
     print(f"\nIn the scene, under [strain]: {entry}")
 
@@ -74,13 +81,20 @@ def run(settings: Fields) -> None:
 def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     """Table of the errors by number of fields; the arm has `bare` coordinates without any."""
     rows = []
-    for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
+    counts = np.array(fields.errors["fields"], dtype=int)
+    for i, count in enumerate(counts):
         errors = [measured_number(1e3 * fields.errors[kind][i]) for kind in USUAL]
-        singular_value = f"{fields.singular_values[count - 1]:.2g}" if count else "-"
-        rows.append((str(bare + count), str(count), singular_value, *errors))
+        if count:
+            value = fields.singular_values[count - 1]
+            singular_value = f"{value:.2g}"
+        else:
+            singular_value = "-"
+        coordinates = str(bare + count)
+        rows.append((coordinates, str(count), singular_value, *errors))
     intro = (
         f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a"
         " converged reference on other motions."
     )
-    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in USUAL))
+    error_names = (f"{kind} [mm]" for kind in USUAL)
+    header = ("coordinates", "fields", "singular value", *error_names)
     return f"{intro}\n\n{markdown_table(header, rows)}"

@@ -90,7 +90,9 @@ for _name, _description in _SHIPPED.items():
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; `arguments`: of the process by default. Ends the process with status 2 on
     mistakes, 1 where it cannot go on."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:
+        arguments = sys.argv[1:]
+    words = list(arguments)
     modules = list[str]()
     while words[:1] == [IMPORT]:
         modules += words[1:2]

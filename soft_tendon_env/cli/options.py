@@ -64,7 +64,9 @@ class ArmSettings(Configuration):
         """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
         scene = load_scene(self.scene)
         with from_set():
-            return scene.replace(parsed_changes(self.set)) if self.set else scene
+            if self.set:
+                return scene.replace(parsed_changes(self.set))
+            return scene
 
 
 @contextmanager
@@ -131,7 +133,8 @@ def _leave_to_the_class(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any
     words that it has for files too."""
     kind: Any = info.type
     if get_origin(kind) is Literal:
-        metavar = "{" + ",".join(map(str, get_args(kind))) + "}"
+        choices = ",".join(map(str, get_args(kind)))
+        metavar = "{" + choices + "}"
     elif kind in (int, float):
         metavar = kind.__name__.upper()
     else:
@@ -159,7 +162,8 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
     """
     _check_once(arguments)
-    about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
+    before_attributes = (kind.__doc__ or "").partition("Attributes:")[0]
+    about = " ".join(before_attributes.split())
     shared: dict[str, Any] = {
         "prog": f"soft-tendon {command}",
         "args": list(arguments),
@@ -190,7 +194,8 @@ def _with_options_in_errors(kind: type[Kind], arguments: Sequence[str]) -> type[
             except ConfigurationError as error:
                 lines = []
                 for key, text in error.problems:
-                    lines.append(f"{_as_given(kind, key, arguments)} {text}".strip())
+                    line = f"{_as_given(kind, key, arguments)} {text}"
+                    lines.append(line.strip())
                 raise Mistake("\n".join(lines)) from error
 
     return Checked
@@ -221,10 +226,14 @@ def _check_keys(command: str, kind: type[Configuration], unknown: Sequence[str])
             continue
         name, _, value = word.removeprefix("--").partition("=")
         # tyro itself tells of what is nearly an option.
-        if get_close_matches(f"--{name.replace('_', '-')}", flags, cutoff=SIMILAR):
+        flag = name.replace("_", "-")
+        if get_close_matches(f"--{flag}", flags, cutoff=SIMILAR):
             continue
         if not value:
-            value = unknown[i + 1] if i + 1 < len(unknown) else "VALUE"
+            if i + 1 < len(unknown):
+                value = unknown[i + 1]
+            else:
+                value = "VALUE"
         key = name.replace("-", "_")
         raise Mistake(
             f"--{name} is no option of {command}: for a key of that name write --set {key}={value}"
@@ -244,12 +253,16 @@ def _as_given(kind: type[Configuration], key: Key, arguments: Sequence[str]) -> 
         else:
             option = "--set"
     # A position follows its option as it is: --policies[1].
-    separator = ": " if rest and isinstance(rest[0], str) else ""
+    if rest and isinstance(rest[0], str):
+        separator = ": "
+    else:
+        separator = ""
     return f"{option}{separator}{dotted(rest)}"
 
 
 def _flag(kind: type[Configuration], name: str) -> str:
     """Argument of a field, with dashes but where it is positional."""
-    if tyro.conf.Positional in kind.model_fields[name].metadata:
+    field = kind.model_fields[name]
+    if tyro.conf.Positional in field.metadata:
         return name
     return f"--{name.replace('_', '-')}"

@@ -53,6 +53,7 @@ def run(settings: Record) -> None:
     models = {}
     for policy, of_policy in recorded.scores.items():
         summaries[policy] = summarise(of_policy)
-        models[policy] = model_in_the_loop(PolicyName.parse(policy, task))
+        policy_name = PolicyName.parse(policy, task)
+        models[policy] = model_in_the_loop(policy_name)
     table = tables.summary_table("policy", summaries, models)
     print(f"{table}\n\n{comparison.opening_hint(out)}")

@@ -106,7 +106,8 @@ def run(settings: Run) -> None:
 
         robot_options = dict[str, Any]()
         if settings.robot == SIMULATED:  # it has the arm of the environment
-            robot_options |= {key: options[key] for key in OF_ARM if key in options}
+            of_arm = {key: options[key] for key in OF_ARM if key in options}
+            robot_options |= of_arm
         robot_options |= parsed_changes(settings.robot_options)
         robot = load_robot(settings.robot, robot_options)
         on_error.callback(robot.close)
@@ -137,9 +138,11 @@ def run(settings: Run) -> None:
             tendons = "slack"
             if not stop.slack:
                 tendons = f"not slack, the robot does not answer: {stop.failures[-1]}"
-            print(f"{stop.cause}: tendons {tendons} after {1e3 * stop.seconds:.0f} ms\n")
+            milliseconds = 1e3 * stop.seconds
+            print(f"{stop.cause}: tendons {tendons} after {milliseconds:.0f} ms\n")
 
-    skipped_periods = round(settings.skip / episodes_of(real).period)
+    periods = settings.skip / episodes_of(real).period
+    skipped_periods = round(periods)
     for error, values in report.errors.items():
         counted = values[skipped_periods:]
         if counted.size:

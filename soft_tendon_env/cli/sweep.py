@@ -69,7 +69,8 @@ class Sweep(Configuration):
         for seed in range(self.seeds):
             for file, folder in zip(files, folders, strict=True):
                 training = read_training(file, self.set, seed=seed)
-                jobs.append(sweep.Job(training, folder / f"seed_{seed}"))
+                job = sweep.Job(training, folder / f"seed_{seed}")
+                jobs.append(job)
         return jobs
 
 
@@ -80,7 +81,10 @@ def run(settings: Sweep) -> None:
         if settings.cluster:
             extras.append("rllib")
         require(*extras)
-        jobs = [] if settings.only_plot else settings.jobs()
+        if settings.only_plot:
+            jobs = []
+        else:
+            jobs = settings.jobs()
         writable_folder(Path(settings.out))
         from soft_tendon_env.learning.curves import show_curves
 

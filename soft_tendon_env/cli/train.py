@@ -113,7 +113,10 @@ def rllib_training(
     ValueError, OSError."""
     from soft_tendon_env.learning.rllib import RllibTraining, make_config
 
-    runners = RUNNERS if settings.runners is None else settings.runners
+    if settings.runners is None:
+        runners = RUNNERS
+    else:
+        runners = settings.runners
     make_config(training, runners)
     stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
     return RllibTraining(training, writable_folder(folder), runners, checkpoint)

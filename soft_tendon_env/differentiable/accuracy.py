@@ -71,12 +71,14 @@ def check_gradients(episodes: Episodes) -> None:
     _checked.add(episodes)
     scale = episodes.actuation.actions
     middle = 0.5 * (scale.least + scale.greatest)
-    least = np.minimum(np.maximum(scale.least, 0.0), middle)
+    above_zero = np.maximum(scale.least, 0.0)
+    least = np.minimum(above_zero, middle)
     ranges = [least]
     if has_elastic_tendons(episodes) and np.any(scale.least < least):
         ranges.append(scale.least)
     reports = []
-    for row in range(min(ROWS, episodes.arms.size)):
+    row_count = min(ROWS, episodes.arms.size)
+    for row in range(row_count):
         model = episodes.arms.model_of(row)
         for lowest in ranges:
             change = scale.increment
@@ -164,8 +166,11 @@ def gradient_accuracy(
     reach = greatest - least
     walks = _walks(random, least, reach, change)
     shape = DIRECTIONS, PERIODS, reach.size
-    ways = random.normal(size=shape) * WAY * reach
-    every_walk = np.concatenate([walks, walks[0] + ways, walks[0] - ways])
+    unit_ways = random.normal(size=shape) * WAY
+    ways = unit_ways * reach
+    ahead = walks[0] + ways
+    behind = walks[0] - ways
+    every_walk = np.concatenate([walks, ahead, behind])
     commands = torch.tensor(every_walk, requires_grad=True)
     costs = _costs(model, period, commands)
     (gradient,) = torch.autograd.grad(costs[0], commands)
@@ -175,11 +180,14 @@ def gradient_accuracy(
     back = costs[2 + DIRECTIONS :]
     differences = (forth - back).detach().numpy()
     # moves are to both sides
-    slopes = 2.0 * np.einsum("dka,ka->d", ways, gradient[0].numpy())
+    products = np.einsum("dka,ka->d", ways, gradient[0].numpy())
+    slopes = 2.0 * products
     length = np.linalg.norm(slopes)
     length_of_differences = np.linalg.norm(differences)
-    cosine = slopes @ differences / np.prod([length, length_of_differences])
-    return GradientAccuracy(float(cosine), float(length / length_of_differences))
+    lengths = np.prod([length, length_of_differences])
+    cosine = slopes @ differences / lengths
+    ratio = float(length / length_of_differences)
+    return GradientAccuracy(float(cosine), ratio)
 
 
 def _walks(
@@ -195,11 +203,14 @@ def _walks(
     width = high - low
     largest_step = np.minimum(change, 0.5 * width)
     shape = 2, PERIODS, reach.size
-    steps = random.uniform(-1.0, 1.0, shape) * largest_step
+    shares = random.uniform(-1.0, 1.0, shape)
+    steps = shares * largest_step
     unlimited = begin + np.cumsum(steps, axis=1)
     # a triangle wave, which goes to and fro between 0 and the width
-    beyond = (unlimited - low + width) % (2.0 * width)
-    return np.asarray(low + np.abs(beyond - width))
+    from_low = unlimited - low + width
+    beyond = from_low % (2.0 * width)
+    from_fold = np.abs(beyond - width)
+    return np.asarray(low + from_fold)
 
 
 def _costs(model: Model, period: float, commands: torch.Tensor) -> torch.Tensor:
@@ -214,13 +225,18 @@ def _costs(model: Model, period: float, commands: torch.Tensor) -> torch.Tensor:
         no_places,
     )
     rest = Simulation(model).reset_at_rest().q
-    arms.place(np.arange(rows), np.tile(rest, (rows, 1)))
+    numbers = np.arange(rows)
+    rests = np.tile(rest, (rows, 1))
+    arms.place(numbers, rests)
     now = arm_tensors(arms)
     costs = torch.zeros(rows)
     for k in range(PERIODS):
-        held = commands[:, k : k + 1].expand(-1, arms.substeps, -1)
+        command = commands[:, k : k + 1]
+        held = command.expand(-1, arms.substeps, -1)
         now = control_period(arms, now, held)
         tip = now.tip_pose[:, :3, 3]
-        way = tip - now.tip_pose[1, :3, 3].detach()
-        costs = costs + 0.5 * way.square().sum(dim=1)
+        position = now.tip_pose[1, :3, 3].detach()
+        way = tip - position
+        square = way.square().sum(dim=1)
+        costs = costs + 0.5 * square
     return costs

@@ -19,7 +19,8 @@ class _InwardClip(torch.autograd.Function):
         least: torch.Tensor,
         greatest: torch.Tensor,
     ) -> torch.Tensor:
-        clipped = torch.minimum(torch.maximum(values, least), greatest)
+        raised = torch.maximum(values, least)
+        clipped = torch.minimum(raised, greatest)
         ctx.save_for_backward(values - clipped)
         return clipped
 
@@ -90,16 +91,19 @@ class TensorActuation:
             command = self._at_rate(action)
         self.command = inward_clip(command, self.scale.least, self.scale.greatest)
         if self._in_transit is None:
-            acting = self.command[:, None].expand(-1, actuation.substeps, -1)
+            held = self.command[:, None]
+            acting = held.expand(-1, actuation.substeps, -1)
         else:
             newest = self.command[:, None]
-            self._in_transit = torch.cat([self._in_transit[:, 1:], newest], dim=1)
+            kept = self._in_transit[:, 1:]
+            self._in_transit = torch.cat([kept, newest], dim=1)
             acting = self._in_transit[actuation.arriving]
         if actuation.imperfect:
             gain = _tensor(actuation.gain)[:, None]
             offset = _tensor(actuation.offset)[:, None]
             slack = _tensor(actuation.slack)
-            acting = inward_clip(gain * acting + offset, slack, math.inf)
+            erroneous = gain * acting + offset
+            acting = inward_clip(erroneous, slack, math.inf)
         return acting
 
     def _at_rate(self, action: torch.Tensor) -> torch.Tensor:
@@ -113,9 +117,12 @@ class TensorActuation:
         goes_on = command != asked
         if self.scale.increment is not None:
             goes_on = torch.ones_like(goes_on)
-        return command + goes_on * (self.command - before)
+        change = goes_on * (self.command - before)
+        return command + change
 
 
 def _tensor(values: Any) -> Any:
     """A tensor with a copy of an array; None of None."""
-    return None if values is None else torch.tensor(values)
+    if values is None:
+        return None
+    return torch.tensor(values)

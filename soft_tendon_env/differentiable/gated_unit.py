@@ -24,7 +24,8 @@ def next_memory(gate: Layer, candidate: Layer, values: Tensor, memory: Tensor) -
     """
     before = torch.cat([values, memory], dim=1)
     share = torch.sigmoid(gate(before))
-    recalled = torch.cat([values, share * memory], dim=1)
+    parts = [values, share * memory]
+    recalled = torch.cat(parts, dim=1)
     new = torch.tanh(candidate(recalled))
     return memory + share * (new - memory)
 

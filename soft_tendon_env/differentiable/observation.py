@@ -1,6 +1,6 @@
 """Observations in PyTorch: the groups of the environments, on tensors in place of arrays."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -77,11 +77,14 @@ class TensorObservation:
         """
         groups = self._episodes.layout.groups
         # a group that uses NumPy does so from its first values on
-        watch = nullcontext() if self._is_tried else _NoArrays()
+        watch: AbstractContextManager[Any] = _NoArrays()
+        if self._is_tried:
+            watch = nullcontext()
         with watch:
             parts = [_tensor_values(name, group, observed) for name, group in groups.items()]
         self._is_tried = True
-        scaled = torch.cat(parts, dim=1) * self._scale
+        whole = torch.cat(parts, dim=1)
+        scaled = whole * self._scale
         return torch.clamp(scaled, -self._bound, self._bound)
 
     def complete(
@@ -105,8 +108,10 @@ class TensorObservation:
             present = flat[:, None, self._kept]
             frames = torch.cat([present, past], dim=1)
             past = frames[:, :-1]
-            changes = (frames[:, 1:] - frames[:, :1]) / CHANGE
-            flat = torch.cat([flat, changes.flatten(1)], dim=1)
+            differences = frames[:, 1:] - frames[:, :1]
+            changes = differences / CHANGE
+            both = [flat, changes.flatten(1)]
+            flat = torch.cat(both, dim=1)
         if self._episodes.task.goal is None:
             return flat.to(self._dtype), past
         observation = {
@@ -119,7 +124,8 @@ class TensorObservation:
     def _goal(self, pose: torch.Tensor) -> torch.Tensor:
         """Positions (rows, 3) of poses (rows, 4, 4) as goals, within their space."""
         bound = self._episodes.goal_bound
-        return torch.clamp(pose[:, :3, 3], -bound, bound).to(self._dtype)
+        clamped = torch.clamp(pose[:, :3, 3], -bound, bound)
+        return clamped.to(self._dtype)
 
 
 class _UsesNumPy(Exception):
@@ -188,12 +194,18 @@ def _readings(observed: Observed, arms: ArmTensors) -> Any:
     noisy = observed.measured
     if noisy is true:
         return arms
-    pose = arms.tip_pose + torch.tensor(noisy.tip_pose - true.tip_pose)
-    turn = true.tip_pose[:, :3, :3].swapaxes(1, 2) @ noisy.tip_pose[:, :3, :3]
-    pose[:, :3, :3] = arms.tip_pose[:, :3, :3] @ torch.tensor(turn)
-    length_noise = torch.tensor(noisy.tendon_length - true.tendon_length)
-    strain_noise = torch.tensor(noisy.strain - true.strain)
-    rate_noise = torch.tensor(noisy.strain_rate - true.strain_rate)
+    error = noisy.tip_pose - true.tip_pose
+    pose = arms.tip_pose + torch.tensor(error)
+    back = true.tip_pose[:, :3, :3].swapaxes(1, 2)
+    turn = back @ noisy.tip_pose[:, :3, :3]
+    rotation = arms.tip_pose[:, :3, :3]
+    pose[:, :3, :3] = rotation @ torch.tensor(turn)
+    error_of_lengths = noisy.tendon_length - true.tendon_length
+    length_noise = torch.tensor(error_of_lengths)
+    error_of_strains = noisy.strain - true.strain
+    strain_noise = torch.tensor(error_of_strains)
+    error_of_rates = noisy.strain_rate - true.strain_rate
+    rate_noise = torch.tensor(error_of_rates)
     parts: dict[str, Any] = {
         "tip_pose": pose,
         "tendon_length": arms.tendon_length + length_noise,

@@ -99,13 +99,15 @@ class _ControlPeriod(torch.autograd.Function):
         _fill(back.q_dot, after.q_dot)
         _fill(back.state, after.state)
         if after.tip_pose is not None:
-            _fill(back.tip_pose, body_cotangent(pose, after.tip_pose))
+            cotangent = body_cotangent(pose, after.tip_pose)
+            _fill(back.tip_pose, cotangent)
         _fill(back.tip_twist, after.tip_twist)
         _fill(back.backbone_position, after.backbone_position)
         _fill(back.tendon_length, after.tendon_length)
         _fill(back.strain, after.strain)
         _fill(back.strain_rate, after.strain_rate)
-        arms.adjoint(ctx.tape, np.arange(arms.size, dtype=np.int64), back)
+        rows = np.arange(arms.size, dtype=np.int64)
+        arms.adjoint(ctx.tape, rows, back)
         of_arms = None
         of_advance = None
         return (
@@ -154,9 +156,11 @@ def control_period(
     _check("before.q", before.q, arms.rows.q.shape)
     _check("before.q_dot", before.q_dot, arms.rows.q_dot.shape)
     _check("before.state", before.state, arms.rows.state.shape)
-    parts = _check("commands", commands, (arms.size, None, arms.model.tendon_count))
+    shape = (arms.size, None, arms.model.tendon_count)
+    parts = _check("commands", commands, shape)
     if advance is None:
-        advance = partial(arms.step, parts, np.arange(arms.size, dtype=np.int64))
+        rows = np.arange(arms.size, dtype=np.int64)
+        advance = partial(arms.step, parts, rows)
     after = _ControlPeriod.apply(
         arms,
         advance,

@@ -27,7 +27,8 @@ def body_cotangent(pose: torch.Tensor, cotangent: torch.Tensor) -> torch.Tensor:
     antisymmetric = turned - turned.mT
     moment = antisymmetric[..., [2, 0, 1], [1, 2, 0]]
     force = R.mT @ of_position
-    return torch.cat([moment, force[..., 0]], dim=-1)
+    column = force[..., 0]
+    return torch.cat([moment, column], dim=-1)
 
 
 def pose_cotangent(pose: torch.Tensor, cotangent: torch.Tensor) -> torch.Tensor:
@@ -55,7 +56,8 @@ class _PoseErrors(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, pose: torch.Tensor, desired: torch.Tensor) -> torch.Tensor:
-        error = torch.empty(*desired.shape[:2], 6, dtype=torch.float64)
+        shape = desired.shape[:2]
+        error = torch.empty(*shape, 6, dtype=torch.float64)
         pose_errors(pose.numpy(), desired.numpy(), error.numpy())
         ctx.save_for_backward(pose, desired, error)
         return error
@@ -74,7 +76,8 @@ class _PoseErrors(torch.autograd.Function):
         _, needs_desired = ctx.needs_input_grad
         if not needs_desired:
             return back, None
-        return back, pose_cotangent(desired, torch.from_numpy(of_desired))
+        of_target = pose_cotangent(desired, torch.from_numpy(of_desired))
+        return back, of_target
 
 
 def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -94,9 +97,12 @@ def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         ValueError: for other shapes.
     """
     rows = pose.shape[:1]
-    are_poses = pose.shape[1:] == (4, 4) and wanted.shape[2:] == (4, 4)
+    is_pose = pose.shape[1:] == (4, 4)
+    are_poses = is_pose and wanted.shape[2:] == (4, 4)
     if not are_poses or wanted.shape[:1] != rows:
-        shapes = f"{tuple(pose.shape)} and {tuple(wanted.shape)}"
+        own = tuple(pose.shape)
+        other = tuple(wanted.shape)
+        shapes = f"{own} and {other}"
         raise ValueError(
             f"pose and wanted should have shapes (rows, 4, 4) and (rows, m, 4, 4), not {shapes}"
         )

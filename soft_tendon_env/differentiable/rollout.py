@@ -91,10 +91,12 @@ def rollout(
         action_before = action
         action = _action(policy(observed), episodes)
         commands = actuation.apply(action)
-        advance = partial(episodes.step, action.detach().numpy())
+        numbers = action.detach().numpy()
+        advance = partial(episodes.step, numbers)
         arms = control_period(episodes.arms, arms, commands, advance=advance)
         observed = observation.now(arms, action, actuation.command)
-        target_pose = torch.tensor(episodes.target.tip_pose[:, :1])
+        first_pose = episodes.target.tip_pose[:, :1]
+        target_pose = torch.tensor(first_pose)
         # in the order of Trajectories
         step = (
             pose_logarithm(arms.tip_pose, target_pose)[:, 0],
@@ -109,7 +111,8 @@ def rollout(
             torch.tensor(episodes.diverged),
         )
         steps.append(step)
-    stacked: list[Any] = [torch.stack(values) for values in zip(*steps, strict=True)]
+    columns = zip(*steps, strict=True)
+    stacked: list[Any] = [torch.stack(values) for values in columns]
     return Trajectories._make([*stacked, observed])
 
 
@@ -121,5 +124,7 @@ def _action(action: torch.Tensor, episodes: Episodes) -> torch.Tensor:
     if not isinstance(action, torch.Tensor):
         raise TypeError(f"policy should return a tensor of actions, not {type(action).__name__}")
     shape = (episodes.size, episodes.model.tendon_count)
-    checked_array("the policy's action", action.detach().cpu().numpy(), shape)
-    return inward_clip(action.to("cpu", torch.float64), -1.0, 1.0)
+    numbers = action.detach().cpu().numpy()
+    checked_array("the policy's action", numbers, shape)
+    on_cpu = action.to("cpu", torch.float64)
+    return inward_clip(on_cpu, -1.0, 1.0)

@@ -62,7 +62,8 @@ class Style(NamedTuple):
     @property
     def rgb(self) -> tuple[float, ...]:
         """The colour as Matplotlib takes it, 0 to 1."""
-        return tuple(value / 255 for value in self.colour)
+        shares = (value / 255 for value in self.colour)
+        return tuple(shares)
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
@@ -74,13 +75,18 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     words = re.split(r"[^a-z0-9]+", policy.lower())
     kinds = [word for word in words if word in MODEL_BASED or word in LEARNED]
     filters = [FILTERS[word] for word in words if word in FILTERS]
-    kind = kinds[0] if kinds else None
-    share = filters[0] if filters else 1.0
+    kind = None
+    if kinds:
+        kind = kinds[0]
+    share = 1.0
+    if filters:
+        share = filters[0]
     marker = _marker(kind, share)
     taken_colours = [other.colour for other in taken]
     colours = [*OTHERS]
     if kind is not None:
-        colours = [*_shades(kind, share), *OTHERS]
+        shades = _shades(kind, share)
+        colours = [*shades, *OTHERS]
     for colour in colours:
         if colour not in taken_colours:
             return Style(colour, marker)
@@ -113,7 +119,9 @@ def _marker(kind: str | None, share: float) -> str:
         return TRIANGLE
     if kind in LEARNED:
         return CIRCLE
-    return SQUARE if share == 1.0 else DIAMOND
+    if share == 1.0:
+        return SQUARE
+    return DIAMOND
 
 
 def _shades(kind: str, share: float) -> Iterator[RGB]:
@@ -121,8 +129,15 @@ def _shades(kind: str, share: float) -> Iterator[RGB]:
 
     They are in the order in which they are taken.
     """
-    colour = LEARNED[kind] if kind in LEARNED else MODEL_BASED[kind]
+    if kind in LEARNED:
+        colour = LEARNED[kind]
+    else:
+        colour = MODEL_BASED[kind]
     for sibling in SIBLINGS:
         lightness = share * sibling
         # no lightness is changed by way of HLS that need not be: its numbers are rounded
-        yield colour if lightness == 1.0 else lighten(colour, lightness)
+        if lightness == 1.0:
+            shade = colour
+        else:
+            shade = lighten(colour, lightness)
+        yield shade

@@ -132,7 +132,8 @@ class ArmRenderer:
         self.turn = shapes.viewpoint(vertical, upright)
 
         # lines and letters grow with the frame
-        dpi = 100.0 * min(width / 640, height / 480)
+        scale = min(width / 640, height / 480)
+        dpi = 100.0 * scale
         rest = 0.1  # pixels are rounded down
         inches_wide = (width + rest) / dpi
         inches_high = (height + rest) / dpi
@@ -207,7 +208,10 @@ class ArmRenderer:
             position = picture.target_pose[:3, 3]
             positions = position[None]
             # a point has no axes
-            directions = picture.target_pose[:3, :3].T if picture.has_axes else nothing
+            if picture.has_axes:
+                directions = picture.target_pose[:3, :3].T
+            else:
+                directions = nothing
             length = AXES * self._model.length
             for direction in directions:
                 end = position + length * direction
@@ -231,7 +235,8 @@ class ArmRenderer:
         # a ring without radius closes the tip
         tip = backbone[-1:]
         sections = np.concatenate([backbone, tip])
-        point = np.zeros((1, *CIRCLE.shape))
+        shape = (1, *CIRCLE.shape)
+        point = np.zeros(shape)
         outline = np.append(self._outline, point, axis=0)
         rod = tube(sections, outline)
         depth, radius = shapes.mount_size(self._model.scene)
@@ -253,13 +258,16 @@ class ArmRenderer:
         Those of the far side are faded.
         """
         towards = self.turn[2]
-        colours = shapes.tension_colors(self._model, tension) / 255.0
+        colours_of_tensions = shapes.tension_colors(self._model, tension)
+        colours = colours_of_tensions / 255.0
         axis = shapes.positions(backbone[0])
         axis_depth = -axis @ towards
         # painted after all sections around, whatever its tendons' own depth
         step = np.gradient(self._arc_length)  # by which neighbours differ in depth
-        far_side = axis_depth - 1.5 * self._radius - step
-        near_side = far_side - 0.1 * self._radius - step
+        behind = axis_depth - 1.5 * self._radius
+        far_side = behind - step
+        before = far_side - 0.1 * self._radius
+        near_side = before - step
         faded = FADED * DIMMED * TUBE
         curves = shapes.tendon_curves(self._model, backbone, self._arc_length)
         lines = []
@@ -269,11 +277,13 @@ class ArmRenderer:
             behind_axis = depth - axis_depth[inside]
             is_behind = middle(behind_axis) > 0.0
             pale = (1.0 - FADED) * colour + faded
-            shade = np.where(is_behind[:, None], pale, colour)
+            rows_behind = is_behind[:, None]
+            shade = np.where(rows_behind, pale, colour)
             far = middle(far_side[inside])
             near = middle(near_side[inside])
             painted = np.where(is_behind, far, near)
-            lines.append(line(curve, shade, TENDON, painted))
+            tendon = line(curve, shade, TENDON, painted)
+            lines.append(tendon)
         return lines
 
 
@@ -340,10 +350,12 @@ def outline(segment: Segment, places: Array) -> Array:
 
     They are at arc lengths (m,) [m].
     """
-    height_and_width = segment.shape.hull(places, segment.length)[:2]
+    hull = segment.shape.hull(places, segment.length)
+    height_and_width = hull[:2]
     half_sizes = 0.5 * height_and_width
     corners = segment.shape.outline(CIRCLE)
-    scaled = half_sizes[:, None] * corners[..., None]
+    half = half_sizes[:, None]
+    scaled = half * corners[..., None]
     return scaled.reshape(CIRCLE.size, -1)
 
 
@@ -360,7 +372,8 @@ def cylinder(
     rings = np.tile(np.eye(4), (4, 1, 1))
     rings[:, 0, 3] = (start, start, end, end)
     # the outer rings have no radius: they close its ends
-    radii = radius * np.array([0.0, 1.0, 1.0, 0.0])
+    shares = np.array([0.0, 1.0, 1.0, 0.0])
+    radii = radius * shares
     outlines = radii[:, None, None] * CIRCLE
     return tube(pose @ rings, outlines)
 
@@ -419,7 +432,8 @@ def solid(
     diffuse = np.clip(normal @ light, 0.0, None)
     mirrored = np.clip(normal @ half_way, 0.0, None)
     glossy = mirrored[:, None] ** SHININESS
-    lit = AMBIENT + DIFFUSE * diffuse[:, None]
+    in_rows = diffuse[:, None]
+    lit = AMBIENT + DIFFUSE * in_rows
     bright = colour * lit + GLOSSY * glossy
     shade = np.clip(bright, 0.0, 1.0)
     centre = seen.mean(axis=1)
@@ -437,7 +451,8 @@ def line(
     """A line through points (m, 3) whose parts have colours (m - 1, 3) and depths (m - 1,) [m]."""
     start = points[:-1]
     end = points[1:]
-    corners = np.stack([start, start, end, end], axis=1)
+    ends = [start, start, end, end]
+    corners = np.stack(ends, axis=1)
     return Pieces(
         corners,
         colour,
@@ -452,16 +467,20 @@ def trail(points: Array, turn: Array) -> list[Pieces]:
         return []
     lines = len(points) - 1
     # share of the paper in the colour, from the oldest to the newest
-    pale = np.linspace(PALEST, 0.0, lines)[:, None]
+    shades = np.linspace(PALEST, 0.0, lines)
+    pale = shades[:, None]
     paper = np.array(PAPER)
-    colour = pale * paper + (1.0 - pale) * TRAIL
-    depth = middle(-points @ turn[2])
+    coloured = (1.0 - pale) * TRAIL
+    colour = pale * paper + coloured
+    towards = -points @ turn[2]
+    depth = middle(towards)
     return [line(points, colour, THREAD, depth)]
 
 
 def middle(values: Array) -> Array:
     """Mean of each value and the next."""
-    return np.asarray(0.5 * (values[:-1] + values[1:]))
+    pair_sums = values[:-1] + values[1:]
+    return np.asarray(0.5 * pair_sums)
 
 
 def paint_floor(
@@ -483,11 +502,13 @@ def paint_floor(
     # one scale for both axes: that of the narrower one
     pixels = figure.bbox.size
     filled_pixels = ROOM * pixels
-    per_pixel = np.max((highest - lowest) / filled_pixels)  # [m]
+    sizes = (highest - lowest) / filled_pixels
+    per_pixel = np.max(sizes)  # [m]
     half = 0.5 * per_pixel * pixels
     centre = 0.5 * (lowest + highest)
     # the title has its room above the box
-    centre[1] += RAISED * (1.0 - ROOM[1]) * half[1]
+    space = 1.0 - ROOM[1]
+    centre[1] += RAISED * space * half[1]
     left, low = centre - half
     right, high = centre + half
     axes = figure.add_axes(
@@ -498,13 +519,18 @@ def paint_floor(
     axes.set_axis_off()
     # lines on the floor, along both of its axes
     first, second = [axis for axis in range(3) if axis != vertical]
-    lowest_corner = lower if upright else upper
+    if upright:
+        lowest_corner = lower
+    else:
+        lowest_corner = upper
     floor = lowest_corner[vertical]
     spacing = GRID * rod_length(scene)
     lines = []
-    for along, aside in ((first, second), (second, first)):
+    directions = ((first, second), (second, first))
+    for along, aside in directions:
         # lines through multiples of the spacing in the world
-        begin = np.ceil(lower[aside] / spacing)
+        share = lower[aside] / spacing
+        begin = np.ceil(share)
         end = upper[aside] / spacing
         for number in np.arange(begin, end):
             ends = np.full((2, 3), floor)

@@ -60,7 +60,8 @@ def drawing_stations(model: Model, count: int) -> Array:
     length = borders[-1]
     shares = np.diff(borders) / length
     # a piece has at least one station, its start
-    pieces = np.ceil((count - 1) * shares).astype(int)
+    pieces_per_part = (count - 1) * shares
+    pieces = np.ceil(pieces_per_part).astype(int)
     stations = []
     start = borders[0]
     for end, piece_count in zip(borders[1:], pieces, strict=True):
@@ -82,7 +83,8 @@ def base_poses(
     """
     if scene is None:
         scene = model.scene
-    poses = np.tile(scene.base.pose, (times.size, 1, 1))
+    shape = (times.size, 1, 1)
+    poses = np.tile(scene.base.pose, shape)
     if not model.arm.effects.base.any():
         return poses
     arm = model.arm
@@ -115,7 +117,8 @@ def backbones(
     places = model.grid.places(arc_length, no_places)
     packed_strain = model.grid.packed(strain)
     kinematics = make_workspace(model.arm).kinematics
-    out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
+    shape = (len(strain), arc_length.size, 1, 1)
+    out = np.tile(np.eye(4), shape)
     read_backbones(model.arm, places, packed_strain, kinematics, out)
     if base is None:
         return out
@@ -162,10 +165,13 @@ def surface(
     position = pose[:3, 3]
     if not obstacle.is_endless:
         at_origin = _surface_at_origin(obstacle.kind, obstacle.sizes())
-        return np.asarray(at_origin @ rotation.T + position)
+        turned = at_origin @ rotation.T
+        return np.asarray(turned + position)
     lower, upper = box
     middle = 0.5 * (lower + upper)
-    half_width = 0.5 * float(np.max(upper - lower))
+    largest = np.max(upper - lower)
+    extent = float(largest)
+    half_width = 0.5 * extent
     part = half_width * _square() @ rotation.T
     normal = rotation[:, 2]
     # of the box's middle above the plane
@@ -176,7 +182,9 @@ def surface(
 
 def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
     """Obstacles of a scene's effects."""
-    return () if effects.contact is None else tuple(effects.contact.obstacles)
+    if effects.contact is None:
+        return ()
+    return tuple(effects.contact.obstacles)
 
 
 def _square() -> Array:
@@ -184,7 +192,8 @@ def _square() -> Array:
     side = np.linspace(-1.0, 1.0, FINENESS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
     z = np.zeros_like(x)
-    grid = np.stack([x, y, z], axis=-1)
+    coordinates = [x, y, z]
+    grid = np.stack(coordinates, axis=-1)
     # the corners of each piece, from its least x and y counterclockwise
     left = grid[:-1]
     right = grid[1:]
@@ -211,7 +220,8 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
     cube = []
     for face in (above, seen_from_below):
         for axis in range(3):
-            cube.append(np.roll(face, axis, axis=-1))
+            side = np.roll(face, axis, axis=-1)
+            cube.append(side)
     half_sizes = np.array(sizes[:3])
     edge_radius = sizes[3]
     edge_sizes = half_sizes + edge_radius
@@ -223,7 +233,8 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
     velocity = np.zeros(6)
     row = np.concatenate([[kind], motion, sizes, position, rotation, velocity])
     points = box.reshape(-1, 3)
-    nearest = np.empty((1, len(points), 3))
+    shape = (1, len(points), 3)
+    nearest = np.empty(shape)
     distances = np.empty((1, len(points)))
     read_distances(row[None], points, 0.0, distances, nearest)
     return nearest.reshape(box.shape)
@@ -248,24 +259,30 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
         down = gravity
         # in the frame of the base, where the tip of a limp arm hangs
         direction = gravity @ rotation / strength
-        hanging = np.array(HANGING) * length * direction
+        scaled = np.array(HANGING) * length
+        hanging = scaled * direction
     # the box in the frame of the base
-    behind = np.array([-BEHIND, -ASIDE, -ASIDE])
+    backwards = [-BEHIND, -ASIDE, -ASIDE]
+    behind = np.array(backwards)
     ahead = np.array([AHEAD, ASIDE, ASIDE])
     lower = np.minimum(behind * length, hanging)
     upper = np.maximum(ahead * length, hanging)
     # its corners in the world
     corners = corners_of_box(lower, upper) @ rotation.T
     corners += base[:3, 3]
-    vertical = int(np.argmax(np.abs(down)))
+    sizes = np.abs(down)
+    vertical = int(np.argmax(sizes))
     is_upright = bool(down[vertical] <= 0.0)
-    return corners.min(axis=0), corners.max(axis=0), vertical, is_upright
+    lowest = corners.min(axis=0)
+    highest = corners.max(axis=0)
+    return lowest, highest, vertical, is_upright
 
 
 def corners_of_box(lower: Array, upper: Array) -> Array:
     """Corners (8, 3) of a box along the axes."""
     ends_by_axis = zip(lower, upper, strict=True)
-    return np.array(list(itertools.product(*ends_by_axis)))
+    corners = list(itertools.product(*ends_by_axis))
+    return np.array(corners)
 
 
 def viewpoint(
@@ -292,8 +309,10 @@ def viewpoint(
     x = level * np.cos(around)
     y = level * np.sin(around)
     z = sign * np.sin(height)
-    towards = np.roll([x, y, z], vertical - 2)
-    against_gravity = sign * np.eye(3)[vertical]
+    direction = [x, y, z]
+    towards = np.roll(direction, vertical - 2)
+    axis = np.eye(3)[vertical]
+    against_gravity = sign * axis
     right = np.cross(against_gravity, towards)
     right /= np.linalg.norm(right)
     up = np.cross(towards, right)
@@ -330,10 +349,12 @@ def rotation_from_z(direction: Array) -> Array:
     # the cross product of z and the direction, then its length and their inner product: a
     # quaternion of half the angle between them
     x, y, z = np.moveaxis(direction, -1, 0)
-    squares = x**2 + y**2 + z**2
+    in_plane = x**2 + y**2
+    squares = in_plane + z**2
     length = np.sqrt(squares)
     about_z = np.zeros_like(x)
-    quaternion = np.stack([-y, x, about_z, length + z], axis=-1)
+    components = [-y, x, about_z, length + z]
+    quaternion = np.stack(components, axis=-1)
     size = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     is_unique = size > 0.0
     # to -z any half turn across z is as short
@@ -357,7 +378,9 @@ def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
     lower, upper, vertical, upright = view_box(model.scene)
     right = viewpoint(vertical, upright)[0]
     # of the box as it is seen
-    width = float(np.abs(right) @ (upper - lower))
+    extent = upper - lower
+    sizes = np.abs(right)
+    width = float(sizes @ extent)
     distance = SPACING * number * width
     x, y, z = (distance * right).tolist()
     return x, y, z
@@ -387,29 +410,38 @@ def camera(
     lower, upper, vertical, upright = view_box(model.scene)
     turn = viewpoint(vertical, upright, ELEVATION)
     # corners of the part of the box in which an arm mostly is, around each place
-    axes_of_base = np.abs(model.scene.base.pose[:3, :3])
-    share = np.minimum(axes_of_base @ [1.0, VISITED, VISITED], 1.0)
+    rotation = model.scene.base.pose[:3, :3]
+    axes_of_base = np.abs(rotation)
+    shares = [1.0, VISITED, VISITED]
+    share = np.minimum(axes_of_base @ shares, 1.0)
     middle_of_box = 0.5 * (lower + upper)
     half = 0.5 * (upper - lower) * share
     corners = corners_of_box(middle_of_box - half, middle_of_box + half)
     label = label_place(model)
     points = np.stack([*corners, label])
-    every_arm = np.concatenate([place + points for place in places])
+    arm_by_arm = [place + points for place in places]
+    every_arm = np.concatenate(arm_by_arm)
     seen = every_arm @ turn.T
     lowest = seen.min(axis=0)
     highest = seen.max(axis=0)
     middle = 0.5 * (lowest + highest)
     # every point is within the field of view: the nearer, the farther the camera stands back
     slope = math.tan(0.5 * FIELD_OF_VIEW)
-    slopes = slope * np.array([aspect, 1.0])
+    aspects = np.array([aspect, 1.0])
+    slopes = slope * aspects
     from_middle = seen - middle
-    aside = np.abs(from_middle)[:, :2]
+    distances = np.abs(from_middle)
+    aside = distances[:, :2]
     towards = from_middle[:, 2:]
     needed = aside / slopes + towards
     distance = needed.max()
     position = middle + [0.0, 0.0, distance]
-    sign = 1.0 if upright else -1.0
-    upward = sign * np.eye(3)[vertical]
+    if upright:
+        sign = 1.0
+    else:
+        sign = -1.0
+    axis = np.eye(3)[vertical]
+    upward = sign * axis
     return position @ turn, middle @ turn, upward
 
 
@@ -418,10 +450,12 @@ def tension_colors(model: Model, tension: Array) -> Array:
 
     They go by their share of the largest that each actuator gives.
     """
-    limits = np.abs([tendon.tension_limits for tendon in model.scene.tendons])
+    tension_limits = [tendon.tension_limits for tendon in model.scene.tendons]
+    limits = np.abs(tension_limits)
     largest = limits.max(axis=1)
     share = tension / largest
     channels = []
     for channel in PULL_COLORS.T:
-        channels.append(np.interp(share, PULLS, channel))
+        pulled = np.interp(share, PULLS, channel)
+        channels.append(pulled)
     return np.stack(channels, axis=-1)

@@ -49,7 +49,8 @@ class ActionScale:
             Commands (..., n_a).
         """
         if self.increment is None:
-            return self.least + self._reach * (action + 1.0)
+            way = self._reach * (action + 1.0)
+            return self.least + way
         return before + self.increment * action
 
     def command(self, action: Array, before: Array) -> Array:
@@ -64,9 +65,12 @@ class ActionScale:
         """
         command = self.wanted(action, before)
         if self.greatest_change is not None:
-            above = np.maximum(command, before - self.greatest_change)
-            command = np.minimum(above, before + self.greatest_change)
-        return np.asarray(np.minimum(np.maximum(command, self.least), self.greatest))
+            least = before - self.greatest_change
+            above = np.maximum(command, least)
+            greatest = before + self.greatest_change
+            command = np.minimum(above, greatest)
+        raised = np.maximum(command, self.least)
+        return np.asarray(np.minimum(raised, self.greatest))
 
     def action(self, command: Array, before: Array) -> Array:
         """Actions that ask for a command, or come as near to it as actions can.
@@ -79,10 +83,13 @@ class ActionScale:
             Actions (..., n_a) in [-1, 1].
         """
         if self.increment is None:
-            unlimited = 2.0 * (command - self.least) / (self.greatest - self.least) - 1.0
+            doubled = 2.0 * (command - self.least)
+            width = self.greatest - self.least
+            unlimited = doubled / width - 1.0
         else:
             unlimited = (command - before) / self.increment
-        return np.asarray(np.minimum(np.maximum(unlimited, -1.0), 1.0))
+        raised = np.maximum(unlimited, -1.0)
+        return np.asarray(np.minimum(raised, 1.0))
 
 
 class Actuation:
@@ -140,19 +147,24 @@ class Actuation:
         self.command = np.tile(start, (rows, 1))
         self._randomize = options.randomize
         self.imperfect = options.randomize.of_actuators
-        self.gain = np.ones((rows, start.size))
-        self.offset = np.zeros((rows, start.size))
+        shape = (rows, start.size)
+        self.gain = np.ones(shape)
+        self.offset = np.zeros(shape)
 
         _, latency = options.randomize.latency
         most = MOST_LATENCY * period
         if latency > most:
             allowed = f"it should be at most {MOST_LATENCY} control periods, {most:g} s"
-            problem = Problem(("randomize", "latency"), f"is {latency:g}: {allowed}")
+            message = f"is {latency:g}: {allowed}"
+            problem = Problem(("randomize", "latency"), message)
             raise ConfigurationError([problem], "environment")
         # a command that comes within a period shares it with the one before
         whole, _ = whole_periods(latency, period)
         self._kept = whole + 2
-        self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
+        self.in_transit = None
+        if latency:
+            repeats = (rows, self._kept, 1)
+            self.in_transit = np.tile(start, repeats)
         self._periods_late = np.zeros(rows, dtype=np.int64)
         self._durations = np.tile([0.0, period], (rows, 1))
 
@@ -189,7 +201,8 @@ class Actuation:
         self.offset[row] = offset
         whole, rest = whole_periods(latency, self._period)
         self._periods_late[row] = whole
-        self._durations[row] = rest, self._period - rest
+        rest_of_period = self._period - rest
+        self._durations[row] = rest, rest_of_period
         if self.in_transit is not None:
             self.in_transit[row] = command
 
@@ -198,7 +211,8 @@ class Actuation:
         values: dict[str, Any] = {}
         if self.imperfect:
             values["tension_gain"] = self.gain[row].copy()
-            values["tension_offset"] = self.offset[row] / self._share
+            offset = self.offset[row]
+            values["tension_offset"] = offset / self._share
         if self.in_transit is not None:
             values["latency"] = self.delay(row)
         return values
@@ -220,11 +234,13 @@ class Actuation:
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
         whole_periods_late = self._periods_late[row] * self._period
-        return float(whole_periods_late + self._durations[row, 0])
+        late = whole_periods_late + self._durations[row, 0]
+        return float(late)
 
     def acting(self, command: Array, row: int) -> Array:
         """Commands (..., n_a) with the errors of a row's actuators."""
-        erroneous = self.gain[row] * command + self.offset[row]
+        amplified = self.gain[row] * command
+        erroneous = amplified + self.offset[row]
         return np.asarray(np.maximum(erroneous, self.slack))
 
     def commanded(self, acting: Array, row: int) -> Array:
@@ -237,13 +253,16 @@ class Actuation:
         Returns:
             Commands (..., n_a).
         """
-        gain = np.where(self.gain[row] > 0.0, self.gain[row], 1.0)
-        return np.asarray((acting - self.offset[row]) / gain)
+        row_gain = self.gain[row]
+        gain = np.where(row_gain > 0.0, row_gain, 1.0)
+        amplified = acting - self.offset[row]
+        return np.asarray(amplified / gain)
 
     def sent(self, row: int) -> Array:
         """Commands (m, n_a) on their way to a row, with errors, the last asked for at the end."""
         if self.in_transit is None:
-            return self.acting(self.command[row : row + 1], row)
+            command = self.command[row : row + 1]
+            return self.acting(command, row)
         return self.acting(self.in_transit[row], row)
 
     @property
@@ -254,7 +273,9 @@ class Actuation:
         """
         newest = self._kept - 1 - self._periods_late
         rows = np.arange(len(newest))
-        return rows[:, None], newest[:, None] - [1, 0]
+        row_column = rows[:, None]
+        places = newest[:, None] - [1, 0]
+        return row_column, places
 
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands of the period that begins.
@@ -274,7 +295,8 @@ class Actuation:
             self.command = command
         if self.in_transit is None:
             durations = None
-            acting = self.command[:, None].repeat(self.substeps, axis=1)
+            held = self.command[:, None]
+            acting = held.repeat(self.substeps, axis=1)
         else:
             # the command before acts on until this one comes
             self.in_transit[members, :-1] = self.in_transit[members, 1:]
@@ -282,7 +304,8 @@ class Actuation:
             durations = self._durations
             acting = self.in_transit[self.arriving]
         if self.imperfect:
-            erroneous = self.gain[:, None] * acting + self.offset[:, None]
+            amplified = self.gain[:, None] * acting
+            erroneous = amplified + self.offset[:, None]
             acting = np.maximum(erroneous, self.slack)
         return acting, durations
 

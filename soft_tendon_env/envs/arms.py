@@ -72,7 +72,9 @@ class Arms:
         self.size = rows
         self.period = period
         self.places = model.grid.places(stations, sensors)
-        self.threads = max(1, min(threads or processors(), rows // LEAST_ROWS))
+        workers = threads or processors()
+        most = min(workers, rows // LEAST_ROWS)
+        self.threads = max(1, most)
         control = step_control(model, period)
         method = step_method(model)
         self.substeps = round(period / control.step)
@@ -105,14 +107,16 @@ class Arms:
         # how often each row has got another arm: a tape of before does not fit the one of now
         self._changes = np.zeros(rows, dtype=np.int64)
         # durations of the usual commands of a period, one for each integrator step
-        self._durations = np.full((rows, self.substeps), control.step)
+        shape = (rows, self.substeps)
+        self._durations = np.full(shape, control.step)
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
 
     @property
     def shape(self) -> Array:
         """Coordinates (rows, n) that give the scene's arm the shape of each row."""
-        return np.asarray(self.rows.q / self.ratio)
+        q = self.rows.q / self.ratio
+        return np.asarray(q)
 
     def coordinates_of(self, row: int, shape: Array) -> Array:
         """Coordinates (.., n) that give a row's arm the shape of the scene's arm.
@@ -124,7 +128,8 @@ class Arms:
         Returns:
             The coordinates of the row's arm.
         """
-        return np.asarray(self.ratio[row] * shape)
+        ratio = self.ratio[row]
+        return np.asarray(ratio * shape)
 
     def step(
         self,
@@ -146,14 +151,18 @@ class Arms:
         if durations is None and command.shape[1] == self.substeps:
             durations = self._durations
         elif durations is None:
-            durations = np.full(command.shape[:2], self._scheme.control.step)
+            shape = command.shape[:2]
+            durations = np.full(shape, self._scheme.control.step)
         durations = np.ascontiguousarray(durations)
         if tape is None:
             tape = self._no_tape
         else:
             tape.material[members] = self._changes[members]
         rows = self._batch
-        scheme = self._scheme if begins else self._goes_on
+        if begins:
+            scheme = self._scheme
+        else:
+            scheme = self._goes_on
 
         def step(part: Indices, scratch: Scratch) -> None:
             batch.step_rows(
@@ -215,7 +224,9 @@ class Arms:
             LinAlgError: which names a row, where its motion has no derivative.
         """
         self.check_adjoint()
-        changed = members[tape.material[members] != self._changes[members]]
+        material = tape.material[members]
+        before = self._changes[members]
+        changed = members[material != before]
         if changed.size:
             raise ValueError(
                 f"row {changed[0]} has got another arm since the period on the tape: go back before"
@@ -237,10 +248,13 @@ class Arms:
             )
 
         self.map_rows(go_back, members, HEAD_START)
-        failed = members[cotangents.status[members] != OK]
+        has_failed = cotangents.status[members] != OK
+        failed = members[has_failed]
         if failed.size:
-            cause = MESSAGES[int(cotangents.status[failed[0]])]
-            raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
+            code = int(cotangents.status[failed[0]])
+            cause = MESSAGES[code]
+            message = f"the motion of row {failed[0]} has no derivative: {cause}"
+            raise np.linalg.LinAlgError(message)
 
     def _adjoint_memories(self) -> dict[int, AdjointMemory]:
         """The memory of every thread's adjoint, by the `id` of its scratch.
@@ -268,7 +282,8 @@ class Arms:
             q: their coordinates (members, n).
             tension: (members, n_a) [N] that holds them; None: none.
         """
-        commands = np.zeros((self.size, self.model.tendon_count))
+        shape = (self.size, self.model.tendon_count)
+        commands = np.zeros(shape)
         if tension is not None:
             commands[members] = tension
         if self.model.arm.effects.transmission.acts:
@@ -298,7 +313,8 @@ class Arms:
             members: the rows.
             head_start: rows that this thread takes more, while the others wake up.
         """
-        if self.threads == 1 or members.size < self.threads + head_start:
+        is_alone = self.threads == 1
+        if is_alone or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
         pool = self._own_pool() or ThreadPoolExecutor(self.threads - 1)
@@ -310,9 +326,13 @@ class Arms:
         ]
         others = []
         for thread in range(1, self.threads):
-            part = members[borders[thread - 1] : borders[thread]]
-            others.append(pool.submit(work, part, self._scratch[thread]))
-        work(members[: borders[0]], self._scratch[0])
+            begin = borders[thread - 1]
+            part = members[begin : borders[thread]]
+            scratch = self._scratch[thread]
+            others.append(pool.submit(work, part, scratch))
+        own = members[: borders[0]]
+        scratch = self._scratch[0]
+        work(own, scratch)
         for other in others:
             other.result()
 
@@ -413,7 +433,9 @@ class Arms:
         if self._pool is None:
             return None
         process, pool = self._pool
-        return pool if process == os.getpid() else None
+        if process != os.getpid():
+            return None
+        return pool
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None, "_adjoint_memory": None}

@@ -42,7 +42,9 @@ def deepest(contact: Contact, gaps: Array, standing: bool = False) -> Depth:
             continue
         name = f"effects.contact.obstacles[{i}], a {obstacle.type}"
         gap = gaps[i]
-        depths.append(Depth(float(-gap.min()), int(gap.argmin()), name))
+        deepest = float(-gap.min())
+        sample = int(gap.argmin())
+        depths.append(Depth(deepest, sample, name))
     return max(depths)
 
 
@@ -53,9 +55,11 @@ def why_inside(model: Model, q: Array) -> str:
         return ""
     places = contact.sample_places(model.discretisation)
     radius = sample_outlines(model.discretisation, places).radius
-    gaps = contact.gaps(model.discretisation, model.backbone_at(q, places))
+    backbone = model.backbone_at(q, places)
+    gaps = contact.gaps(model.discretisation, backbone)
     depth, sample, name = deepest(contact, gaps)
-    if not depth > INSIDE * radius[sample]:
+    allowed = INSIDE * radius[sample]
+    if not depth > allowed:
         return ""
     place = f"{places[sample]:.3g} m along it"
     return f"the arm begins {1e3 * depth:.3g} mm deep in {name}, at {place}"
@@ -72,7 +76,8 @@ class ObstacleFreeSpace:
         scene = model.scene
         self._arms = arms
         without_obstacles = {"effects": scene.effects.everywhere()}
-        self.model = model.with_scene(scene.model_copy(update=without_obstacles))
+        bare_scene = scene.model_copy(update=without_obstacles)
+        self.model = model.with_scene(bare_scene)
         self._contact = scene.effects.contact
         self._parameters = self._contact.parameters(model.discretisation)  # once for all poses
         places = self._contact.sample_places(model.discretisation)
@@ -85,8 +90,11 @@ class ObstacleFreeSpace:
         reading, has_strain = self._arms.read_samples(q, no_motion, self._places)
         depths = []
         for poses in reading.backbone:
-            gaps = np.empty((len(self._contact.obstacles), len(poses)))
-            read_gaps(self._parameters, np.ascontiguousarray(poses), 0.0, gaps)
-            depths.append(deepest(self._contact, gaps, standing=True).depth)
+            shape = (len(self._contact.obstacles), len(poses))
+            gaps = np.empty(shape)
+            in_order = np.ascontiguousarray(poses)
+            read_gaps(self._parameters, in_order, 0.0, gaps)
+            deepest_place = deepest(self._contact, gaps, standing=True)
+            depths.append(deepest_place.depth)
         is_clear = np.array(depths) < 0.0
         return has_strain & is_clear

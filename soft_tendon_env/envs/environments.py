@@ -66,7 +66,8 @@ class EpisodesEnv:
         self.render_mode = render_mode
         parsed = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, parsed, rows, threads)
-        frames_per_second = max(1, round(1.0 / self.episodes.period))
+        rate = round(1.0 / self.episodes.period)
+        frames_per_second = max(1, rate)
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": frames_per_second}
         self._begun = False
         self._renderer = make_renderer(self.episodes, render_mode)
@@ -78,7 +79,8 @@ class EpisodesEnv:
 
     def _spaces(self) -> tuple[Box | Dict, Box]:
         """Observation and action space of one row."""
-        action = Box(-1.0, 1.0, (self.model.tendon_count,), np.float32)
+        shape = (self.model.tendon_count,)
+        action = Box(-1.0, 1.0, shape, np.float32)
         observation = self.episodes.layout.space
         if not self.task.goal:
             return observation, action
@@ -107,7 +109,8 @@ class EpisodesEnv:
         self._refuse("set_target", begun=True)
         members = np.arange(self.episodes.size)
         if rows is not None:
-            members = np.unique(members[np.asarray(rows)])
+            chosen = members[np.asarray(rows)]
+            members = np.unique(chosen)
         options = Options.parse({"target": target}, type(self).__name__)
         self.episodes.set_target(options.target, members)
 
@@ -181,7 +184,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         if self._renderer is not None:
             self._renderer.begin(ONE)
         observation = of_row(self.episodes.observation(), 0)
-        return observation, self._info() | self.episodes.drawn(0)
+        drawn = self.episodes.drawn(0)
+        return observation, self._info() | drawn
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Takes one control period.
@@ -207,7 +211,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             self._renderer.step(ONE)
         info = self._info()
         terminated = info["diverged"]
-        truncated = bool(self.episodes.step_count[0] >= self._most_steps)
+        steps = self.episodes.step_count[0]
+        truncated = bool(steps >= self._most_steps)
         if terminated:
             info["cause"] = self.episodes.cause(0)
         observation = of_row(self.episodes.observation(), 0)
@@ -247,7 +252,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
             gymnasium.error.ResetNeeded: before the first reset.
         """
         self._refuse("target_at", self._begun)
-        return self.episodes.trajectories.at(0, checked_array("times", times, (None,)))
+        moments = checked_array("times", times, (None,))
+        return self.episodes.trajectories.at(0, moments)
 
     def _info(self) -> dict[str, Any]:
         """The episode's info, with plain values."""
@@ -373,7 +379,8 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
                 most_steps = options_of_rows[row].episode_steps or np.inf
                 self._most_steps[row] = min(most_steps, self._usual_steps)
         stepped = np.zeros(self.num_envs, dtype=bool)
-        return self.episodes.observation(), self._info(stepped) | self._drawn(members)
+        observation = self.episodes.observation()
+        return observation, self._info(stepped) | self._drawn(members)
 
     def _members_of(self, options: Mapping[str, Any] | None) -> Indices:
         """The rows that options of a reset name by their mask, all without one.
@@ -437,11 +444,14 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         truncated = stepped & self.timed_out
         self._ended = terminated | truncated
         observation = self.episodes.observation()
-        info = self._info(stepped) | self._drawn(begun)
+        numbers = self._info(stepped)
+        drawn = self._drawn(begun)
+        info = numbers | drawn
         if terminated.any():
             info["cause"] = self._causes(terminated)
             info["_cause"] = terminated.copy()
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+        ends_in_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        if ends_in_step and self._ended.any():
             observation, info = self._restart(observation, info)
         return observation, reward, terminated, truncated, info
 
@@ -462,7 +472,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         final_info: dict[str, Any] = {}
         for key, value in info.items():
             is_mask = key.startswith("_")
-            final_info[key] = value & ended if is_mask else value
+            if is_mask:
+                final_info[key] = value & ended
+            else:
+                final_info[key] = value
         self._begin(begun)
         new_info = self._info(~ended)
         new_info["final_obs"] = final_obs
@@ -478,7 +491,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         masks = {}
         for name in info:
             is_reward = name.startswith("reward_")
-            masks[f"_{name}"] = stepped if is_reward else everywhere
+            if is_reward:
+                masks[f"_{name}"] = stepped
+            else:
+                masks[f"_{name}"] = everywhere
         return info | masks
 
     def _drawn(self, begun: Indices) -> dict[str, Any]:
@@ -489,12 +505,14 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     @property
     def state(self) -> tuple[State, ...]:
         """Copies of the rows' states."""
-        return tuple(self.episodes.state(row) for row in range(self.num_envs))
+        rows = range(self.num_envs)
+        return tuple(self.episodes.state(row) for row in rows)
 
     @property
     def timed_out(self) -> NDArray[np.bool_]:
         """Rows (rows,) whose episodes have lasted for their steps."""
-        return np.asarray(self.episodes.step_count >= self._most_steps)
+        is_over = self.episodes.step_count >= self._most_steps
+        return np.asarray(is_over)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draws the rows.
@@ -527,7 +545,8 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     if mode not in MODES:
-        problem = Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")
+        hint = not_among(str(mode), MODES)
+        problem = Problem(("autoreset_mode",), f"is {mode!r}: {hint}")
         raise ConfigurationError([problem], "environment")
     return MODES[mode]
 
@@ -555,7 +574,9 @@ class GoalRewards(EpisodesEnv):
             ValueError: for other shapes.
         """
         reward = self.episodes.goal_reward(achieved_goal, desired_goal)
-        return float(reward) if reward.ndim == 0 else reward
+        if reward.ndim == 0:
+            return float(reward)
+        return reward
 
 
 class TipPoseEnv(TendonRodEnv):
@@ -608,7 +629,9 @@ def _make_classes(name: str, task: Task) -> None:
         present = classes.get(name + suffix)
         if present is not None and present.task is task:
             continue
-        bases = (GoalRewards, base) if task.goal else (base,)
+        bases: tuple[type, ...] = (base,)
+        if task.goal:
+            bases = (GoalRewards, base)
         attributes = {"task": task, "__doc__": doc, "__module__": __name__}
         classes[name + suffix] = type(name + suffix, bases, attributes)
 

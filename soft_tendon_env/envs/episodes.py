@@ -137,11 +137,16 @@ class Targets:
         self._scene = arms.model.scene
         self._setting = setting
         period = options.control_period
-        ahead = [0, *(round(time / period) for time in options.preview)]
-        self.ahead = period * np.array(ahead, dtype=np.float64)
+        periods = (round(time / period) for time in options.preview)
+        ahead = [0, *periods]
+        counts = np.array(ahead, dtype=np.float64)
+        self.ahead = period * counts
         self.trajectories = TargetTrajectories(arms, period, ahead, task.shapes)
         # goals are drawn away from where the tip begins
-        away = options.threshold_of(arms.model.length) if task.goal else 0.0
+        if task.goal:
+            away = options.threshold_of(arms.model.length)
+        else:
+            away = 0.0
         self.draws = TargetDraws(setting, self.trajectories, period, away)
         self.generators = dict[int, np.random.Generator]()
         usual = Beginning(self.settled(None))
@@ -165,7 +170,8 @@ class Targets:
         checked = checked_target(target, self._options, self._task, self._scene)
         if checked.is_random:
             return checked
-        return checked.draw(np.random.default_rng(0), self._setting)
+        generator = np.random.default_rng(0)
+        return checked.draw(generator, self._setting)
 
     def usual(self, row: int) -> Beginning:
         """How episodes of a row begin without options."""
@@ -220,7 +226,8 @@ class Targets:
             self._usual[row] = usual
             has_begun = row in self.generators
             if has_begun:
-                self.begin(row, usual.target, tips[row], int(step_count[row]))
+                steps = int(step_count[row])
+                self.begin(row, usual.target, tips[row], steps)
         self.trajectories.prepare(step_count, members)
 
 
@@ -273,12 +280,15 @@ class Episodes:
         self.size = rows
         self.period = options.control_period
         self.model = model
-        self.goal_bound = GOAL_BOUND * model.length + options.farthest_base(scene)
+        reach = GOAL_BOUND * model.length
+        farthest = options.farthest_base(scene)
+        self.goal_bound = reach + farthest
         self.threshold = options.threshold_of(model.length)
         self.sensors = options.sensor_places(scene)
         stations = np.empty(0)
         if task.shapes:
-            stations = np.linspace(0.0, model.length, STATIONS + 1)[1:]
+            with_base = np.linspace(0.0, model.length, STATIONS + 1)
+            stations = with_base[1:]
         self.arms = Arms(
             model,
             rows,
@@ -320,10 +330,12 @@ class Episodes:
             self._reward_terms = Reward(weights, task.terms, self._strongest, model.length)
 
         # what is observed of them at rest
-        self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
+        q = np.tile(self.starts.q, (rows, 1))
+        self.arms.place(self._all, q, self.start_tension)
         reading = self.arms.reading
         rest_strain = stress_free_strain(scene, self.sensors)
-        self._rest_values = RestValues(reading.tendon_length[0].copy(), rest_strain)
+        tendon_length = reading.tendon_length[0].copy()
+        self._rest_values = RestValues(tendon_length, rest_strain)
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.terms = dict[str, Array]()
@@ -340,7 +352,8 @@ class Episodes:
         Raises ConfigurationError.
         """
         command_range = np.diff(limits)[:, 0]
-        tension_range = np.diff(self.limits)[:, 0]
+        widths = np.diff(self.limits)
+        tension_range = widths[:, 0]
         return Actuation(
             self.options,
             limits,
@@ -434,7 +447,8 @@ class Episodes:
                 checked_motion(self.model, options.state)
         target = options.goal or options.target
         if target is None:
-            return Beginning(self._targets.usual(row).target, options.state)
+            usual = self._targets.usual(row)
+            return Beginning(usual.target, options.state)
         return Beginning(self._targets.settled(target), options.state)
 
     def begin(
@@ -472,12 +486,16 @@ class Episodes:
             if state is not None:
                 motions[row] = checked_motion(drawn[row].model, state)
 
-        tension = np.tile(self.start_tension, (members.size, 1))
-        command = np.tile(self.start_command, (members.size, 1))
-        self.arms.place(members, np.array([arm.rest for arm in drawn.values()]), tension)
+        repeats = (members.size, 1)
+        tension = np.tile(self.start_tension, repeats)
+        command = np.tile(self.start_command, repeats)
+        rest_rows = [arm.rest for arm in drawn.values()]
+        rests = np.array(rest_rows)
+        self.arms.place(members, rests, tension)
         self.step_count[members] = 0
         action = self.actions.action(command, command)
-        at_rest = LastPeriod(tension, command, action, np.zeros_like(command))
+        no_change = np.zeros_like(command)
+        at_rest = LastPeriod(tension, command, action, no_change)
         self._last.replace_rows(members, at_rest)
         if motions:
             self._put(motions)
@@ -487,7 +505,8 @@ class Episodes:
             self._targets.begin(row, beginning_of[row].target, tips[row])
             # after the target, which is the same with and without noise
             if self._sensors is not None:
-                self._sensors.begin(row, int(generator.integers(2**63)))
+                seed = int(generator.integers(2**63))
+                self._sensors.begin(row, seed)
         self._observe(members)
 
     def set_state(self, row: int, state: State) -> None:
@@ -503,7 +522,8 @@ class Episodes:
             ValueError: for states of other arms.
         """
         self._refuse_states_of_robots()
-        self._put({row: checked_motion(self.arms.model_of(row), state)})
+        motion = checked_motion(self.arms.model_of(row), state)
+        self._put({row: motion})
         self._observe(self._all[:0])
         if self.history is not None:
             self.history.correct(self.present, self.step_count, row)
@@ -536,7 +556,8 @@ class Episodes:
                 arrays[name][row] = values
         # a step of no time reads the motions, and leaves all but the length of the next step
         members = np.array([*motions], dtype=np.int64)
-        command = np.ascontiguousarray(self._last.command[:, None])
+        held = self._last.command[:, None]
+        command = np.ascontiguousarray(held)
         no_time = np.zeros((self.size, 1))
         self.arms.step(command, members, no_time)
         for row, (_, step) in motions.items():
@@ -564,7 +585,8 @@ class Episodes:
         """
         if members is None:
             members = self._all
-        action = np.minimum(np.maximum(action, -1.0), 1.0)
+        raised = np.maximum(action, -1.0)
+        action = np.minimum(raised, 1.0)
         commands, durations = self.actuation.apply(action, members)
         self.arms.step(
             commands,
@@ -574,8 +596,12 @@ class Episodes:
             begins=durations is None,
         )
         applied = commands[:, -1]
-        tension = self.arms.reading.tension.copy() if self._transmits else applied
-        now = LastPeriod(tension, applied, action, action - self._last.action)
+        if self._transmits:
+            tension = self.arms.reading.tension.copy()
+        else:
+            tension = applied
+        change = action - self._last.action
+        now = LastPeriod(tension, applied, action, change)
         if members.size == self.size:
             self.step_count += 1
             self._last.replace_all(now)
@@ -622,13 +648,16 @@ class Episodes:
         self.diverged = self.arms.outcome.status != OK
         most_speed = self.options.tip_speed_limit
         if most_speed is not None:
-            speed = norm(tracking.reading.tip_twist[:, 3:])
+            velocity = tracking.reading.tip_twist[:, 3:]
+            speed = norm(velocity)
             self.diverged |= speed > most_speed
         if self.task.goal is None:
             self.terms, self.reward = self._reward_terms.evaluate(self.errors, tracking)
         else:
-            achieved = self._goal(measured.tip_pose[:, :3, 3])
-            desired = self._goal(self.target_pose[:, :3, 3])
+            position = measured.tip_pose[:, :3, 3]
+            achieved = self._goal(position)
+            target_position = self.target_pose[:, :3, 3]
+            desired = self._goal(target_position)
             self._goals = (achieved, desired)
             self.reward = self.goal_reward(achieved, desired)
         # so that no episode gains by ending
@@ -637,7 +666,9 @@ class Episodes:
     def _goal(self, position: Array) -> NDArray[np.float32]:
         """Positions (rows, 3) [m] of the tip as goals, within their space."""
         bound = np.float32(self.goal_bound)
-        return np.minimum(np.maximum(position.astype(np.float32), -bound), bound)
+        single = position.astype(np.float32)
+        raised = np.maximum(single, -bound)
+        return np.minimum(raised, bound)
 
     def _seen(self, measured: Reading | Measured, error: Array) -> Observed:
         """Quantities that observation groups are computed from, with these errors (rows, m, 6)."""
@@ -664,7 +695,8 @@ class Episodes:
         Raises:
             ValueError: for other shapes.
         """
-        return goal_reward(achieved, desired, self.threshold, self.options.reward == "dense")
+        is_dense = self.options.reward == "dense"
+        return goal_reward(achieved, desired, self.threshold, is_dense)
 
     def target_ahead(self, periods: int) -> TargetSamples:
         """Targets of all rows now and in the periods ahead.
@@ -695,7 +727,8 @@ class Episodes:
         if self.history is None:
             flat = self.present.copy()
         else:
-            flat = np.concatenate([self.present, self.history.changes], axis=1)
+            parts = [self.present, self.history.changes]
+            flat = np.concatenate(parts, axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self._goals
@@ -717,7 +750,8 @@ class Episodes:
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
-            info["is_success"] = goal_distance(*self._goals) <= self.threshold
+            distance = goal_distance(*self._goals)
+            info["is_success"] = distance <= self.threshold
         return info
 
     def drawn(self, row: int) -> dict[str, Any]:
@@ -725,33 +759,45 @@ class Episodes:
 
         It has numbers of the row's scene by dotted keys, and those of its actuators.
         """
-        values = {**self.starts.numbers[row], **self.actuation.drawn(row)}
-        return {DRAWN: values} if values else {}
+        of_arm = self.starts.numbers[row]
+        of_actuators = self.actuation.drawn(row)
+        values = {**of_arm, **of_actuators}
+        if values:
+            return {DRAWN: values}
+        return {}
 
     def drawn_shares(self) -> Array:
         """Drawn numbers (rows, numbers) as shares of their ranges, 0 for the least, 1 the greatest.
 
         They are what a policy can find out.
         """
-        return np.concatenate([self.starts.shares(), self.actuation.shares()], axis=1)
+        of_arm = self.starts.shares()
+        of_actuators = self.actuation.shares()
+        return np.concatenate([of_arm, of_actuators], axis=1)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
-        status = int(self.arms.outcome.status[row])
+        code = self.arms.outcome.status[row]
+        status = int(code)
         if status == OK:
-            speed = float(norm(self.arms.reading.tip_twist[row, 3:]))
+            velocity = self.arms.reading.tip_twist[row, 3:]
+            speed = float(norm(velocity))
             return (
                 f"the tip moved at {speed:.3g} m/s, tip_speed_limit is"
                 f" {self.options.tip_speed_limit:g}"
             )
-        return cause_of(status, self.model, step_control(self.model, self.period))
+        control = step_control(self.model, self.period)
+        return cause_of(status, self.model, control)
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
         arrays = rows.fields()
-        motion = Motion(*(arrays[name][row] for name in Motion._fields))
-        return state_of(self.arms.model_of(row), motion, float(rows.step[row]))
+        of_row = (arrays[name][row] for name in Motion._fields)
+        motion = Motion(*of_row)
+        model = self.arms.model_of(row)
+        time = float(rows.step[row])
+        return state_of(model, motion, time)
 
 
 def _replace(values: Array, members: Indices, new: Array) -> Array:

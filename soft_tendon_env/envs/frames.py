@@ -77,7 +77,8 @@ class RowRenderer:
         if self._renderer is None:  # in a copy
             self._renderer = ArmRenderer(self._episodes.model)
         pictures = [self._picture(row) for row in range(self._episodes.size)]
-        return tuple(self._renderer.frame(picture) for picture in pictures)
+        frames = (self._renderer.frame(picture) for picture in pictures)
+        return tuple(frames)
 
     def close(self) -> None:
         """Nothing is to be shown any more."""
@@ -89,7 +90,8 @@ class RowRenderer:
         title = [f"t = {time:.2f} s"]
         for name, values in episodes.errors.items():
             unit = error_unit(name)
-            title.append(f"{unit.label} {unit.text(values[row])}")
+            text = unit.text(values[row])
+            title.append(f"{unit.label} {text}")
         target_backbone = None
         if episodes.task.shapes:
             target_backbone = episodes.target_backbone[row]

@@ -81,7 +81,8 @@ class Observed:
     @property
     def target_length(self) -> Array:
         """Tendon lengths (rows, n_a) [m] of the target, less those at rest without tension."""
-        return self.target.tendon_length[:, 0] - self.rest.tendon_length
+        target_length = self.target.tendon_length[:, 0]
+        return target_length - self.rest.tendon_length
 
 
 class Units(NamedTuple):
@@ -182,16 +183,23 @@ def _target_from_tip(observed: Observed) -> Array:
     r = observed.tip_pose[:, None, :3, 3:]
     target = observed.target.tip_pose
     # g^-1 g_bar = R^T [R_bar, r_bar] - R^T r [0, 0, 0, 1]; products as sums over rows of R
-    turned = (R[..., None] * target[:, :, :3, None, :]).sum(2)
+    factors = R[..., None]
+    axes = target[:, :, :3, None, :]
+    products = factors * axes
+    turned = products.sum(2)
     place_of_tip = (R * r).sum(2)
-    seen = turned - place_of_tip[..., None] * target[:, :, 3:, :]
+    place = place_of_tip[..., None]
+    last_row = target[:, :, 3:, :]
+    offset = place * last_row
+    seen = turned - offset
     columns = seen[..., POSITION_AND_COLUMNS].swapaxes(2, 3)
     return columns.reshape(*columns.shape[:2], 9)
 
 
 def _pose_unit(units: Units) -> Array:
     """Units of positions, in lengths of the rod, and columns of rotations."""
-    return np.repeat([0.1 * units.length, 1.0, 1.0], 3)
+    sizes = [0.1 * units.length, 1.0, 1.0]
+    return np.repeat(sizes, 3)
 
 
 HISTORY = "history"
@@ -355,8 +363,10 @@ class Layout:
         is_kept = []
         for name, group in groups.items():
             size = sizes[name]
-            every_unit.append(np.resize(group.unit(units), size))
-            bounds.append(np.full(size, group.bound_in(units)))
+            unit_of_group = group.unit(units)
+            every_unit.append(np.resize(unit_of_group, size))
+            bound_of_group = group.bound_in(units)
+            bounds.append(np.full(size, bound_of_group))
             is_kept.append(np.full(size, group.of_arm))
         unit = np.concatenate(every_unit)
         self.scale = 1.0 / unit
@@ -365,16 +375,22 @@ class Layout:
 
         # after them the changes of each past period, the latest first
         if history:
-            self.slices[HISTORY] = slice(end, end + history * self.kept.size)
-        unit_of_changes = np.tile(CHANGE * unit[self.kept], history)
-        bound_of_changes = np.tile(2.0 / CHANGE * self.bound[self.kept], history)
+            history_end = end + history * self.kept.size
+            self.slices[HISTORY] = slice(end, history_end)
+        scaled = CHANGE * unit[self.kept]
+        unit_of_changes = np.tile(scaled, history)
+        kept_bound = self.bound[self.kept]
+        scaled_bound = 2.0 / CHANGE * kept_bound
+        bound_of_changes = np.tile(scaled_bound, history)
         self._units = np.concatenate([unit, unit_of_changes])
-        high = np.concatenate([self.bound, bound_of_changes]).astype(np.float32)
+        every_bound = np.concatenate([self.bound, bound_of_changes])
+        high = every_bound.astype(np.float32)
         self.space = Box(-high, high, dtype=np.float32)
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """The groups' observation now, a new array (rows, size of the groups)."""
-        parts = [group.values(observed) for group in self.groups.values()]
+        groups = self.groups.values()
+        parts = [group.values(observed) for group in groups]
         values = np.concatenate(parts, axis=1)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self.scale, self.bound, present)
@@ -390,7 +406,8 @@ class Layout:
             By group (rows, size of the group), in the units of `Observed`.
         """
         unscaled = observation * self._units
-        return {name: unscaled[:, columns] for name, columns in self.slices.items()}
+        slices = self.slices.items()
+        return {name: unscaled[:, columns] for name, columns in slices}
 
 
 def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
@@ -402,7 +419,8 @@ def _sizes(groups: Mapping[str, Group], observed: Observed) -> dict[str, int]:
     sizes: dict[str, int] = {}
     for name, group in groups.items():
         shape = np.shape(group.values(observed))
-        if len(shape) != 2 or shape[0] != rows:
+        is_no_table = len(shape) != 2
+        if is_no_table or shape[0] != rows:
             raise ValueError(
                 f"the observation group {name!r} should have values of shape ({rows}, size), not"
                 f" {shape}"
@@ -433,7 +451,8 @@ class History:
             kept: (m,) columns of what is observed.
         """
         self._kept = kept
-        self.frames = np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
+        shape = (rows, 1 + periods, kept.size)
+        self.frames = np.zeros(shape, dtype=np.float32)
 
     def keep(
         self,
@@ -482,15 +501,18 @@ class History:
         """Past less present, a new array (rows, periods * m), the latest period first."""
         past = self.frames[:, 1:]
         present = self.frames[:, :1]
-        changes = (past - present) / np.float32(CHANGE)
+        unit = np.float32(CHANGE)
+        changes = (past - present) / unit
         return changes.reshape(len(changes), -1)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:
     """Strains (m, 6) of the stress-free rod at arc lengths (m,) [m]."""
-    curvatures = np.array([segment.curvature for segment in scene.segments])
+    segment_curvatures = [segment.curvature for segment in scene.segments]
+    curvatures = np.array(segment_curvatures)
     curvature = curvatures[segment_index(scene, arc_length)]
-    straight = np.tile([1.0, 0.0, 0.0], (arc_length.size, 1))
+    shape = (arc_length.size, 1)
+    straight = np.tile([1.0, 0.0, 0.0], shape)
     return np.concatenate([curvature, straight], axis=1)
 
 

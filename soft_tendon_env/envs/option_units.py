@@ -53,7 +53,9 @@ def warn_of_options(options: Options, scene: Scene) -> None:
         options: of an environment.
         scene: of the options.
     """
-    numbers = [*_unlikely_options(options, scales_of(scene)), *_unlikely_draws(options, scene)]
+    unlikely_options = _unlikely_options(options, scales_of(scene))
+    unlikely_draws = _unlikely_draws(options, scene)
+    numbers = [*unlikely_options, *unlikely_draws]
     if numbers:
         text = (
             "the environment has options that look as if they were not in SI units (m, kg, s, N,"
@@ -79,7 +81,10 @@ def _quantities(options: Options, arm: ArmScales) -> Iterator[OptionQuantity]:
     yield OptionQuantity("period", "control_period", period, period)
     longest = max(options.preview, default=0.0)
     # a few slow control periods ahead may be long
-    share = longest if longest > 10.0 * period else 0.0
+    if longest > 10.0 * period:
+        share = longest
+    else:
+        share = 0.0
     yield OptionQuantity("preview", "preview", longest, share)
     drawn = options.randomize
     latency = drawn.latency[1]
@@ -156,4 +161,5 @@ def _memory() -> float | None:
     """Memory of the machine [bytes]; None where the system does not say."""
     if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
         return None
-    return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return float(size)

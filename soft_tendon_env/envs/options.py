@@ -104,7 +104,8 @@ def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
 def _usual_preview(values: dict[str, Any]) -> tuple[float, ...]:
     """Default preview times [s] of options that are valid so far."""
     period = values.get("control_period", 0.0)
-    return max(0.1, period), max(0.2, 2 * period)
+    coarser = max(0.2, 2 * period)
+    return max(0.1, period), coarser
 
 
 class Options(Configuration):
@@ -203,19 +204,24 @@ class Options(Configuration):
                 "should be the name of a shipped scene, the path of a TOML file, a Scene, or a"
                 " table as of scene_to_dict"
             )
-        return scene_to_dict(scene) if isinstance(scene, Scene) else scene
+        if isinstance(scene, Scene):
+            return scene_to_dict(scene)
+        return scene
 
     @field_validator("preview", mode="before")
     @classmethod
     def _times(cls, preview: Any) -> Any:
-        if isinstance(preview, int | float) and not isinstance(preview, bool):
+        is_numeric = isinstance(preview, int | float)
+        if is_numeric and not isinstance(preview, bool):
             raise ValueError(f"should be a list of times ahead [s]: [{preview}]")
         return preview
 
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
-        return weights_of(reward) if isinstance(reward, dict) else reward
+        if isinstance(reward, dict):
+            return weights_of(reward)
+        return reward
 
     def sensor_places(self, scene: Scene) -> Array:
         """Returns the arc lengths of the strain sensors.
@@ -372,7 +378,8 @@ def row_seeds(seed: Any, rows: int) -> list[int | None]:
         if own is None:
             seeds.append(None)
         else:
-            seeds.append(checked_count(f"seed[{row}]", own, 0))
+            row_seed = checked_count(f"seed[{row}]", own, 0)
+            seeds.append(row_seed)
     return seeds
 
 
@@ -399,7 +406,9 @@ def resolved_scene(options: Options) -> Scene:
     columns = _columns_of_extremes(options, scene)
     if columns is not None:
         changes["integrator.columns"] = columns
-    return scene.replace(changes) if changes else scene
+    if changes:
+        return scene.replace(changes)
+    return scene
 
 
 def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
@@ -412,7 +421,11 @@ def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
         match = EXTRAPOLATED.search(drawn.name)
         if match:
             is_stiffness = match[1] == "young_modulus"
-            extremes |= drawn.changes(drawn.greatest if is_stiffness else drawn.least)
+            if is_stiffness:
+                extreme = drawn.greatest
+            else:
+                extreme = drawn.least
+            extremes |= drawn.changes(extreme)
     if not extremes:
         return None
     try:
@@ -420,7 +433,9 @@ def _columns_of_extremes(options: Options, scene: Scene) -> int | None:
     except ConfigurationError:
         # an end that cannot be is told with its key, when the arms are drawn
         return None
-    return columns if columns != extrapolation_columns(scene) else None
+    if columns == extrapolation_columns(scene):
+        return None
+    return columns
 
 
 def given_scene(scene: Any) -> Scene:
@@ -460,7 +475,8 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
         chosen = task.observations[chosen]
     for name in chosen:
         if name not in allowed:
-            _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
+            hint = not_among(name, allowed)
+            _fail("observation", f"names {name!r}: {hint}")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
     return {name: allowed[name] for name in chosen}
@@ -481,7 +497,8 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     length = rod_length(scene)
     farthest = options.sensor_places(scene).max(initial=0.0)
     if farthest > length:
-        _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
+        message = f"names {farthest:g}: it should be at most the rod's length, {length:g}"
+        _fail("sensors", message)
     target = options.target or usual_target(task)
     leaves_nothing_open = checked_target(target, options, task, scene) is target
     if leaves_nothing_open and options.difficulty is not None:
@@ -526,7 +543,8 @@ def _check_preview(options: Options) -> None:
                 f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of"
                 f" them, {MOST_AHEAD * period:g} s"
             )
-            _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
+            message = f"is {time:g}: it should be {allowed}"
+            _fail(f"preview[{i}]", message)
 
 
 def usual_target(task: Task) -> Target:
@@ -587,13 +605,18 @@ def _check_pose(
     place = pose[:3, 3]
     base = scene.base.position
     bound = GOAL_BOUND * rod_length(scene)
-    if np.abs(place - base).max() <= bound:
+    distance = np.abs(place - base).max()
+    if distance <= bound:
         return
     allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod"
     if any(base):
         allowed += f", around the base at {shown(base)} m"
-    key = "target.pose" if target.position is None else "target.position"
-    _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
+    if target.position is None:
+        key = "target.pose"
+    else:
+        key = "target.position"
+    place_shown = shown(place.tolist())
+    _fail(key, f"is at {place_shown} m: goals should lie {allowed}")
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -56,8 +56,12 @@ def _as_range(value: Any) -> Any:
 
     Raises ValueError.
     """
-    ends = value if isinstance(value, tuple) else (value, value)
-    are_numbers = len(ends) == 2 and all(type(end) in (int, float) for end in ends)
+    if isinstance(value, tuple):
+        ends = value
+    else:
+        ends = (value, value)
+    is_pair = len(ends) == 2
+    are_numbers = is_pair and all(type(end) in (int, float) for end in ends)
     if not are_numbers or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
         raise ValueError(f"should be a number, or (least, greatest), within ±{GREATEST:g}")
     return ends
@@ -116,7 +120,8 @@ class Randomization(Configuration):
         for name, value in numbers.items():
             table = name.replace("[", ".").split(".")[0]
             if name not in SHORT and table not in TABLES:
-                text = f"is an unknown key (given {shown(value)}): {not_among(name, valid)}"
+                hint = not_among(name, valid)
+                text = f"is an unknown key (given {shown(value)}): {hint}"
                 problems.append(Problem((name,), text))
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
@@ -150,7 +155,8 @@ class Randomization(Configuration):
     @property
     def of_actuators(self) -> bool:
         """Whether applied tensions can differ from commanded ones, apart from latency."""
-        return self.tension_gain != (1.0, 1.0) or self.tension_offset != (0.0, 0.0)
+        has_gains = self.tension_gain != (1.0, 1.0)
+        return has_gains or self.tension_offset != (0.0, 0.0)
 
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -164,14 +170,18 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
         if key in ranges:
             text = f"is {key}, which is drawn already: leave one of them out"
             raise ConfigurationError([Problem((name,), text)])
-        ranges[key] = {kind: value} if kind else value
+        if kind:
+            ranges[key] = {kind: value}
+        else:
+            ranges[key] = value
     return ranges
 
 
 def _whole_rod(scene: Scene, name: str, value: Any) -> str:
     """The key of a number, with the others that a factor of it means in some segments."""
     is_factor = isinstance(value, dict) and "factor" in value
-    has_stiffnesses = any(isinstance(part.section, Stiffness) for part in scene.segments)
+    is_stiffness = (isinstance(part.section, Stiffness) for part in scene.segments)
+    has_stiffnesses = any(is_stiffness)
     keys = [name]
     if is_factor and has_stiffnesses:
         for key in OF_STIFFNESS.get(name, ()):
@@ -206,8 +216,10 @@ def drawn_in_rows(
         rows_with_key = [row for row in sorted(drawn_of) if key in drawn_of[row]]
         mask = np.zeros(rows, dtype=bool)
         mask[rows_with_key] = True
-        values = np.array([drawn_of[row][key] for row in rows_with_key])
-        column = np.zeros((rows, *values.shape[1:]))
+        row_values = [drawn_of[row][key] for row in rows_with_key]
+        values = np.array(row_values)
+        shape = (rows, *values.shape[1:])
+        column = np.zeros(shape)
         column[rows_with_key] = values
         table[key] = column
         table[f"_{key}"] = mask
@@ -255,7 +267,8 @@ class Sensors:
             "strain": noise.of_strains(sensors),
             "strain_rate": noise.of_strain_rates(sensors),
         }
-        self._deviation = np.concatenate([*deviations.values()])
+        every_deviation = [*deviations.values()]
+        self._deviation = np.concatenate(every_deviation)
         # columns of each part
         self._columns: dict[str, slice] = {}
         start = 0
@@ -263,7 +276,8 @@ class Sensors:
             end = start + deviation.size
             self._columns[part] = slice(start, end)
             start = end
-        self._noise = np.zeros((rows, CHUNK, self._deviation.size))
+        shape = (rows, CHUNK, self._deviation.size)
+        self._noise = np.zeros(shape)
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
         self._omit = omit
         self._is_noisy = np.ones((rows, 1), dtype=bool)
@@ -290,7 +304,9 @@ class Sensors:
         Returns:
             The measured values.
         """
-        for row in members[step_count[members] % CHUNK == 0]:
+        is_end = step_count[members] % CHUNK == 0
+        at_end = members[is_end]
+        for row in at_end:
             self._draw_chunk(row)
         noise = self._noise_now(step_count)
         strain_noise = noise["strain"].reshape(reading.strain.shape)
@@ -312,8 +328,10 @@ class Sensors:
         """Noise (rows, size) by part, 0 in episodes without noise."""
         rows = np.arange(len(step_count))
         sample = step_count % CHUNK
-        noise = self._noise[rows, sample] * self._is_noisy
-        return {part: noise[:, columns] for part, columns in self._columns.items()}
+        drawn = self._noise[rows, sample]
+        noise = drawn * self._is_noisy
+        slices = self._columns.items()
+        return {part: noise[:, columns] for part, columns in slices}
 
 
 def _moved(pose: Array, position: Array, rotation: Array) -> Array:

@@ -83,7 +83,9 @@ class Starts:
         model = arms.model
         effects = model.scene.effects
         self.limits = model.discretisation.tension_limits.copy()
-        self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
+        lower = self.limits[:, 0]
+        upper = self.limits[:, 1]
+        self.tension = np.clip(0.0, lower, upper)
         self.q, reason = self._settle(model)
         if reason:
             tension = shown_numbers(self.tension)
@@ -93,7 +95,8 @@ class Starts:
         self.setting = make_setting(arms, self.limits, self.tension, self.q)
         if effects.contact is not None:
             free = ObstacleFreeSpace(arms)
-            rests_clear = free.holds(self.q[None]).all()
+            is_clear = free.holds(self.q[None])
+            rests_clear = is_clear.all()
             if rests_clear:  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
         self._usual = Drawn(model, self.q)
@@ -152,7 +155,9 @@ class Starts:
         if self._omit:
             return BANK_WITH_OMISSIONS
         varies = any(drawn.least < drawn.greatest for drawn in self._ranges)
-        return BANK if varies else 1
+        if varies:
+            return BANK
+        return 1
 
     def begin(self, row: int, generator: np.random.Generator) -> Drawn:
         """Give a row its arm.
@@ -168,7 +173,8 @@ class Starts:
             ConfigurationError: where it cannot be.
         """
         first, *_ = generator.random(DRAWS)
-        drawn = self._arm(int(first * self._size))
+        place = int(first * self._size)
+        drawn = self._arm(place)
         self._arms.set_model(row, drawn.model)
         self.numbers[row] = drawn.numbers
         return drawn
@@ -252,7 +258,8 @@ class Starts:
             raise _problem(("randomize", *key), text) from None
         if misfit:
             why = f"which changes {misfit}: rows can differ in numbers alone"
-            raise _problem(("randomize", *key), f"can draw {_listed(changes)}, {why}")
+            message = f"can draw {_listed(changes)}, {why}"
+            raise _problem(("randomize", *key), message)
         return model
 
     def _settle(self, model: Model) -> tuple[Array, str]:
@@ -261,7 +268,8 @@ class Starts:
         Also why it does not; "": it does.
         """
         rest = static_equilibrium(model, self.tension, settle=True)
-        return rest.q, why_inside(model, rest.q) or rest.reason
+        why = why_inside(model, rest.q)
+        return rest.q, why or rest.reason
 
 
 def _listed(numbers: Mapping[str, float]) -> str:

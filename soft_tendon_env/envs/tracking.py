@@ -79,7 +79,8 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
             weights[name] = _weight_of(value)
         except ConfigurationError as error:
             for key, text in error.problems:
-                problems.append(Problem((name, *key), text))
+                whole_key = (name, *key)
+                problems.append(Problem(whole_key, text))
     if problems:
         raise ConfigurationError(problems)
     return weights
@@ -109,7 +110,10 @@ class Term(NamedTuple):
         """Errors that halve the term, those of its weight or the default ones, of a rod [m]."""
         if weight.scale is not None:
             return np.array(weight.scale)
-        unit = length if self.of_length else 1.0
+        if self.of_length:
+            unit = length
+        else:
+            unit = 1.0
         return np.array(self.scale) * unit
 
 
@@ -155,7 +159,8 @@ class Reward:
         Raises:
             ConfigurationError: for other terms, and unless one has a weight above 0.
         """
-        total = sum(weight.weight for weight in weights.values())
+        values = (weight.weight for weight in weights.values())
+        total = sum(values)
         _check_terms(weights, available, total)
         self._shares = {name: weight.weight / total for name, weight in weights.items()}
         self._functions: dict[str, Callable[[Any], Array]] = {}
@@ -208,10 +213,12 @@ class Reward:
         """
         # terms that are compiled
         rows = len(tracking.command)
-        error_table = np.empty((rows, len(self._errors)))
+        shape = (rows, len(self._errors))
+        error_table = np.empty(shape)
         for i, name in enumerate(self._errors):
             error_table[:, i] = errors[name]
-        values = np.empty((len(self._compiled), rows))
+        shape = (len(self._compiled), rows)
+        values = np.empty(shape)
         reward = np.empty(rows)
         command = tracking.command
         change = tracking.action_change
@@ -286,12 +293,16 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
             "achieved_goal and desired_goal should have the same shape (..., 3), not"
             f" {shape} and {desired_shape}"
         )
-    way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
+    reached = np.asarray(achieved, dtype=np.float64)
+    goal = np.asarray(desired, dtype=np.float64)
+    way = reached - goal
     # component by component: a sum over an axis may round otherwise for one goal than for many
     x = way[..., 0]
     y = way[..., 1]
     z = way[..., 2]
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
+    in_plane = x * x + y * y
+    square = in_plane + z * z
+    return np.asarray(np.sqrt(square))
 
 
 def goal_reward(
@@ -318,7 +329,8 @@ def goal_reward(
     if not dense:
         return np.asarray(distance <= threshold, dtype=np.float64)
     grades = [closeness(distance, grade * HALF * threshold) for grade in GRADES]
-    return np.asarray(sum(grades) / len(GRADES))
+    mean_grade = sum(grades) / len(GRADES)
+    return np.asarray(mean_grade)
 
 
 class Tracking(NamedTuple):
@@ -348,7 +360,8 @@ class Tracking(NamedTuple):
     @property
     def time(self) -> Array:
         """Time (rows,) [s] since the episode began."""
-        return np.asarray(self.arms.period * self.step_count, dtype=np.float64)
+        seconds = self.arms.period * self.step_count
+        return np.asarray(seconds, dtype=np.float64)
 
     @property
     def tip_pose(self) -> Array:
@@ -389,7 +402,8 @@ class TrackingError:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms of the error, by name: one of one scale, one of GRADES of it."""
-        graded_scales = tuple(grade * self.scale for grade in GRADES)
+        scales = (grade * self.scale for grade in GRADES)
+        graded_scales = tuple(scales)
         return {
             self.term: Term(self.name, (self.scale,), self.of_length),
             f"graded_{self.term}": Term(self.name, graded_scales, self.of_length),
@@ -406,52 +420,44 @@ def _distance(tracking: Tracking) -> Array:
     return tracking.distance
 
 
+POSITION = TrackingError(
+    "position_error", "position", "tip position error [m]", 0.05, _distance, of_length=True
+)
+
+
 def _angle(tracking: Tracking) -> Array:
     return tracking.angle
+
+
+ANGLE_TEXT = "angle between the tip's and the target's frame [rad]"
+ANGLE = TrackingError("angle_error", "angle", ANGLE_TEXT, 0.5, _angle)
 
 
 def _backbone_distance(tracking: Tracking) -> Array:
     """Root mean square distances (rows,) [m] of the stations from those of the target."""
     stations = tracking.reading.backbone[..., :3, 3]
-    distances = norm(tracking.target.backbone[:, 0] - stations)
-    return np.asarray(np.sqrt(np.mean(distances**2, axis=1)))
+    target = tracking.target.backbone[:, 0]
+    differences = target - stations
+    distances = norm(differences)
+    mean_square = np.mean(distances**2, axis=1)
+    return np.asarray(np.sqrt(mean_square))
+
+
+BACKBONE_TEXT = "root mean square distance between backbone and target [m]"
+BACKBONE = TrackingError(
+    "backbone_error", "backbone", BACKBONE_TEXT, 0.05, _backbone_distance, of_length=True
+)
 
 
 def _coordinate_distance(tracking: Tracking) -> Array:
-    return norm(tracking.target.q[:, 0] - tracking.q)
+    target = tracking.target.q[:, 0]
+    return norm(target - tracking.q)
 
 
-POSITION = TrackingError(
-    name="position_error",
-    term="position",
-    description="tip position error [m]",
-    scale=0.05,
-    value=_distance,
-    of_length=True,
-)
-ANGLE = TrackingError(
-    name="angle_error",
-    term="angle",
-    description="angle between the tip's and the target's frame [rad]",
-    scale=0.5,
-    value=_angle,
-)
-BACKBONE = TrackingError(
-    name="backbone_error",
-    term="backbone",
-    description="root mean square distance between backbone and target [m]",
-    scale=0.05,
-    value=_backbone_distance,
-    of_length=True,
-)
+COORDINATES_TEXT = "norm of the coordinates' error, newton for tensions"
 COORDINATES = TrackingError(
-    name="coordinate_error",
-    term="coordinates",
-    description="norm of the coordinates' error, newton for tensions",
-    scale=10.0,
-    value=_coordinate_distance,
+    "coordinate_error", "coordinates", COORDINATES_TEXT, 10.0, _coordinate_distance
 )
-
 
 ERRORS = (POSITION, ANGLE, BACKBONE, COORDINATES)
 """Errors of the package, whose terms no other may be called."""
@@ -478,7 +484,8 @@ class ErrorUnit(NamedTuple):
 
     def text(self, value: float) -> str:
         """Text of a value in SI units, in the display unit."""
-        return f"{self.factor * value:.3g} {self.symbol}".rstrip()
+        number = self.factor * value
+        return f"{number:.3g} {self.symbol}".rstrip()
 
 
 SYMBOLS = {

@@ -42,7 +42,8 @@ def least_bytes(preview: Sequence[float], period: float) -> int:
         preview: times [s] ahead.
         period: of control [s].
     """
-    longest = max((round(time / period) for time in preview), default=0)
+    periods = (round(time / period) for time in preview)
+    longest = max(periods, default=0)
     return (CHUNK + longest) * POSE_BYTES
 
 
@@ -71,7 +72,8 @@ class TargetTrajectories:
         self._stations = arms.places.station.size
         self._longest = max(ahead)
         self._room = CHUNK + self._longest
-        self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
+        fixed = FixedPose(np.eye(4))
+        self._course: list[Course] = [fixed] * rows  # until they begin
         # control period of the course at which the episode begins
         self._first = np.zeros(rows, dtype=np.int64)
         # what has been sampled of each, of which the tables hold the last
@@ -81,13 +83,15 @@ class TargetTrajectories:
         # of the parts beside the pose: twist, q, tendon lengths and positions of the stations
         self._sizes = [6, 0, 0, 0]
         if shapes:
-            self._sizes = [6, model.coordinate_count, model.tendon_count, 3 * self._stations]
+            shape_size = 3 * self._stations
+            self._sizes = [6, model.coordinate_count, model.tendon_count, shape_size]
         self._borders = np.cumsum(self._sizes).tolist()
         # q, tendon lengths and backbones of targets that are poses alone
         self._no_shapes: tuple[Array, ...] = ()
         if not shapes:
             flat = np.empty((rows, len(ahead), 0))
-            backbone = np.empty((rows, len(ahead), self._stations, 3))
+            shape = (rows, len(ahead), self._stations, 3)
+            backbone = np.empty(shape)
             self._no_shapes = (flat, flat, backbone)
         self._table = TargetTable(
             pose=np.tile(np.eye(4), (rows, self._room, 1, 1)),
@@ -129,20 +133,28 @@ class TargetTrajectories:
         if self._periods_left > 0:
             return
         farthest = step_count + self._longest
-        runs_out = farthest[members] >= self._until[members]
+        ends = self._until[members]
+        runs_out = farthest[members] >= ends
         due = members[runs_out].tolist()
         periods = [self._next_periods(row) for row in due]
         courses = [self._course[row] for row in due]
         times = [np.asarray(self._period * counts, dtype=np.float64) for counts in periods]
-        for row, counts, samples in zip(due, periods, self.sample(courses, times), strict=True):
+        sampled = self.sample(courses, times)
+        for row, counts, samples in zip(due, periods, sampled, strict=True):
             self._keep(row, counts, samples)
-        self._periods_left = int(np.min(self._until - farthest))
+        periods_known = self._until - farthest
+        self._periods_left = int(np.min(periods_known))
 
     def _next_periods(self, row: int) -> Indices:
         """Control periods (m,) of a row's course that are to be sampled next."""
         start = self._until[row]
-        count = CHUNK if start else FIRST_CHUNK + self._longest
-        return np.asarray(self._first[row] + np.arange(start, start + count))
+        if start:
+            count = CHUNK
+        else:
+            count = FIRST_CHUNK + self._longest
+        counts = np.arange(start, start + count)
+        numbers = self._first[row] + counts
+        return np.asarray(numbers)
 
     def _keep(
         self,
@@ -151,7 +163,8 @@ class TargetTrajectories:
         samples: TargetSamples,
     ) -> None:
         """Write samples at control periods (m,) of a row's course into the tables."""
-        positions = samples.backbone[..., :3, 3].reshape(len(periods), -1)
+        places = samples.backbone[..., :3, 3]
+        positions = places.reshape(len(periods), -1)
         parts = [
             samples.tip_twist,
             samples.q,
@@ -163,7 +176,8 @@ class TargetTrajectories:
         for part, size in zip(parts, self._sizes, strict=True):
             others.append(part[:, :size])
         # tables hold the last samples: newer ones take the places of older ones
-        place = (periods - self._first[row]) % self._room
+        since_first = periods - self._first[row]
+        place = since_first % self._room
         table = self._table
         table.pose[row, place] = samples.tip_pose
         table.other[row, place] = np.concatenate(others, axis=1)
@@ -183,7 +197,8 @@ class TargetTrajectories:
             StrainLimitError: where it has no strain.
         """
         beginning = self._period * self._first[row]
-        (samples,) = self.sample([self._course[row]], [times + beginning])
+        course = self._course[row]
+        (samples,) = self.sample([course], [times + beginning])
         return samples
 
     def sample(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
@@ -208,11 +223,14 @@ class TargetTrajectories:
                 motions[i] = course.coordinates(times[i])
         if motions:
             every_q, every_q_dot = zip(*motions.values(), strict=True)
-            together = self._read(np.concatenate(every_q), np.concatenate(every_q_dot))
+            q = np.concatenate(every_q)
+            q_dot = np.concatenate(every_q_dot)
+            together = self._read(q, q_dot)
             start = 0
             for i, (shapes, _) in motions.items():
                 end = start + len(shapes)
-                samples[i] = TargetSamples(*(field[start:end] for field in together))
+                part = (field[start:end] for field in together)
+                samples[i] = TargetSamples(*part)
                 start = end
         return [samples[i] for i in range(len(courses))]
 
@@ -222,14 +240,18 @@ class TargetTrajectories:
         Raises StrainLimitError where they have no strain.
         """
         # targets that stay are read once
-        is_elsewhere = (q[1:] != q[:-1]).any(axis=1)
-        has_other_rates = (q_dot[1:] != q_dot[:-1]).any(axis=1)
-        is_new = np.concatenate([[True], is_elsewhere | has_other_rates])
+        changes = q[1:] != q[:-1]
+        is_elsewhere = changes.any(axis=1)
+        changes_of_rate = q_dot[1:] != q_dot[:-1]
+        has_other_rates = changes_of_rate.any(axis=1)
+        is_new_by_row = [[True], is_elsewhere | has_other_rates]
+        is_new = np.concatenate(is_new_by_row)
         new_q = q[is_new]
         reading, has_strain = self._arms.read_samples(new_q, q_dot[is_new])
         if not has_strain.all():
             # this raises, and says which tendon is at its limit
-            self._arms.model.tip_pose(new_q[~has_strain][0])
+            strained = new_q[~has_strain][0]
+            self._arms.model.tip_pose(strained)
         number = np.cumsum(is_new) - 1
         return TargetSamples(
             reading.tip_pose[number],
@@ -255,7 +277,9 @@ class TargetTrajectories:
         rows = len(step_count)
         count = self._table.ahead.size
         pose = np.empty((rows, count, 4, 4))
-        other = np.empty((rows, count, self._borders[-1]))
+        width = self._borders[-1]
+        shape = (rows, count, width)
+        other = np.empty(shape)
         error = np.empty((rows, count, 6))
         offset = np.empty((2, rows))
         targets_ahead(
@@ -268,7 +292,8 @@ class TargetTrajectories:
             offset,
         )
         if self._no_shapes:
-            return TargetSamples(pose, other, *self._no_shapes), error, offset
+            samples = TargetSamples(pose, other, *self._no_shapes)
+            return samples, error, offset
         return self._targets(pose, other), error, offset
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
@@ -290,8 +315,10 @@ class TargetTrajectories:
                 f" for {periods}"
             )
         ahead = np.arange(1 + periods)
-        place = (step_count[:, None] + ahead) % self._room
-        row = np.arange(len(place))[:, None]
+        numbers = step_count[:, None] + ahead
+        place = numbers % self._room
+        rows = np.arange(len(place))
+        row = rows[:, None]
         pose = self._table.pose[row, place]
         other = self._table.other[row, place]
         return self._targets(pose, other)
@@ -386,7 +413,8 @@ class TargetDraws:
             away = 0.0
         for _ in range(MOST_DRAWS):
             course, first = self._draw(target, generator)
-            if not away or self._distance(course, first, tip) > away:
+            is_far_enough = not away or self._distance(course, first, tip) > away
+            if is_far_enough:
                 break
         else:
             warnings.warn(
@@ -402,7 +430,8 @@ class TargetDraws:
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, self._setting), 0
         motions = BANK * target.kinds
-        beginnings = max(round(target.repeats / self._period), 1)
+        periods = target.repeats / self._period
+        beginnings = max(round(periods), 1)
         number = int(generator.integers(motions))
         first = int(generator.integers(beginnings))
         return self._motion(target, number), first
@@ -422,7 +451,9 @@ class TargetDraws:
         tip: Array,
     ) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
-        time = np.array([self._period * first])
+        seconds = self._period * first
+        time = np.array([seconds])
         (samples,) = self._trajectories.sample([course], [time])
-        start = samples.tip_pose[0, :3, 3].astype(np.float32)
+        position = samples.tip_pose[0, :3, 3]
+        start = position.astype(np.float32)
         return float(np.linalg.norm(start - tip))

@@ -76,7 +76,8 @@ class BenchmarkPolicy(Configuration):
         """
         (files,) = agents_of(task, [self.policy]).values()
         if files.keys() == {None}:
-            files = trained_alike(PolicyName.parse(self.policy, task))
+            name = PolicyName.parse(self.policy, task)
+            files = trained_alike(name)
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
@@ -172,14 +173,18 @@ class Benchmark(Workers):
         reasons = list[str]()
         plays = False
         members = entrant.members(self.task)
-        share = math.ceil(self.episodes / len(members))
+        per_member = self.episodes / len(members)
+        share = math.ceil(per_member)
         for place, (seed, policy) in enumerate(members.items()):
             # the last seed of training takes the last episodes, even if others play them too
-            first = min(place * share, self.episodes - share)
-            episodes = tuple(SEEDS["arena"][first : first + share])
+            last = self.episodes - share
+            first = min(place * share, last)
+            part = SEEDS["arena"][first : first + share]
+            episodes = tuple(part)
             for regime in self.regimes:
                 observed = interface_options(policy, regime)
-                reason = misfit(policy, {"scene": self.scene, **observed}, regime)
+                options = {"scene": self.scene, **observed}
+                reason = misfit(policy, options, regime)
                 if reason:
                     reasons.append(f"{regime}: {reason}")
                     continue
@@ -207,7 +212,8 @@ class Benchmark(Workers):
                         self.skip,
                         controller_scene=believed,
                     )
-                    yield Label(entrant.name, seed, regime, setting), cell
+                    label = Label(entrant.name, seed, regime, setting)
+                    yield label, cell
         if reasons and not plays:
             every = "; ".join(dict.fromkeys(reasons))  # those of several seeds are alike
             only = "policies may observe what does not depend on the discretisation of the arm"
@@ -229,7 +235,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
         return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
     allowed = REGIMES[regime]
     observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
-    return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
+    sensors = allowed.sensors or ()
+    return {"observation": observable, "sensors": sensors, **policy.options({})}
 
 
 def misfit(
@@ -251,7 +258,10 @@ def misfit(
     beyond = [name for name in groups if name not in allowed.allowed]
     if beyond:
         return f"it observes {', '.join(beyond)}"
-    count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
+    if isinstance(parsed.sensors, int):
+        count = parsed.sensors
+    else:
+        count = len(parsed.sensors)
     if "strain" in groups and count > allowed.sensors:
         return f"it has {count} strain sensors"
     return ""
@@ -270,8 +280,12 @@ def standings_by_regime(
         of_regime = standings.setdefault(label.regime, {})
         member = experiment.scores(label)
         key = (label.policy, label.setting)
-        before = of_regime[key].scores if key in of_regime else []
-        of_regime[key] = Standing([*before, member])
+        if key in of_regime:
+            before = of_regime[key].scores
+        else:
+            before = []
+        every_member = [*before, member]
+        of_regime[key] = Standing(every_member)
     return dict(standings)
 
 
@@ -287,7 +301,8 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     for entrant in benchmark.entrants:
         if entrant.name not in played:
             continue
-        policy = next(iter(entrant.members(benchmark.task).values()))
+        members = entrant.members(benchmark.task).values()
+        policy = next(iter(members))
         is_told = is_told or entrant.told
         if not isinstance(policy, Controller):
             others.add(entrant.name)
@@ -299,7 +314,8 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     settings = [f"- `{name}`: {SETTINGS[name].description}." for name in benchmark.settings]
     texts = ["\n".join(definitions), "Settings:", "\n".join(settings)]
     for regime, standings in by_regime.items():
-        texts.append(_regime_text(regime, standings, others, kind))
+        text = _regime_text(regime, standings, others, kind)
+        texts.append(text)
     return "\n\n".join(texts)
 
 
@@ -326,7 +342,8 @@ def _regime_text(regime: str, standings: Standings, others: set[str], kind: str)
     rows = []
     for setting in by_label["return"]:
         row = {f"best {kind} minus best controller": setting}
-        rows.append(row | {heading: cells[setting] for heading, cells in columns.items()})
+        setting_cells = {heading: cells[setting] for heading, cells in columns.items()}
+        rows.append(row | setting_cells)
     if rows:
         parts.append(record_table(rows))
     return "\n\n".join(parts)
@@ -350,9 +367,13 @@ def gaps(
 
     A gap says by how much the learned policy has more of an error, or less return.
     """
-    sign = -1.0 if key == "return" else 1.0
+    if key == "return":
+        sign = -1.0
+    else:
+        sign = 1.0
     by_setting = dict[str, Mean]()
-    for setting in dict.fromkeys(setting for _, setting in standings):
+    every_setting = (setting for _, setting in standings)
+    for setting in dict.fromkeys(every_setting):
         agents = list[Standing]()
         controllers = list[Standing]()
         for (name, own_setting), standing in standings.items():
@@ -362,8 +383,11 @@ def gaps(
             best_agent = _least(agents, key, sign)
             best_controller = _least(controllers, key, sign)
             mean = difference(best_agent, best_controller, key)
-            low, high = sorted((sign * mean.low, sign * mean.high))
-            by_setting[setting] = Mean(sign * mean.value, low, high)
+            first = sign * mean.low
+            second = sign * mean.high
+            low, high = sorted((first, second))
+            value = sign * mean.value
+            by_setting[setting] = Mean(value, low, high)
     return by_setting
 
 
@@ -374,7 +398,8 @@ def _least(
 ) -> Standing:
     """The standing with the least mean of a number times a sign; NaN counts as the largest."""
     means = [sign * standing.mean(key).value for standing in standings]
-    return standings[int(np.argsort(means, kind="stable")[0])]
+    best = int(np.argsort(means, kind="stable")[0])
+    return standings[best]
 
 
 def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy") -> list[str]:
@@ -389,7 +414,10 @@ def verdict(apart: Mapping[str, Mapping[str, Mean]], kind: str = "learned policy
             settings_by_side.setdefault(_side(mean), []).append(setting)
         parts = []
         for side, settings in sorted(settings_by_side.items()):
-            where = "all" if len(settings) == len(gap) else ", ".join(settings)
+            if len(settings) == len(gap):
+                where = "all"
+            else:
+                where = ", ".join(settings)
             parts.append(f"{side} in {where}")
         if parts:
             items.append(f"- By {label}: {'; '.join(parts)}.")
@@ -402,4 +430,6 @@ def _side(gap: Mean) -> str:
     """Side of zero on which the whole interval of a gap lies."""
     if gap.high < 0.0:
         return "ahead"
-    return "behind" if gap.low > 0.0 else "not separated"
+    if gap.low > 0.0:
+        return "behind"
+    return "not separated"

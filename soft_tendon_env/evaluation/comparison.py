@@ -55,7 +55,9 @@ def shared_arms(
         for name in by_seed.values():
             policy = PolicyName.parse(name, task)
             policies[name] = policy
-            arm = policy.arm if isinstance(policy, Agent) else None
+            arm = None
+            if isinstance(policy, Agent):
+                arm = policy.arm
             if arm:
                 arms[name] = arm
     shared = _shared_arm(arms, settings.options)
@@ -63,7 +65,8 @@ def shared_arms(
     trained = {key: value for key, value in shared.items() if value != usual[key]}
     if trained:
         numbers = ", ".join(f"{key} = {shown(value)}" for key, value in trained.items())
-        print(f"note: {task}: on the arm of the agents, {numbers}", file=sys.stderr)
+        note = f"note: {task}: on the arm of the agents, {numbers}"
+        print(note, file=sys.stderr)
     options = {**trained, **settings.options}
     return {name: policy.options(options) for name, policy in policies.items()}
 
@@ -78,7 +81,8 @@ def _shared_arm(
     """
     if not arms:
         return {}
-    first, shared = next(iter(arms.items()))
+    pairs = iter(arms.items())
+    first, shared = next(pairs)
     for name, arm in arms.items():
         for key in ARM:
             if key not in options and arm[key] != shared[key]:
@@ -115,7 +119,8 @@ def make_cell(
             rows=False,
         )
     # a network rounds otherwise for many observations than for one
-    rows = not isinstance(PolicyName.parse(policy, task), Agent)
+    name = PolicyName.parse(policy, task)
+    rows = not isinstance(name, Agent)
     return Cell(
         task,
         policy,
@@ -140,7 +145,8 @@ def compare(
     """
     seeds = EVALUATION_SEEDS[: settings.episodes]
     labels = [(policy, TIME) for policy in arms]
-    labels += [(policy, error) for policy in arms for error in settings.errors]
+    erroneous = [(policy, error) for policy in arms for error in settings.errors]
+    labels += erroneous
     cells = dict[tuple[str, str], Cell]()
     for policy, error in labels:
         cells[policy, error] = make_cell(settings, seeds, task, policy, arms[policy], error)
@@ -154,7 +160,8 @@ def standings_of(
 
     Raises ValueError, OSError.
     """
-    errors = dict.fromkeys(error for _, error in experiment.cells)
+    names = (error for _, error in experiment.cells)
+    errors = dict.fromkeys(names)
     standings = dict[tuple[str, str], Standing]()
     summaries = dict[tuple[str, str], Summary]()
     for name, by_seed in files.items():
@@ -183,13 +190,18 @@ def numbers_table(
     models = dict[str, str]()
     for policy, by_seed in files.items():
         first = next(iter(by_seed.values()))
-        models[policy] = model_in_the_loop(PolicyName.parse(first, task))
-    errors = list(dict.fromkeys(error for _, error in summaries))
+        name = PolicyName.parse(first, task)
+        models[policy] = model_in_the_loop(name)
+    names = (error for _, error in summaries)
+    errors = list(dict.fromkeys(names))
     if len(files) == 1:
         ((policy, model),) = models.items()
         by_error = {error: summaries[policy, error] for error in errors}
         return summary_table("model error", by_error, dict.fromkeys(errors, model))
-    error = NOMINAL if NOMINAL in errors else errors[0]
+    if NOMINAL in errors:
+        error = NOMINAL
+    else:
+        error = errors[0]
     by_policy = {policy: summaries[policy, error] for policy in files}
     return summary_table(f"policy ({error})", by_policy, models)
 
@@ -252,7 +264,9 @@ def record_side_by_side(
         label: of the progress bar.
         new: the file has no episode of these arms yet.
     """
-    place: Literal["beside"] | None = "beside" if new else None
+    place: Literal["beside"] | None = None
+    if new:
+        place = "beside"
     envs = {
         name: recording.RecordRollout(env, file, flush_period=None, name=name, place=place)
         for name, (_, env) in players.items()

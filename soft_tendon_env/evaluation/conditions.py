@@ -46,7 +46,10 @@ class Condition:
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
         if changes:
-            base = scene if isinstance(scene, Mapping) else {"scene": scene}
+            if isinstance(scene, Mapping):
+                base = scene
+            else:
+                base = {"scene": scene}
             options["scene"] = {**base, **changes}
         options |= self.others
         drawn = plain(given.get("randomize", {}))
@@ -92,9 +95,11 @@ def _pushes(scene: Scene) -> dict[str, Any]:
     tip = rod_length(scene)
     middle = 0.5 * tip
     loads = []
-    for place, start, duration in ((tip, 1.5, 0.2), (middle, 3.0, 0.4), (tip, 4.5, 0.6)):
+    pulses = ((tip, 1.5, 0.2), (middle, 3.0, 0.4), (tip, 4.5, 0.6))
+    for place, start, duration in pulses:
         pulse = {"type": "pulse", "start": start, "duration": duration}
-        loads.append({"at": place, "force": [0.0, 0.0, 0.0], "signal": pulse})
+        load = {"at": place, "force": [0.0, 0.0, 0.0], "signal": pulse}
+        loads.append(load)
     return {"effects.disturbance.loads": loads}
 
 
@@ -111,7 +116,9 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
         (0.4, [0.0, swing, 0.0], 0.3),
         (0.6, [0.0, 0.0, swing], 0.4),
     ):
-        middle = base[:3, 3] + place * length * base[:3, 0]
+        axis = base[:3, 0]
+        forward = place * length * axis
+        middle = base[:3, 3] + forward
         ball = {
             "type": "sphere",
             "radius": 0.05 * length,
@@ -204,7 +211,8 @@ def model_error(names: str) -> Condition:
     keys = [key for part in parts for key in part.randomize]
     twice = sorted({key for key in keys if keys.count(key) > 1})
     if twice:
-        raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
+        message = f"names {names!r}, in which {', '.join(twice)} is said twice"
+        raise ValueError(message)
 
     def changes(scene: Scene) -> dict[str, Any]:
         together = dict[str, Any]()

@@ -33,7 +33,8 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
     for name in every:
         agents[name] = seed_files(Path(name), task)
         if not agents[name]:
-            agents[name] = {None: PolicyName.parse(name, task).text}
+            agent = PolicyName.parse(name, task)
+            agents[name] = {None: agent.text}
     return agents
 
 
@@ -43,14 +44,17 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     beside its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
     trained alike.
     """
-    folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
+    folder = None
+    if isinstance(policy, Agent):
+        folder = find_agent(policy.text, policy.task)
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
     seed = read_run(folder).get("seed")
     others = seed_folders(folder)
     if seed in others:
         raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
-    folders = dict[int | None, Path]([(seed, folder), *others.items()])
+    every_folder = [(seed, folder), *others.items()]
+    folders = dict[int | None, Path](every_folder)
     check_alike(list(folders.values()), policy.task)
     return {seed: str(path) for seed, path in folders.items()}
 
@@ -84,9 +88,11 @@ def check_alike(folders: Sequence[Path], task: str) -> None:
             value = config.get(key)
             first.setdefault(key, value)
             if value != first[key]:
-                differences.append(f"{key} = {value!r}, not {first[key]!r}")
+                difference = f"{key} = {value!r}, not {first[key]!r}"
+                differences.append(difference)
         if differences:
-            raise ValueError(f"{folder} has {', '.join(differences)}: compare it apart")
+            message = f"{folder} has {', '.join(differences)}: compare it apart"
+            raise ValueError(message)
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
@@ -98,7 +104,8 @@ def seed_folders(folder: Path) -> dict[int, Path]:
     for path in folder.glob("seed_*"):
         match = SEED.fullmatch(path.name)
         if match is not None:
-            runs.append((int(match[1]), path))
+            numbered = (int(match[1]), path)
+            runs.append(numbered)
     if not runs:
         raise FileNotFoundError(
             f"{folder} has no folders seed_0, seed_1, ... of runs, as `soft-tendon sweep` leaves"
@@ -133,4 +140,6 @@ def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
         if told:
             words.append("told of the effects")
         return ", ".join(words)
-    return "none" if isinstance(policy, Agent) else "own"
+    if isinstance(policy, Agent):
+        return "none"
+    return "own"

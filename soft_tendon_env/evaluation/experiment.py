@@ -11,7 +11,7 @@ import json
 import sys
 import sysconfig
 import warnings
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -78,7 +78,8 @@ class Cell(NamedTuple):
                 env = gym.make(IDS[self.task], **options)
             scene = believed_scene(name, self.controller_scene)
             has_other_effects = self.controller_scene is not None
-            return name.load(env, scene, other_effects=has_other_effects), env
+            loaded = name.load(env, scene, other_effects=has_other_effects)
+            return loaded, env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the sources' `code`.
@@ -87,7 +88,8 @@ class Cell(NamedTuple):
         """
         options = Options.parse(self.options, "options")
         policy = PolicyName.parse(self.policy, self.task)
-        both = resolved_scene(options), believed_scene(policy, self.controller_scene)
+        believed = believed_scene(policy, self.controller_scene)
+        both = resolved_scene(options), believed
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
         known = {
             "policy": policy.fingerprint(),
@@ -100,7 +102,8 @@ class Cell(NamedTuple):
             "machine": self.alone and machine(),
         }
         content = {**self._asdict(), **known}
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+        written = json.dumps(content, sort_keys=True).encode()
+        return hashlib.sha256(written).hexdigest()[:24]
 
 
 def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
@@ -111,14 +114,20 @@ def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | Non
     """
     if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
-    scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
-    return scene if isinstance(policy, Controller) and policy.belief else at_fidelity(scene, BELIEF)
+    options = Options(scene=dict(controller_scene), fidelity="scene")
+    scene = resolved_scene(options)
+    if isinstance(policy, Controller) and policy.belief:
+        return scene
+    return at_fidelity(scene, BELIEF)
 
 
 def _files_in(value: Any) -> Iterator[str]:
     """Paths of files that plain tables name."""
     if isinstance(value, Mapping | list):
-        for inner in value.values() if isinstance(value, Mapping) else value:
+        parts: Iterable[Any] = value
+        if isinstance(value, Mapping):
+            parts = value.values()
+        for inner in parts:
             yield from _files_in(inner)
     elif isinstance(value, str) and value and Path(value).is_file():
         yield value
@@ -138,7 +147,8 @@ def code_digest() -> str:
             paths.add(Path(str(file)))
     users = []
     for path in paths:
-        is_known = any(map(path.is_relative_to, (PACKAGE, *installed)))
+        folders = (PACKAGE, *installed)
+        is_known = any(map(path.is_relative_to, folders))
         if not is_known and path.is_file():
             users.append(digest(path))
     return " ".join([own, *sorted(users)])
@@ -151,7 +161,10 @@ def measure(cell: Cell) -> list[EpisodeScore]:
     """
     policy, env = cell.open()
     try:
-        together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
+        if cell.rows:
+            together = [cell.seeds]
+        else:
+            together = [(seed,) for seed in cell.seeds]
         return [
             score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)
         ]
@@ -240,7 +253,8 @@ class Experiment(Generic[Label]):
         """
         path = self._paths[label]
         try:
-            return list(map(score_from, read_json(path)["scores"]))
+            scores = read_json(path)["scores"]
+            return list(map(score_from, scores))
         except (KeyError, TypeError) as error:
             raise ValueError(
                 f"{path} is no result of an experiment: take it away, and it is played again"

@@ -129,7 +129,8 @@ class EpisodeScore:
         numbers["return"] = self.total_reward
         numbers["seconds"] = self.action_time
         if self.diverged is not None:
-            numbers |= dict.fromkeys(numbers.keys() & lost, math.inf)
+            lost_names = numbers.keys() & lost
+            numbers |= dict.fromkeys(lost_names, math.inf)
         return numbers
 
 
@@ -146,7 +147,8 @@ def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
 
     Raises KeyError, TypeError for another.
     """
-    errors = {name: ErrorScore(**error) for name, error in saved["errors"].items()}
+    saved_errors = saved["errors"].items()
+    errors = {name: ErrorScore(**error) for name, error in saved_errors}
     return EpisodeScore(**{**saved, "errors": errors})
 
 
@@ -156,7 +158,8 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     Raises TypeError, ValueError, also where the episode ended before that.
     """
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
-    first = math.ceil(skip / episode.period - 1e-9)
+    periods = skip / episode.period
+    first = math.ceil(periods - 1e-9)
     steps = len(episode.reward)
     seconds = episode.seconds[1:]
     # an episode that diverged before has errors of no sample: NaN
@@ -167,7 +170,8 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     to_settle = next(iter(episode.errors.values()))
     if episode.jumped:
         to_settle = to_settle[:-1]  # nobody has acted on a jump in the last step
-    settled = has_settled(to_settle, episode.period, SETTLED * episode.length)
+    size = SETTLED * episode.length
+    settled = has_settled(to_settle, episode.period, size)
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
@@ -189,8 +193,13 @@ def has_settled(
 ) -> bool:
     """Whether all of the last samples (m,) are below a bound, for STAY at least."""
     outside = np.flatnonzero(~(error < below))
-    first = outside[-1] + 1 if outside.size else 0
-    return bool((len(error) - 1 - first) * period >= STAY - 1e-9)
+    if outside.size:
+        first = outside[-1] + 1
+    else:
+        first = 0
+    periods = len(error) - 1 - first
+    duration = periods * period
+    return bool(duration >= STAY - 1e-9)
 
 
 def chatter(tension: Array, period: float) -> float:
@@ -206,19 +215,28 @@ def chatter(tension: Array, period: float) -> float:
     steps = len(change)
     if steps < 8:
         return math.nan
-    window = np.hanning(steps + 2)[1:-1, None]
-    power = np.abs(np.fft.rfft(window * change, axis=0)) ** 2
+    hann = np.hanning(steps + 2)
+    window = hann[1:-1, None]
+    spectrum = np.fft.rfft(window * change, axis=0)
+    power = np.abs(spectrum) ** 2
     frequency = np.fft.rfftfreq(steps, period)
     # the same at negative frequencies, but at Nyquist's
     is_paired = frequency * period < 0.5 - 1e-9
-    twice = np.where(is_paired, 2.0, 1.0)[:, None]
-    fast = (twice * power)[frequency > FAST].sum(axis=0)
-    return float(np.sqrt(fast.mean() / (steps * np.sum(window**2))))
+    factors = np.where(is_paired, 2.0, 1.0)
+    twice = factors[:, None]
+    fast_power = (twice * power)[frequency > FAST]
+    fast = fast_power.sum(axis=0)
+    power_of_window = steps * np.sum(window**2)
+    per_sample = fast.mean() / power_of_window
+    return float(np.sqrt(per_sample))
 
 
 def root_mean_square(values: Array) -> float:
     """Root mean square of all entries; NaN without any."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+    if values.size:
+        mean_square = np.mean(np.square(values))
+        return float(np.sqrt(mean_square))
+    return math.nan
 
 
 OTHER_NUMBERS = ("return", "seconds")

@@ -77,10 +77,14 @@ def draw_overview(overview: Overview, path: Path) -> None:
     grid = figure.add_gridspec(3, 2, height_ratios=HEIGHTS, width_ratios=WIDTHS)
     figure.suptitle(overview.headline, fontsize=HEADLINE, fontweight="bold")
     looks = styles(overview.numbers)
-    draw_arm(figure.add_subplot(grid[0, 0]), overview, looks)
-    draw_paths(figure.add_subplot(grid[0, 1]), overview, looks)
-    draw_errors_over_time(figure.add_subplot(grid[1, :]), overview, looks)
-    draw_numbers(figure.add_subplot(grid[2, :]), overview.numbers, looks)
+    arm = figure.add_subplot(grid[0, 0])
+    draw_arm(arm, overview, looks)
+    paths = figure.add_subplot(grid[0, 1])
+    draw_paths(paths, overview, looks)
+    errors = figure.add_subplot(grid[1, :])
+    draw_errors_over_time(errors, overview, looks)
+    table = figure.add_subplot(grid[2, :])
+    draw_numbers(table, overview.numbers, looks)
     save_figure(figure, path)
 
 
@@ -112,7 +116,8 @@ def draw_arm(
         )
     points = np.concatenate([target, *backbones])
     show_around(axes, points, ROOM_OF_ARM)
-    axes.set_title(f"arm: {overview.bent}", fontsize=LETTERS, color=GREY)
+    title = f"arm: {overview.bent}"
+    axes.set_title(title, fontsize=LETTERS, color=GREY)
 
 
 def backbones_on_the_way(rollout: Rollout) -> Array:
@@ -120,10 +125,14 @@ def backbones_on_the_way(rollout: Rollout) -> Array:
 
     Those of the first and of the last sample are among them.
     """
-    samples = np.linspace(0, rollout.samples - 1, SHAPES).round().astype(int)
+    last = rollout.samples - 1
+    even = np.linspace(0, last, SHAPES)
+    samples = even.round().astype(int)
     stations = shapes.drawing_stations(rollout.model, STATIONS)
-    base = shapes.base_poses(rollout.model, samples * rollout.period, rollout.scene)
-    poses = shapes.backbones(rollout.model, rollout.strain[samples], stations, base)
+    times = samples * rollout.period
+    base = shapes.base_poses(rollout.model, times, rollout.scene)
+    strain = rollout.strain[samples]
+    poses = shapes.backbones(rollout.model, strain, stations, base)
     return shapes.positions(poses)
 
 
@@ -158,7 +167,9 @@ def draw_paths(
     # a path that leaves the surroundings of the target is cut off
     show_around(axes, target, ROOM)
     for name, width in line_widths(overview).items():
-        tip = shapes.positions(overview.rollouts[name].tip_pose) @ across
+        rollout = overview.rollouts[name]
+        path = shapes.positions(rollout.tip_pose)
+        tip = path @ across
         axes.plot(
             *tip.T,
             color=looks[name].rgb,
@@ -173,11 +184,15 @@ def line_widths(overview: Overview) -> dict[str, float]:
 
     Each can so be seen on those below it.
     """
-    widths = np.linspace(WIDEST, THINNEST, len(overview.rollouts)).tolist()
+    count = len(overview.rollouts)
+    even = np.linspace(WIDEST, THINNEST, count)
+    widths = even.tolist()
     by_policy = dict(zip(overview.rollouts, widths, strict=True))
     for name, rollout in overview.rollouts.items():
-        error = np.median(rollout.scalars[overview.error])  # the way to the target does not count
-        if not error <= BAD * rollout.model.length:
+        errors = rollout.scalars[overview.error]
+        error = np.median(errors)  # the way to the target does not count
+        bad = BAD * rollout.model.length
+        if not error <= bad:
             by_policy[name] = LOST_WIDTH
     return by_policy
 
@@ -241,8 +256,11 @@ def draw_numbers(
 ) -> None:
     """Draw a table of cells by policy and heading, with the policies' colours and markers."""
     axes.set_axis_off()
-    axes.set(xlim=(0.0, 1.0), ylim=(len(numbers) - 0.5, -HEADING_ROWS))  # the first row is on top
-    headings = list(next(iter(numbers.values())))
+    lowest = len(numbers) - 0.5
+    heights = (lowest, -HEADING_ROWS)
+    axes.set(xlim=(0.0, 1.0), ylim=heights)  # the first row is on top
+    first = next(iter(numbers.values()))
+    headings = list(first)
     right_edges = np.linspace(FIRST_NUMBER, 1.0, len(headings))
     above = -0.6  # of the first row, in rows
     for heading, edge in zip(headings, right_edges, strict=True):

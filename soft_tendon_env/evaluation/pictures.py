@@ -34,9 +34,12 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
     They are by title of a panel, policy and condition. The picture is narrow, so that a telephone
     shows it in letters that one reads. Raises OSError.
     """
-    looks = styles(dict.fromkeys(policy for panel in panels.values() for policy, _ in panel))
+    policies = (policy for panel in panels.values() for policy, _ in panel)
+    looks = styles(dict.fromkeys(policies))
     heights = [ROW * len({condition for _, condition in panel}) for panel in panels.values()]
-    legend = LEGEND_LINE * math.ceil(len(looks) / LEGEND_COLUMNS)
+    full_rows = len(looks) / LEGEND_COLUMNS
+    rows = math.ceil(full_rows)
+    legend = LEGEND_LINE * rows
     figure, columns = plt.subplots(
         len(panels),
         1,
@@ -45,7 +48,8 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
         constrained_layout=True,
         squeeze=False,
     )
-    for axes, (title, panel) in zip(columns[:, 0], panels.items(), strict=True):
+    rows_of_panels = columns[:, 0]
+    for axes, (title, panel) in zip(rows_of_panels, panels.items(), strict=True):
         _draw_panel(axes, panel, looks)
         axes.set_title(title)
     handles = dict[str, Artist]()
@@ -68,9 +72,12 @@ def _draw_panel(
     looks: Mapping[str, Style],
 ) -> None:
     """Draw means and intervals by policy, one below the other for each condition."""
-    policies = list(dict.fromkeys(policy for policy, _ in panel))
-    conditions = list(dict.fromkeys(condition for _, condition in panel))
-    unit = error_unit(next(iter(panel.values())).error)
+    policy_names = (policy for policy, _ in panel)
+    policies = list(dict.fromkeys(policy_names))
+    condition_names = (condition for _, condition in panel)
+    conditions = list(dict.fromkeys(condition_names))
+    first = next(iter(panel.values()))
+    unit = error_unit(first.error)
     # a point and its interval per policy and condition, where it was played
     for index, policy in enumerate(policies):
         look = looks[policy]
@@ -80,10 +87,14 @@ def _draw_panel(
             if (policy, condition) in panel:
                 standing = panel[policy, condition]
                 places.append(place)
-                means.append(standing.mean(f"{standing.error}_rms"))
-        value, low, high = unit.factor * np.array(means).T
-        aside = (index + 0.5) / len(policies) - 0.5
-        y = np.array(places) + SPREAD * aside
+                mean = standing.mean(f"{standing.error}_rms")
+                means.append(mean)
+        values = np.array(means)
+        value, low, high = unit.factor * values.T
+        share = (index + 0.5) / len(policies)
+        aside = share - 0.5
+        middles = np.array(places)
+        y = middles + SPREAD * aside
         axes.plot(
             value,
             y,
@@ -121,7 +132,11 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
 
     and room around.
     """
-    axes.set(**{"xscale" if axis is axes.xaxis else "yscale": "log"})
+    if axis is axes.xaxis:
+        scale = "xscale"
+    else:
+        scale = "yscale"
+    axes.set(**{scale: "log"})
     axes.margins(0.1)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")

@@ -130,7 +130,10 @@ def play_steps(
     """
     rows = len(seeds)
     # of an int Gymnasium would make the seeds of rows itself
-    seed: Any = list(seeds) if isinstance(env, gym.vector.VectorEnv) else seeds[0]
+    if isinstance(env, gym.vector.VectorEnv):
+        seed: Any = list(seeds)
+    else:
+        seed = seeds[0]
     observation, _ = env.reset(seed=seed)
     state = None
     ended = np.ones(rows, dtype=bool)
@@ -140,8 +143,10 @@ def play_steps(
         action, state = policy.predict(observation, state, ended, deterministic=True)
         seconds = (time.perf_counter() - started) / rows
         observation, reward, terminated, truncated, _ = env.step(action)
-        ended = np.atleast_1d(np.logical_or(terminated, truncated))
-        yield Step(np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
+        is_over = np.logical_or(terminated, truncated)
+        ended = np.atleast_1d(is_over)
+        reward_row = np.asarray(reward, dtype=float)
+        yield Step(np.atleast_1d(reward_row), ended, seconds)
 
 
 def play(
@@ -166,8 +171,11 @@ def play(
             np.array([*episodes.errors.values()]).T,
         )
         course.append(sample)
-        for row in map(int, np.flatnonzero(step.ended)):
-            cause = episodes.cause(row) if episodes.diverged[row] else None
+        ended_rows = map(int, np.flatnonzero(step.ended))
+        for row in ended_rows:
+            cause = None
+            if episodes.diverged[row]:
+                cause = episodes.cause(row)
             reached = None
             # an episode that diverged did not reach its goal, wherever the tip was
             if episodes.task.goal:
@@ -178,12 +186,15 @@ def play(
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        columns = zip(*course[: steps + 1], strict=True)
+        samples = course[: steps + 1]
+        columns = zip(*samples, strict=True)
         reward, seconds, target, tip, tension, errors = (
             np.array([values[row] for values in column]) for column in columns
         )
         # the target's changes in the last two steps: still, then a jump
-        changes = np.abs(np.diff(target[-3:], axis=0))
+        last_targets = target[-3:]
+        steps_of_target = np.diff(last_targets, axis=0)
+        changes = np.abs(steps_of_target)
         moves = (changes > STILL).any(axis=(1, 2))
         return Episode(
             seed,

@@ -58,7 +58,8 @@ def commit() -> str | None:
     """
     if not (PACKAGE.parent / ".git").exists():
         return None
-    commands = (["rev-parse", "HEAD"], ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"])
+    status = ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"]
+    commands = (["rev-parse", "HEAD"], status)
     try:
         head, changed = (
             subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True)
@@ -66,7 +67,11 @@ def commit() -> str | None:
         )
     except (OSError, subprocess.CalledProcessError):
         return None
-    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
+    if changed.stdout.strip():
+        mark = "+"
+    else:
+        mark = ""
+    return head.stdout.strip() + mark
 
 
 def machine() -> str:
@@ -91,7 +96,9 @@ def write_json(
     Numbers that are not finite become null, which JSON has. Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    plain = json.loads(json.dumps(content), parse_constant=lambda number: None)
-    path.write_text(json.dumps(plain, indent=1) + "\n")
+    written = json.dumps(content)
+    plain = json.loads(written, parse_constant=lambda number: None)
+    content_text = json.dumps(plain, indent=1)
+    path.write_text(content_text + "\n")
     if say:
         print(f"written: {path}")

@@ -28,7 +28,8 @@ def _one_of(what: str, valid: Mapping[str, Any]) -> AfterValidator:
 
     def checked(name: str) -> str:
         if name not in valid:
-            raise ValueError(f"should be {what}: {not_among(name, valid)}")
+            hint = not_among(name, valid)
+            raise ValueError(f"should be {what}: {hint}")
         return name
 
     return AfterValidator(checked)
@@ -111,7 +112,8 @@ def episode_steps(
             f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods,"
             f" {MOST_STEPS * period:g} s"
         )
-    if round(steps) < 1 or math.ceil(skip / period - 1e-9) > round(steps):
+    is_too_short = round(steps) < 1
+    if is_too_short or math.ceil(skip / period - 1e-9) > round(steps):
         raise ValueError(
             f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and"
             f" skip, which is {skip:g}"

@@ -35,12 +35,18 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
     A quarter of the count is cut at either end, rounded down. Raises ValueError without any.
     """
-    ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
+    array = np.asarray(values, dtype=float)
+    by_sample = np.moveaxis(array, axis, 0)
+    ordered = np.sort(by_sample, axis=0)
     if not len(ordered):
         raise ValueError("values should have at least one run")
     cut = int(CUT * len(ordered))
-    mean = ordered[cut : len(ordered) - cut].mean(axis=0)
-    return mean if mean.ndim else float(mean)
+    last = len(ordered) - cut
+    middle = ordered[cut:last]
+    mean = middle.mean(axis=0)
+    if mean.ndim:
+        return mean
+    return float(mean)
 
 
 def tails(values: ArrayLike) -> tuple[float, float]:
@@ -48,9 +54,13 @@ def tails(values: ArrayLike) -> tuple[float, float]:
 
     Values may be infinite, and there is at least one.
     """
-    ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
+    array = np.asarray(values, dtype=float)
+    flat = np.ravel(array)
+    ordered = np.sort(flat)  # NaN last
     places = np.arange(ordered.size)
-    percentile = np.interp(HIGH * (ordered.size - 1) / 100, places, ordered)
+    scaled = HIGH * (ordered.size - 1)
+    place = scaled / 100
+    percentile = np.interp(place, places, ordered)
     return float(ordered.mean()), float(percentile)
 
 
@@ -78,12 +88,19 @@ def bootstrap_interval(
         # each axis has a dimension of its own, after that of the resamples
         others = tuple(1 + other for other in range(axes) if other != axis)
         index.append(np.expand_dims(chosen, others))
-    drawn = runs[tuple(index)].reshape(RESAMPLES, -1, *rest)
-    ordered = np.sort(np.asarray(statistic(drawn, axis=1)), axis=0)
+    resampled = runs[tuple(index)]
+    drawn = resampled.reshape(RESAMPLES, -1, *rest)
+    statistics = np.asarray(statistic(drawn, axis=1))
+    ordered = np.sort(statistics, axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
-    low = ordered[math.ceil(tail * RESAMPLES) - 1]
-    high = ordered[math.ceil((1.0 - tail) * RESAMPLES) - 1]
-    return (low, high) if ordered.ndim > 1 else (float(low), float(high))
+    place = math.ceil(tail * RESAMPLES) - 1
+    low = ordered[place]
+    count_above = math.ceil((1.0 - tail) * RESAMPLES)
+    place_above = count_above - 1
+    high = ordered[place_above]
+    if ordered.ndim > 1:
+        return (low, high)
+    return (float(low), float(high))
 
 
 @dataclass(frozen=True)
@@ -132,12 +149,17 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     errors = dict[str, ErrorScore]()
     metrics = dict[str, float]()
     for name in scores[0].errors:
-        of_lived = [score.errors[name] for score in lived] or [ErrorScore(math.nan, math.nan)]
-        rms = root_mean_square(np.array([error.rms for error in of_lived]))
-        percentile = float(np.mean([error.percentile_95 for error in of_lived]))
+        errors_of_lived = [score.errors[name] for score in lived]
+        of_lived = errors_of_lived or [ErrorScore(math.nan, math.nan)]
+        values = [error.rms for error in of_lived]
+        rms = root_mean_square(np.array(values))
+        percentiles = [error.percentile_95 for error in of_lived]
+        percentile = float(np.mean(percentiles))
         errors[name] = ErrorScore(rms, percentile)
     for name in scores[0].metrics:
-        metrics[name] = root_mean_square(np.array([score.metrics[name] for score in lived]))
+        values = [score.metrics[name] for score in lived]
+        array = np.array(values)
+        metrics[name] = root_mean_square(array)
     reached = [score.reached for score in scores if score.reached is not None]
     known = [score.action_time for score in scores if math.isfinite(score.action_time)]
     return Summary(
@@ -163,11 +185,15 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
         worst = WORST * score.length
         if score.diverged is not None:
             return worst
-        error = next(iter(score.errors.values())).rms
-        chatter = float(np.nan_to_num(score.metrics["chatter"]))  # NaN of too few samples
-        return min(error + CHATTER_COST * score.length * chatter, worst)
+        errors = iter(score.errors.values())
+        error = next(errors).rms
+        lived_chatter = score.metrics["chatter"]
+        chatter = float(np.nan_to_num(lived_chatter))  # NaN of too few samples
+        chatter_cost = CHATTER_COST * score.length * chatter
+        return min(error + chatter_cost, worst)
 
-    return float(np.mean([cost(score) for score in scores]))
+    costs = [cost(score) for score in scores]
+    return float(np.mean(costs))
 
 
 class Mean(NamedTuple):
@@ -194,11 +220,13 @@ class Standing(NamedTuple):
     @property
     def error(self) -> str:
         """Name of the task's first error, by whose root mean square policies are ranked."""
-        return next(iter(self.scores[0][0].errors))
+        first = self.scores[0][0]
+        return next(iter(first.errors))
 
     def values(self, key: str) -> Array:
         """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
-        return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
+        numbers = [[score.numbers[key] for score in of_member] for of_member in self.scores]
+        return np.array(numbers)
 
     def mean(self, key: str) -> Mean:
         """Interquartile mean over all episodes of all members, with its interval.
@@ -224,7 +252,8 @@ def difference(
     played all episodes of the first.
     """
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
-    if len(other.scores) > 1 or any(score.seed not in theirs for score in first.episodes):
+    has_more = len(other.scores) > 1
+    if has_more or any(score.seed not in theirs for score in first.episodes):
         raise ValueError("the other should be a single member, which has played the same episodes")
     pairs = np.array(
         [
@@ -236,7 +265,8 @@ def difference(
 
     def apart(drawn: Array, axis: int = 0) -> Any:
         with np.errstate(invalid="ignore"):  # NaN where both means are infinite
-            return -np.diff(interquartile_mean(drawn, axis))[..., 0]
+            differences = np.diff(interquartile_mean(drawn, axis))
+            return -differences[..., 0]
 
     return Mean(
         float(apart(pairs.reshape(-1, 2))),

@@ -37,7 +37,8 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number to some significant digits; "-" where there is none."""
     if value is None or math.isnan(value):
         return "-"
-    if abs(value) >= 10.0**digits - 0.5:  # all digits are before the point
+    largest = 10.0**digits - 0.5
+    if abs(value) >= largest:  # all digits are before the point
         return f"{value:.0f}"
     return f"{value:#.{digits}g}".removesuffix(".")
 
@@ -51,23 +52,32 @@ def with_seeds(name: str, count: int | None) -> str:
     """A name, with the number of seeds behind it if there are any."""
     if count is None:
         return name
-    unit = "seed" if count == 1 else "seeds"
+    if count == 1:
+        unit = "seed"
+    else:
+        unit = "seeds"
     return f"{name} ({count} {unit})"
 
 
 def summary_cells(summary: Summary) -> dict[str, str]:
     """Cells of a row by the headings of their columns."""
-    flag = f" {FLAG}" if summary.diverged > 0 else ""
+    if summary.diverged > 0:
+        flag = f" {FLAG}"
+    else:
+        flag = ""
     cells = dict[str, str]()
     for name, error in summary.errors.items():
         unit = error_unit(name)
-        cells[f"{unit.heading} RMS"] = number(unit.factor * error.rms) + flag
+        text = number(unit.factor * error.rms)
+        cells[f"{unit.heading} RMS"] = text + flag
     if summary.reached is not None:
-        cells["reached"] = f"{100 * summary.reached:.0f} %"
+        percent = 100 * summary.reached
+        cells["reached"] = f"{percent:.0f} %"
     cells["settled"] = f"{summary.settled} of {summary.episodes}"
     for name, value in summary.metrics.items():
         metric = METRICS[name]
-        cells[metric.heading] = number(metric.factor * value) + flag
+        text = number(metric.factor * value)
+        cells[metric.heading] = text + flag
     cells["time [ms]"] = number(1e3 * summary.action_time)
     return cells
 
@@ -83,9 +93,11 @@ def summary_table(
     """
     rows = []
     for name, summary in summaries.items():
-        rows.append({label: name, **summary_cells(summary), MODEL: models[name]})
+        row = {label: name, **summary_cells(summary), MODEL: models[name]}
+        rows.append(row)
     table = record_table(rows)
-    if any(summary.diverged for summary in summaries.values()):
+    diverged = (summary.diverged for summary in summaries.values())
+    if any(diverged):
         return f"{table}\n\n{LEGEND}"
     return table
 
@@ -95,10 +107,16 @@ def error_text(standing: Standing) -> str:
     factor = error_unit(standing.error).factor
     key = f"{standing.error}_rms"
     interquartile = standing.mean(key).value
-    mean, _ = tails(standing.values(key))
-    text = f"{number(factor * interquartile)} / {number(factor * mean)}"
-    bad = float(np.mean([score.bad for score in standing.episodes]))
-    return f"{text}, {100 * bad:.0f} % bad" if bad else text
+    values = standing.values(key)
+    mean, _ = tails(values)
+    first = number(factor * interquartile)
+    second = number(factor * mean)
+    text = f"{first} / {second}"
+    bad_shares = [score.bad for score in standing.episodes]
+    bad = float(np.mean(bad_shares))
+    if bad:
+        return f"{text}, {100 * bad:.0f} % bad"
+    return text
 
 
 def error_table(standings: Standings) -> str:
@@ -106,12 +124,14 @@ def error_table(standings: Standings) -> str:
 
     Cells are those of ERRORS_LEGEND, "-" where a policy did not play.
     """
-    conditions = list(dict.fromkeys(condition for _, condition in standings))
+    condition_names = (condition for _, condition in standings)
+    conditions = list(dict.fromkeys(condition_names))
     first = next(iter(standings.values()))
     heading = f"{error_unit(first.error).heading} RMS"
     rows = dict[str, dict[str, str]]()
     for (policy, condition), standing in standings.items():
-        row = {heading: _name_with_seeds(policy, standing)} | dict.fromkeys(conditions, "-")
+        first_cell = {heading: _name_with_seeds(policy, standing)}
+        row = first_cell | dict.fromkeys(conditions, "-")
         rows.setdefault(policy, row)[condition] = error_text(standing)
     return record_table([*rows.values()])
 
@@ -126,8 +146,10 @@ def number_tables(standings: Standings) -> list[str]:
     for name in first.episodes[0].errors:
         unit = error_unit(name)
         text = _mean_text(f"{name}_rms", unit.factor)
-        tables.append(_narrow_table(f"{unit.heading} RMS", standings, text))
-    tables.append(_narrow_table("return", standings, _mean_text("return", 1.0)))
+        title = f"{unit.heading} RMS"
+        tables.append(_narrow_table(title, standings, text))
+    returns = _narrow_table("return", standings, _mean_text("return", 1.0))
+    tables.append(returns)
     tables.append(_narrow_table("bad episodes [%]", standings, _bad_text))
     return tables
 
@@ -158,16 +180,21 @@ def _mean_text(key: str, factor: float) -> Callable[[Standing], str]:
     """Text of a cell: the interquartile mean of a number of episodes times a factor, (the mean)."""
 
     def text(standing: Standing) -> str:
-        mean, _ = tails(standing.values(key))
-        interquartile = number(factor * standing.mean(key).value, NARROW_DIGITS)
-        return f"{interquartile} ({number(factor * mean, NARROW_DIGITS)})"
+        values = standing.values(key)
+        mean, _ = tails(values)
+        mean_of_key = standing.mean(key)
+        interquartile = number(factor * mean_of_key.value, NARROW_DIGITS)
+        text = number(factor * mean, NARROW_DIGITS)
+        return f"{interquartile} ({text})"
 
     return text
 
 
 def _bad_text(standing: Standing) -> str:
     """Share of bad episodes in percent."""
-    return f"{100 * np.mean([score.bad for score in standing.episodes]):.0f}"
+    bad_shares = [score.bad for score in standing.episodes]
+    bad_share = np.mean(bad_shares)
+    return f"{100 * bad_share:.0f}"
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:
@@ -175,21 +202,26 @@ def record_table(rows: Sequence[Mapping[str, str]]) -> str:
 
     It has a column per key that any of them has, "-" where one lacks it.
     """
-    header = list(dict.fromkeys(key for row in rows for key in row))
+    keys = (key for row in rows for key in row)
+    header = list(dict.fromkeys(keys))
     cells = [[row.get(key, "-") for key in header] for row in rows]
     return markdown_table(header, cells)
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table that reads well as it is and as Markdown."""
-    cells = [tuple(header), *map(tuple, rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    rest = map(tuple, rows)
+    cells = [tuple(header), *rest]
+    columns = zip(*cells, strict=True)
+    widths = [max(map(len, column)) for column in columns]
     lines = []
     for row in cells:
-        padded = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        pairs = zip(row, widths, strict=True)
+        padded = [cell.ljust(width) for cell, width in pairs]
         lines.append(f"| {' | '.join(padded)} |")
     dashes = ["-" * (width + 2) for width in widths]
-    lines.insert(1, f"|{'|'.join(dashes)}|")
+    rule = f"|{'|'.join(dashes)}|"
+    lines.insert(1, rule)
     return "\n".join(lines)
 
 
@@ -208,7 +240,9 @@ def records(standings: Standings) -> list[dict[str, Any]]:
             "bad": sum(score.bad for score in standing.episodes),
         }
         for key in standing.episodes[0].numbers:
-            numbers = (*standing.mean(key), *tails(standing.values(key)))
+            tails_of_key = tails(standing.values(key))
+            mean_of_key = standing.mean(key)
+            numbers = (*mean_of_key, *tails_of_key)
             for ending, value in zip(STATISTICS, numbers, strict=True):
                 row[f"{key}{ending}"] = float(f"{value:.5g}")
         rows.append(row)
@@ -221,7 +255,8 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     There is nothing where it is NaN. Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    columns = list(dict.fromkeys(key for row in rows for key in row))
+    keys = (key for row in rows for key in row)
+    columns = list(dict.fromkeys(keys))
     with open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
@@ -229,7 +264,8 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
             cells = {}
             for key, value in row.items():
                 is_missing = isinstance(value, float) and math.isnan(value)
-                cells[key] = None if is_missing else value
+                if not is_missing:
+                    cells[key] = value
             writer.writerow(cells)
     print(f"written: {path}")
 

@@ -61,7 +61,9 @@ class Measurement(NamedTuple):
 def _target_length(observed: Observed) -> Array:
     """Tendon lengths (rows, n_a) [m] of the target less those at rest, (rows, 0) without them."""
     lengths = observed.target.tendon_length
-    return observed.target_length if lengths.size else lengths[:, 0]
+    if lengths.size:
+        return observed.target_length
+    return lengths[:, 0]
 
 
 MEASUREMENTS: Mapping[str, Measurement] = {
@@ -131,7 +133,8 @@ def pose_logarithm(pose: Tensor, target: Tensor) -> Tensor:
     # inverse of the Jacobian times the translation
     once = torch.linalg.cross(vector, translation)
     twice = torch.linalg.cross(vector, once)
-    linear = translation - 0.5 * once + factor * twice
+    first_order = translation - 0.5 * once
+    linear = first_order + factor * twice
     return torch.cat([vector, linear], dim=1)
 
 
@@ -148,9 +151,11 @@ def _half_angle(sine: Tensor, cosine: Tensor) -> Tensor:
     # runtimes have no atan of doubles: a step of Newton's adds the digits
     rough = torch.atan(tangent.float()).double()
     # a sine for the cosine, which some do not have for doubles either
-    rough_cosine = torch.sin(rough + 0.5 * math.pi)
+    shifted = rough + 0.5 * math.pi
+    rough_cosine = torch.sin(shifted)
     rough_sine = torch.sin(rough)
-    return rough + sine * rough_cosine - cosine * rough_sine
+    first_order = rough + sine * rough_cosine
+    return first_order - cosine * rough_sine
 
 
 def _quaternion(rotation: Tensor) -> Tensor:
@@ -182,12 +187,14 @@ def _quaternion(rotation: Tensor) -> Tensor:
         torch.stack([w_z, x_z, y_z, z_z], dim=1),
     ]
     products = torch.stack(columns, dim=2)
-    diagonal = torch.stack([w_w, x_x, y_y, z_z], dim=1)
+    squares = [w_w, x_x, y_y, z_z]
+    diagonal = torch.stack(squares, dim=1)
     # a product with a unit vector takes a column in all runtimes
     units = torch.eye(4, dtype=rotation.dtype)
     largest = diagonal.argmax(1)
     longest = units[largest]
-    column = (products * longest[:, None]).sum(2)
+    is_chosen = longest[:, None]
+    column = (products * is_chosen).sum(2)
     w = column[:, :1]
     sign = torch.where(w < 0.0, -1.0, 1.0)
     return sign * column / _length(column)
@@ -219,7 +226,8 @@ class _TensorNormalisation:
         self._clip = normalise.clip
         self._moments: dict[str, list[Tensor]] = {}
         for key, moments in normalise.moments.items():
-            deviation = np.sqrt(moments.variance + normalise.epsilon)
+            variance = moments.variance + normalise.epsilon
+            deviation = np.sqrt(variance)
             self._moments[key] = as_tensors(moments.mean, deviation)
 
     def __call__(self, parts: Parts) -> Parts:
@@ -255,7 +263,10 @@ class _TensorIntegral:
 
     def __call__(self, parts: Parts, integral: Tensor) -> tuple[Parts, Tensor]:
         """Parts of an observation with their target moved, and the next integral (1, ways)."""
-        key = BOX if BOX in parts else "desired_goal"
+        if BOX in parts:
+            key = BOX
+        else:
+            key = "desired_goal"
         target = parts[key]
         start = parts.get("achieved_goal", 0.0)
         observed_way = (target - start).double()
@@ -342,8 +353,10 @@ class _ControlPeriod(torch.nn.Module):
         sent = self.scale.wanted(action, command)
         most = self.scale.greatest_change
         if most is not None:
-            sent = torch.minimum(torch.maximum(sent, command - most), command + most)
-        sent = torch.minimum(torch.maximum(sent, self.scale.least), self.scale.greatest)
+            raised = torch.maximum(sent, command - most)
+            sent = torch.minimum(raised, command + most)
+        raised = torch.maximum(sent, self.scale.least)
+        sent = torch.minimum(raised, self.scale.greatest)
         started = rows["started"].clamp(min=1.0)
         states = {
             "started": started,
@@ -423,7 +436,8 @@ class _ControlPeriod(torch.nn.Module):
         # measurements are less those at rest already
         zeros = [0.0 * value for value in self.episodes.observed.rest]
         rest = RestValues(*as_tensors(*zeros))
-        error = pose_logarithm(arm.tip_pose[0], rows["target_pose"][0])
+        target_pose = rows["target_pose"][0]
+        error = pose_logarithm(arm.tip_pose[0], target_pose)
         tensors: dict[str, Any] = {
             "arms": _Arms(arm, arm),
             "measured": arm,
@@ -448,7 +462,10 @@ class _ControlPeriod(torch.nn.Module):
             goes_on = is_running[..., None]
             history = torch.where(goes_on, history, now)
         seen, history = self.observation.complete(observed, flat, history)
-        parts = seen if isinstance(seen, dict) else {BOX: seen}
+        if isinstance(seen, dict):
+            parts = seen
+        else:
+            parts = {BOX: seen}
         return parts, history
 
     def _network(self, parts: Parts, rows: Parts) -> tuple[Tensor, Tensor | None]:
@@ -647,4 +664,6 @@ def compare(
     width = actions.greatest - actions.least
     largest = np.max(differences, axis=0)
     shares = largest / width
-    return len(differences), float(largest.max()), float(shares.max())
+    greatest_difference = float(largest.max())
+    greatest_share = float(shares.max())
+    return len(differences), greatest_difference, greatest_share

@@ -98,7 +98,8 @@ def exportable(scene: Scene) -> tuple[Scene, list[str]]:
 def rest_poses(scene: Scene, arc_length: Array) -> Array:
     """Poses (m, 4, 4) of the stress-free rod in the world frame at arc lengths (m,) [m]."""
     borders = segment_borders(scene)
-    places = np.unique([0.0, *arc_length, *borders])
+    all_places = [0.0, *arc_length, *borders]
+    places = np.unique(all_places)
     lengths = np.diff(places)
     strains = stress_free_strain(scene, _middles(places))
     twists = lengths[:, None] * strains
@@ -128,13 +129,16 @@ def make_chain(scene: Scene, links: int) -> Chain:
     The compliances of an element are in series, by midpoints of at least sixteen parts of each.
     """
     tip = rod_length(scene)
-    borders = tip * np.linspace(0.0, 1.0, links + 1)
+    shares = np.linspace(0.0, 1.0, links + 1)
+    borders = tip * shares
     joints = _middles(borders)
     stations = np.array([0.0, *joints, tip])
     pose = rest_poses(scene, stations)
     # parts of the elements, cut at the borders of segments too
-    part_borders = np.linspace(0.0, tip, PARTS * links + 1)
-    cuts = np.unique([*part_borders, *segment_borders(scene)])
+    count = PARTS * links + 1
+    part_borders = np.linspace(0.0, tip, count)
+    all_borders = [*part_borders, *segment_borders(scene)]
+    cuts = np.unique(all_borders)
     arc = _middles(cuts)
     length = np.diff(cuts)[:, None]
     elasticity, viscosity, density = screw_matrices(scene, arc)
@@ -149,10 +153,12 @@ def make_chain(scene: Scene, links: int) -> Chain:
     # masses of the parts, of discs and of the payload
     discs = disc_rows(scene)
     disc_places = discs[:, 0]
-    places = np.array([*arc, *disc_places, tip])
+    all_places = [*arc, *disc_places, tip]
+    places = np.array(all_places)
     rod_inertia = length * density
     payload = scene.effects.payload
-    lumps = np.vstack([rod_inertia, disc_inertia(discs), payload])
+    all_lumps = [rod_inertia, disc_inertia(discs), payload]
+    lumps = np.vstack(all_lumps)
     inertia = _link_inertia(scene, stations, pose, places, lumps)
     return Chain(stations, pose, stiffness, damping, inertia)
 
@@ -190,7 +196,8 @@ def time_step(scene: Scene, chain: Chain) -> float:
     stiffness k and damping t k is stable up to t + sqrt(t^2 + 4 m / k).
     """
     ratio = chain.damping / chain.stiffness
-    link_inertia = np.diagonal(chain.inertia[1:], axis1=1, axis2=2)
+    link_matrices = chain.inertia[1:]
+    link_inertia = np.diagonal(link_matrices, axis1=1, axis2=2)
     # a joint between two links has half of their inertia
     period = np.sqrt(link_inertia / chain.stiffness)
     limit = ratio + np.hypot(ratio, period)
@@ -237,11 +244,14 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     base = add_body(world, scene, chain, 0)
     bodies = [base]
     for i in range(1, links + 1):
-        body = add_body(bodies[-1], scene, chain, i)
+        parent = bodies[-1]
+        body = add_body(parent, scene, chain, i)
         bodies.append(body)
     # in the frame of the last link
-    tip = inverse_pose(chain.pose[-2]) @ chain.pose[-1]
-    SubElement(bodies[-1], "site", {"name": "tip", **placed(tip)})
+    from_last = inverse_pose(chain.pose[-2])
+    tip = from_last @ chain.pose[-1]
+    attributes = {"name": "tip", **placed(tip)}
+    SubElement(bodies[-1], "site", attributes)
     base_radius = rod_radius(scene, 0.0)[0]
     width = text(base_radius / 20.0)
     for k, tendon in enumerate(scene.tendons):
@@ -266,21 +276,25 @@ def _comment(left: list[str]) -> str:
         f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, half of that at which the"
         " stiffest joint is stable"
     )
-    words = f" {why}; left out: {', '.join(left) or 'nothing'} "
+    left_out = ", ".join(left) or "nothing"
+    words = f" {why}; left out: {left_out} "
     return words.replace("--", "- -")  # which ends comments of XML
 
 
 def text(numbers: ArrayLike) -> str:
     """Numbers as an attribute."""
-    values = np.atleast_1d(np.asarray(numbers, dtype=float))
+    array = np.asarray(numbers, dtype=float)
+    values = np.atleast_1d(array)
     return " ".join(map(repr, values.tolist()))
 
 
 def placed(pose: Array) -> dict[str, str]:
     """Attributes of a pose (4, 4)."""
-    rotation = Rotation.from_matrix(pose[:3, :3])
+    matrix = pose[:3, :3]
+    rotation = Rotation.from_matrix(matrix)
     quaternion = rotation.as_quat(canonical=True, scalar_first=True)
-    return {"pos": text(pose[:3, 3]), "quat": text(quaternion)}
+    position = text(pose[:3, 3])
+    return {"pos": position, "quat": text(quaternion)}
 
 
 def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
@@ -290,11 +304,15 @@ def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
     in_parent = pose
     if i > 0:
         name = f"link_{i - 1}"
-        in_parent = inverse_pose(chain.pose[i - 1]) @ pose
-    body = SubElement(parent, "body", {"name": name, **placed(in_parent)})
+        into_parent = inverse_pose(chain.pose[i - 1])
+        in_parent = into_parent @ pose
+    attributes = {"name": name, **placed(in_parent)}
+    body = SubElement(parent, "body", attributes)
     _add_inertia(body, chain.inertia[i])
-    middle = chain.stations[i : i + 2].mean()
-    to_end = inverse_pose(pose) @ chain.pose[i + 1]
+    ends = chain.stations[i : i + 2]
+    middle = ends.mean()
+    next_pose = chain.pose[i + 1]
+    to_end = inverse_pose(pose) @ next_pose
     SubElement(
         body,
         "geom",
@@ -313,10 +331,13 @@ def _add_inertia(body: Element, inertia: Array) -> None:
     """Mass, centre and moments of inertia of a body, of its spatial inertia (6, 6)."""
     # [[J, m c~], [-m c~, m]]
     mass = inertia[5, 5]
-    centre = inertia[[2, 0, 1], [4, 5, 3]] / mass
-    about_centre = inertia[:3, :3] + mass * skew(centre) @ skew(centre)
+    first_moments = inertia[[2, 0, 1], [4, 5, 3]]
+    centre = first_moments / mass
+    offset = mass * skew(centre) @ skew(centre)
+    about_centre = inertia[:3, :3] + offset
     # xx, yy, zz, xy, xz, yz
-    entries = about_centre[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    places = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    entries = about_centre[places]
     SubElement(
         body,
         "inertial",
@@ -365,7 +386,9 @@ def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chai
     links = len(bodies) - 1
     for i in range(links):
         # in the frame of the body before it
-        joint = inverse_pose(chain.pose[i]) @ chain.pose[i + 1]
+        into_link = inverse_pose(chain.pose[i])
+        next_pose = chain.pose[i + 1]
+        joint = into_link @ next_pose
         rotation = joint[:3, :3]
         position = joint[:3, 3]
         for passage in _passages(scene, tendon, i, links):
@@ -394,8 +417,10 @@ def _branch(scene: Scene, tendon: Tendon, passage: _Passage) -> tuple[Array, Arr
     strain = stress_free_strain(scene, place)[0]
     curvature = strain[:3]
     stretch = strain[3:]
-    site = np.array([0.0, *offsets[0]])
-    slope = np.array([0.0, *slopes[0]])
+    first_site = [0.0, *offsets[0]]
+    site = np.array(first_site)
+    first_slope = [0.0, *slopes[0]]
+    slope = np.array(first_slope)
     # derivative of the tendon's position by arc length, in the frame of the rod
     rotation = np.cross(curvature, site)
     tangent = rotation + stretch + slope
@@ -410,7 +435,8 @@ def _passages(scene: Scene, tendon: Tendon, element: int, elements: int) -> list
     first = element * length
     last = (element + 1) * length
     borders = [start, end, *segment_borders(scene)]
-    cuts = np.unique(np.clip(borders, first, last))
+    clipped = np.clip(borders, first, last)
+    cuts = np.unique(clipped)
     parts = np.diff(cuts)
     places = _middles(cuts)
     elasticity, _, _ = screw_matrices(scene, places)
@@ -510,24 +536,28 @@ def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
     distances = []
     for tension, pose in zip(tensions, poses, strict=True):
         arm.hold(tension)
-        distance = math.dist(arm.tip, pose[:3, 3])
+        position = pose[:3, 3]
+        distance = math.dist(arm.tip, position)
         distances.append(distance)
     return rest, float(np.max(distances)), duration
 
 
 def _distances_at_rest(arm: _MujocoArm, scene: Scene, rod: Model) -> Array:
     """Distances (SETS,) [m] of two tips at rest, NaN where either has no rest."""
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+    limits = np.array(tension_limits)
     least = limits[:, 0]
     greatest = limits[:, 1]
     random = np.random.default_rng(0)
-    sets = random.uniform(least, greatest, (SETS, len(limits)))
+    shape = (SETS, len(limits))
+    sets = random.uniform(least, greatest, shape)
     distances = []
     for tension in sets:
         distance = math.nan
         equilibrium = static_equilibrium(rod, tension)
         if equilibrium.converged:
             tip = arm.settle(tension)
-            distance = math.dist(tip, equilibrium.tip_pose[:3, 3])
+            position = equilibrium.tip_pose[:3, 3]
+            distance = math.dist(tip, position)
         distances.append(distance)
     return np.array(distances)

@@ -70,7 +70,8 @@ class TensorNetwork(torch.nn.Module):
         if self._posture is not None:
             posture = plain[:, self._posture :]
             away = with_fine_entries(posture, self._fine)
-            gains = self.gain(latent * self.way(away))
+            towards = self.way(away)
+            gains = self.gain(latent * towards)
             mean = mean + gains
         if self._squashes:
             mean = torch.tanh(mean)
@@ -95,12 +96,14 @@ class TensorRenormalisation(torch.nn.Module):
         self.bias = torch.as_tensor(layer.bias)
 
     def forward(self, values: Tensor) -> Tensor:
-        return self.scale * ((values - self.mean) / self.deviation) + self.bias
+        normalised = (values - self.mean) / self.deviation
+        return self.scale * normalised + self.bias
 
 
 def tensor_layers(layers: Feedforward) -> torch.nn.Sequential:
     """Layers one after the other in PyTorch."""
-    return torch.nn.Sequential(*(tensor_layer(layer) for layer in layers.layers))
+    tensor_layers = (tensor_layer(layer) for layer in layers.layers)
+    return torch.nn.Sequential(*tensor_layers)
 
 
 def tensor_layer(layer: Layer) -> torch.nn.Module:

@@ -43,7 +43,8 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
             " recordings"
         )
         raise ValueError(f"{text}: those with the same commands, or of one group, stay together")
-    fit_part = [*itertools.compress(recordings, np.logical_not(is_out))]
+    is_kept = np.logical_not(is_out)
+    fit_part = [*itertools.compress(recordings, is_kept)]
     judge_part = [*itertools.compress(recordings, is_out)]
     return [fit_part, judge_part]
 
@@ -121,7 +122,8 @@ def same_commands(recordings: Sequence[Recording]) -> Array:
     """
     if not recordings:
         return np.zeros(0, dtype=int)
-    longest = max(len(recording.command) for recording in recordings)
+    lengths = (len(recording.command) for recording in recordings)
+    longest = max(lengths)
     samples = np.arange(longest)
     rows = list[Array]()
     for recording in recordings:
@@ -129,15 +131,18 @@ def same_commands(recordings: Sequence[Recording]) -> Array:
         held_on = np.minimum(samples, last)
         rows.append(recording.command[held_on])
     commands = np.array(rows)  # (recordings, samples, n_a)
-    spread = SAME * np.ptp(commands, axis=(0, 1))
-    exact = EXACT * np.abs(commands).max()
+    spans = np.ptp(commands, axis=(0, 1))
+    spread = SAME * spans
+    largest = np.abs(commands).max()
+    exact = EXACT * largest
     tiny = np.finfo(float).tiny
     tolerance = np.maximum(spread, exact) + tiny
     cluster = np.full(len(recordings), -1)
     while (cluster < 0).any():
         # the first that has no cluster makes one, of all that are near
         first = np.argmax(cluster < 0)
-        difference = np.abs(commands - commands[first])
+        way = commands - commands[first]
+        difference = np.abs(way)
         of_tendons = difference / tolerance
         of_samples = of_tendons.max(axis=2)
         is_near = of_samples.mean(axis=1) <= 1.0

@@ -73,7 +73,8 @@ def read_columns(
 
 def matches_of(key: str, quantities: Iterable[str]) -> list[re.Match[str]]:
     """Quantities that a key of `[columns]` names; group 1 of a match is what its `*` stands for."""
-    pattern = re.compile(re.escape(key).replace(r"\*", "(.+)"))
+    literal = re.escape(key)
+    pattern = re.compile(literal.replace(r"\*", "(.+)"))
     return [match for match in map(pattern.fullmatch, quantities) if match is not None]
 
 
@@ -86,7 +87,8 @@ def _expected_columns(markers: MarkerSet, units: Mapping[str, str]) -> dict[str,
     for quantity, unit in units.items():
         expected[quantity] = Expected(quantity, quantity, Column(), unit)
     # whole names come last: they beat patterns
-    by_pattern = sorted(markers.columns.items(), key=lambda item: "*" not in item[0])
+    columns = markers.columns.items()
+    by_pattern = sorted(columns, key=lambda item: "*" not in item[0])
     for key, column in by_pattern:
         matches = matches_of(key, units)
         if not matches:
@@ -115,10 +117,13 @@ def _check_unit(key: str, column: Column, si_unit: str) -> None:
         raise ValueError(f"columns.{key} is text: it has neither a unit nor a scale")
     known = UNITS.get(si_unit, {si_unit: 1.0})
     allowed = [*known, COUNTS]
-    if column.unit is not None and column.unit not in allowed:
+    has_unit = column.unit is not None
+    if has_unit and column.unit not in allowed:
         names = ", ".join(allowed)
-        raise ValueError(f"columns.{key}.unit is {column.unit!r}: it should be one of {names}")
-    if column.unit == COUNTS and not has_scale:
+        message = f"columns.{key}.unit is {column.unit!r}: it should be one of {names}"
+        raise ValueError(message)
+    has_counts = column.unit == COUNTS
+    if has_counts and not has_scale:
         raise ValueError(
             f"columns.{key}.unit is {COUNTS!r}: scale should say how many {si_unit} a count is"
         )
@@ -140,7 +145,8 @@ def _factor(expected: Expected, column: str, table: Table) -> float:
             f"{table.where}: column {column} is in {of_file}, says the file, and"
             f" columns.{expected.key}.unit is {unit!r}: they should be the same"
         )
-    return entry.sign * entry.scale * units.get(unit, 1.0)
+    unit_factor = units.get(unit, 1.0)
+    return entry.sign * entry.scale * unit_factor
 
 
 def _header_name(table: Table, column: str) -> str | None:
@@ -161,8 +167,11 @@ def _header_name(table: Table, column: str) -> str | None:
     matches = [name for name in table.header if name.casefold() == folded]
     if len(matches) > 1:
         names = " and as ".join(matches)
-        raise ValueError(f"{table.where}: column {column} is there as {names}")
-    return matches[0] if matches else None
+        message = f"{table.where}: column {column} is there as {names}"
+        raise ValueError(message)
+    if not matches:
+        return None
+    return matches[0]
 
 
 def _check_complete(
@@ -172,8 +181,10 @@ def _check_complete(
     optional: set[str],
 ) -> None:
     """Raises ValueError where a table lacks columns, of `time` and `hold` both."""
-    absent = expected.keys() - sources.keys() - optional
-    missing = sorted(expected[quantity].name for quantity in absent)
+    unread = expected.keys() - sources.keys()
+    absent = unread - optional
+    absent_names = (expected[quantity].name for quantity in absent)
+    missing = sorted(absent_names)
     has_optional = bool(sources.keys() & OPTIONAL_COLUMNS)
     if not missing and not has_optional:
         missing = sorted(OPTIONAL_COLUMNS)
@@ -182,20 +193,24 @@ def _check_complete(
         text = (
             f"there is no column {names}: [columns] of the markers' file gives columns other names"
         )
-        raise ValueError(f"{table.where}: {text}; {_columns_there(missing[0], table)}")
+        columns_there = _columns_there(missing[0], table)
+        message = f"{table.where}: {text}; {columns_there}"
+        raise ValueError(message)
 
 
 def _columns_there(missing: str, table: Table) -> str:
     """End of an error about a missing column: those of the table, or that there is none."""
     # what is no table is not shown
     cells = len(table.header)
-    longest = max(map(len, table.header), default=0)
+    lengths = map(len, table.header)
+    longest = max(lengths, default=0)
     is_long = cells > MOST_SHOWN or longest > LONGEST_NAME
     first_row = ""
     if table.rows:
         _, row = table.rows[0]
         first_row = "".join(row)
-    has_numbers = any(character.isdigit() for character in first_row)
+    is_digit = (character.isdigit() for character in first_row)
+    has_numbers = any(is_digit)
     if is_long or not has_numbers:
         return (
             f"the line that seems to be the header has {cells} cells, the longest of {longest}"
@@ -212,7 +227,8 @@ def _check_decimal_marks(table: Table, columns: Sequence[str]) -> None:
         for place in places:
             is_date = ":" in cells[place]
             for mark in ",.":
-                if mark in cells[place] and not is_date:
+                has_mark = mark in cells[place]
+                if has_mark and not is_date:
                     marks[mark] = where
     if len(marks) > 1:
         raise ValueError(

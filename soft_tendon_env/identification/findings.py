@@ -77,7 +77,8 @@ def findings(
             " intervals may be off. Estimate fewer, and none that the data do not contain."
         )
     parameters = fitted.plants.parameters
-    texts += [_unseen_text(direction, parameters) for direction in unseen]
+    unseen_texts = [_unseen_text(direction, parameters) for direction in unseen]
+    texts += unseen_texts
     misfits = _misfits(estimate, fitted, judge)
     drift = drift_text(misfits)
     if drift:  # which the parameters, outliers and residuals follow from
@@ -85,10 +86,13 @@ def findings(
     for parameter, x in zip(parameters, estimate.x, strict=True):
         texts += _parameter_texts(parameter, x)
     plants = fitted.plants
-    arm = Arm(plants.model.length, [*plants.markers.markers], len(plants.scene.tendons))
+    marker_names = [*plants.markers.markers]
+    tendon_count = len(plants.scene.tendons)
+    arm = Arm(plants.model.length, marker_names, tendon_count)
     texts += misfit_texts(misfits, arm, noise)
     if judge is not None:
-        fit_error = mean_of_finite(misfit.error for misfit in misfits if not misfit.held_out)
+        errors_of_fit = (misfit.error for misfit in misfits if not misfit.held_out)
+        fit_error = mean_of_finite(errors_of_fit)
         fewer = fewer_parameters_text(estimate, fit_error, judge)
         if fewer:
             texts.append(fewer)
@@ -153,8 +157,12 @@ def _parameter_texts(parameter: Parameter, x: float) -> list[str]:
             )
     # the coordinate of a factor is its logarithm
     times = np.exp(abs(x))
-    if parameter.name.endswith("young_modulus") and times > UNLIKELY:
-        direction = "greater" if x > 0 else "less"
+    is_modulus = parameter.name.endswith("young_modulus")
+    if is_modulus and times > UNLIKELY:
+        if x > 0:
+            direction = "greater"
+        else:
+            direction = "less"
         texts.append(
             f"{parameter.name} is {times:.2g} times {direction} than in the scene: is a unit wrong?"
             " Tensions in kg that are read as N make it 9.8 times less."

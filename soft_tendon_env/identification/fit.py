@@ -59,7 +59,9 @@ class Fit(NamedTuple):
 
         It is without the priors.
         """
-        return np.asarray(self.jacobian.T @ self.jacobian) / self.sigma**2
+        product = self.jacobian.T @ self.jacobian
+        variance = self.sigma**2
+        return np.asarray(product) / variance
 
 
 class Intervals(NamedTuple):
@@ -99,9 +101,15 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
             " or estimate fewer"
         )
     x = np.zeros(prior.size)
-    deviation = FIRST_SIGMA * length if sigma is None else sigma
+    if sigma is None:
+        deviation = FIRST_SIGMA * length
+    else:
+        deviation = sigma
     # without priors a deviation scales all squares alike, and the estimate stays
-    rounds = MOST_ROUNDS if sigma is None and prior.any() else 1
+    if sigma is None and prior.any():
+        rounds = MOST_ROUNDS
+    else:
+        rounds = 1
     for _ in range(rounds):
         estimate = _solve(readings, x, deviation, prior)
         x = estimate.x
@@ -146,8 +154,10 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     from scipy.optimize import least_squares
 
     # rows of the priors stand beneath those of the readings
-    root = np.diag(np.sqrt(prior))[prior > 0.0]
-    bounds = np.array([parameter.bounds for parameter in readings.plants.parameters]).T
+    roots = np.diag(np.sqrt(prior))
+    root = roots[prior > 0.0]
+    bounds_of_parameters = [parameter.bounds for parameter in readings.plants.parameters]
+    bounds = np.array(bounds_of_parameters).T
     low, high = bounds
     inside = ROOM * np.ptp(bounds, axis=0)  # from a bound itself the method hardly moves
     start = np.clip(x, low + inside, high - inside)
@@ -158,10 +168,12 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
             data = readings.residual(x)
         except (NoHoldError, ConfigurationError):  # the trust region shrinks
             data = np.full(size, np.inf)
-        return np.concatenate([data / sigma, root @ x])
+        both = [data / sigma, root @ x]
+        return np.concatenate(both)
 
     def jacobian(x: Array) -> Array:
-        return np.vstack([readings.jacobian(x) / sigma, root])
+        scaled = readings.jacobian(x) / sigma
+        return np.vstack([scaled, root])
 
     result = least_squares(
         residual,
@@ -197,14 +209,17 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     from scipy.special import stdtrit
 
     parameters = readings.plants.parameters
-    bounds = np.array([parameter.bounds for parameter in parameters])
+    every_bound = [parameter.bounds for parameter in parameters]
+    bounds = np.array(every_bound)
     tail = 0.5 * (1.0 + CONFIDENCE)
     # Student's t of an error that is estimated from the same readings
-    reading_freedom = max(estimate.residual.size - estimate.x.size, 1)
+    freedom = estimate.residual.size - estimate.x.size
+    reading_freedom = max(freedom, 1)
     deviation = np.sqrt(variances(estimate))
     linear = stdtrit(reading_freedom, tail) * deviation
     # errors within a cluster are common: there are as many independent ones as clusters
-    cluster_freedom = max(int(readings.cluster.max()), 1)
+    clusters = int(readings.cluster.max())
+    cluster_freedom = max(clusters, 1)
     draws = _bootstrap(estimate, readings.cluster)
     drawn_deviation = draws.std(axis=0)
     bootstrap = stdtrit(cluster_freedom, tail) * drawn_deviation
@@ -218,7 +233,10 @@ def intervals(estimate: Fit, readings: Readings) -> Intervals:
     values = []
     for parameter, x_low, x_high in zip(parameters, lower, upper, strict=True):
         # the value of a factor of a negative number falls with its coordinate
-        ends = sorted((parameter.at(x_low), parameter.at(x_high)))
+        at_low = parameter.at(x_low)
+        at_high = parameter.at(x_high)
+        unordered = (at_low, at_high)
+        ends = sorted(unordered)
         values.append(ends)
     low, high = np.array(values).T
     identified, unseen = _identified(estimate)
@@ -239,7 +257,8 @@ def variances(estimate: Fit) -> Array:
     Returns:
         Variances (k,), infinite without information.
     """
-    total = estimate.information + np.diag(estimate.prior)
+    prior = np.diag(estimate.prior)
+    total = estimate.information + prior
     information, directions = np.linalg.eigh(total)
     tiny = np.finfo(float).tiny
     largest = max(information[-1], tiny)
@@ -247,7 +266,9 @@ def variances(estimate: Fit) -> Array:
     empty = directions[:, ~is_known]
     known = directions[:, is_known]
     # parameters with a part of an empty direction
-    is_part = np.abs(empty) > np.sqrt(SINGULAR)
+    size = np.abs(empty)
+    least_size = np.sqrt(SINGULAR)
+    is_part = size > least_size
     is_free = is_part.any(axis=1)
     parts = known**2 / information[is_known]
     variances = parts.sum(axis=1)
@@ -299,13 +320,17 @@ def _bootstrap(estimate: Fit, cluster: Array) -> Array:
     prior_draw = normal * prior_root
     # one Newton step of each draw: (J^T J + P) step = J^T r + P x - b
     P = estimate.prior
-    data_part = np.einsum("dr,rij->dij", times, np.array(curvature))
+    curvatures = np.array(curvature)
+    data_part = np.einsum("dr,rij->dij", times, curvatures)
     A = data_part + np.diag(P)
     gradient_part = times @ np.array(gradient)
-    right = gradient_part + P * estimate.x - prior_draw
+    pull = P * estimate.x
+    right = gradient_part + pull - prior_draw
     # keeps A invertible where a draw leaves out all that says something about a parameter
-    ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)
-    A += ridge[:, None, None] * np.eye(k)
+    traces = np.trace(A, axis1=1, axis2=2)
+    ridge = SINGULAR * traces
+    factors = ridge[:, None, None]
+    A += factors * np.eye(k)
     columns = right[..., None]
     step = np.linalg.solve(A, columns)
     return estimate.x - step[..., 0]

@@ -68,7 +68,8 @@ class Estimate:
     @property
     def errors(self) -> tuple[float, float]:
         """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
-        return mean_of_finite(self.error_fit.values()), mean_of_finite(self.error_held_out.values())
+        error_fit = mean_of_finite(self.error_fit.values())
+        return error_fit, mean_of_finite(self.error_held_out.values())
 
 
 def identify(
@@ -109,9 +110,15 @@ def identify(
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise is {noise}: it should be a positive number of metres")
-    files = [data] if isinstance(data, str | os.PathLike) else [*data]
+    if isinstance(data, str | os.PathLike):
+        files = [data]
+    else:
+        files = [*data]
     paths = [Path(file) for file in files]
-    placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
+    if isinstance(markers, MarkerSet):
+        placed = markers
+    else:
+        placed = load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
     fit_part, judge_part = _read_parts(paths, str(held_out), fit_to, scene, placed)
@@ -133,7 +140,8 @@ def identify(
         advice = misread_text(fitted, None, noise) or LOOK
         reason = str(error).rstrip(".")
         raise NoHoldError(f"{reason}. {advice}") from error
-    values = [parameter.at(x) for parameter, x in zip(chosen, estimate.x, strict=True)]
+    pairs = zip(chosen, estimate.x, strict=True)
+    values = [parameter.at(x) for parameter, x in pairs]
     measurement = plants.measurement(estimate.x)
     before_mean = mean_of_finite(before_fit.values())
     before_held_out_mean = mean_of_finite(before_held_out.values())
@@ -168,7 +176,8 @@ def _read_parts(
     count = len(fit_part)
     if fit_to < count:
         # the middle one of each of as many equal stretches of the data
-        middles = (np.arange(fit_to) + 0.5) * count / fit_to
+        middle_counts = np.arange(fit_to) + 0.5
+        middles = middle_counts * count / fit_to
         fit_part = [fit_part[int(middle)] for middle in middles]
     return fit_part, judge_part
 
@@ -202,7 +211,8 @@ def save_estimate(estimate: Estimate, folder: Path) -> list[Path]:
     scene_file = folder / "scene.toml"
     markers_file = folder / "markers.toml"
     estimate_file = folder / "estimate.json"
-    comments = [f"# {line}".rstrip() for line in summary(estimate).splitlines()]
+    lines_of_summary = summary(estimate).splitlines()
+    comments = [f"# {line}".rstrip() for line in lines_of_summary]
     table = scene_to_dict(estimate.scene)
     lines = [
         "# Identified by soft-tendon identify:",
@@ -317,7 +327,8 @@ def randomize(estimate: Estimate) -> dict[str, Any]:
     """
     tension_limits = [tendon.tension_limits for tendon in estimate.scene.tendons]
     tension_span = np.ptp(tension_limits, axis=1)
-    command_span = np.ptp(command_limits(estimate.scene), axis=1)
+    limits = command_limits(estimate.scene)
+    command_span = np.ptp(limits, axis=1)
     tension_of_command = tension_span / command_span
     table = dict[str, Any]()
     gains = list[float]()
@@ -329,7 +340,10 @@ def randomize(estimate: Estimate) -> dict[str, Any]:
             interval = [low, high]
             # a common factor of numbers that differ
             is_factor = parameter.of_scene.is_factor
-            table[parameter.name] = {"factor": interval} if is_factor else interval
+            if is_factor:
+                table[parameter.name] = {"factor": interval}
+            else:
+                table[parameter.name] = interval
         elif parameter.quantity is Quantity.COMMAND_DELAY:
             table["latency"] = [0.0, high - value]
         elif parameter.quantity is Quantity.COMMAND_GAIN:

@@ -53,7 +53,8 @@ class Frame(Configuration):
     @property
     def rotation(self) -> Array:
         """Rotation matrix R (3, 3)."""
-        return np.asarray(Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix())
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        return np.asarray(rotation.as_matrix())
 
 
 class Column(Configuration):
@@ -79,12 +80,14 @@ class MarkerSet(Configuration):
     @property
     def arc_lengths(self) -> Array:
         """Arc lengths (m,) [m]."""
-        return np.array([marker.arc_length for marker in self.markers.values()])
+        arc_lengths = [marker.arc_length for marker in self.markers.values()]
+        return np.array(arc_lengths)
 
     @property
     def offsets(self) -> Array:
         """Offsets in the sections' frames (m, 3) [m]."""
-        return np.array([marker.offset for marker in self.markers.values()])
+        offsets = [marker.offset for marker in self.markers.values()]
+        return np.array(offsets)
 
     def with_offsets(self, offsets: Array) -> "MarkerSet":
         """Returns the markers with other offsets.
@@ -98,7 +101,8 @@ class MarkerSet(Configuration):
         moved = dict[str, Marker]()
         for name, offset in zip(self.markers, offsets.tolist(), strict=True):
             marker = self.markers[name]
-            moved[name] = marker.model_copy(update={"offset": tuple(offset)})
+            change = {"offset": tuple(offset)}
+            moved[name] = marker.model_copy(update=change)
         return MarkerSet(markers=moved, frame=self.frame, columns=self.columns)
 
 
@@ -144,7 +148,10 @@ def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
         }
         for key, size in sizes.items():
             if size > longest:
-                hint = "; is it in mm?" if size > MILLIMETRES * length else ""
+                if size > MILLIMETRES * length:
+                    hint = "; is it in mm?"
+                else:
+                    hint = ""
                 text = f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"
                 problems.append(Problem(("markers", name, key), text))
     if problems:

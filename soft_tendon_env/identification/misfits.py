@@ -183,7 +183,8 @@ def _outlying(misfits: Sequence[Misfit], length: float) -> list[Mask]:
 
 def _outlier_texts(misfits: Sequence[Misfit], outlying: Sequence[Mask], arm: Arm) -> list[str]:
     """Finding that a few positions stand out."""
-    count = sum(int(is_outlying.sum()) for is_outlying in outlying)
+    counts = (int(is_outlying.sum()) for is_outlying in outlying)
+    count = sum(counts)
     if not count:
         return []
     farthest = list[float]()
@@ -214,7 +215,8 @@ def _held_out_texts(misfits: Sequence[Misfit], arm: Arm) -> list[str]:
     held_out_errors = [misfit.error for misfit in held_out]
     fit_error = mean_of_finite(of_fit)
     held_out_error = mean_of_finite(held_out_errors)
-    least = max(FAR_HELD_OUT * fit_error, EXACT * arm.length)
+    exact = EXACT * arm.length
+    least = max(FAR_HELD_OUT * fit_error, exact)
     if not held_out_error > least:
         return []
     worst_first = sorted(held_out, key=lambda misfit: -misfit.error)
@@ -225,7 +227,8 @@ def _held_out_texts(misfits: Sequence[Misfit], arm: Arm) -> list[str]:
         marker = int(by_marker.argmax())
         marker_name = arm.markers[marker]
         farthest = 1e3 * by_marker[marker]
-        names.append(f"{misfit.recording.name!r} ({marker_name} by {farthest:.3g} mm)")
+        name = f"{misfit.recording.name!r} ({marker_name} by {farthest:.3g} mm)"
+        names.append(name)
     worst = ", ".join(names)
     return [
         f"Held-out recordings are off by {1e3 * held_out_error:.2g} mm, those of the fit by"
@@ -255,7 +258,8 @@ def _correlation_texts(recording: Recording, residual: Array) -> list[str]:
     if np.isfinite(products).sum() < FEWEST:
         return []
     common = np.nanmean(products)
-    if not common > CORRELATED * np.nanmean(residual**2):
+    mean_square = np.nanmean(residual**2)
+    if not common > CORRELATED * mean_square:
         return []
     return [
         f"Residuals of motion {recording.name!r} are no noise: successive ones have"

@@ -38,7 +38,10 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     few = _few(readings.recordings)
     # readings are ranked at the scene's own numbers, and only the best of them is fitted
     text, read = _best_reading(plants, few)
-    estimate_x = np.zeros(len(plants.parameters)) if x is None else x
+    if x is None:
+        estimate_x = np.zeros(len(plants.parameters))
+    else:
+        estimate_x = x
     simulated = _simulate(plants, few, estimate_x)
     distance = _distance(simulated, few)
     try:
@@ -50,7 +53,10 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     least = max(fitted_distance, EXACT * plants.model.length)
     if not BETTER * least < distance:
         return None
-    better = f"{distance / least:.2g} times better" if np.isfinite(distance) else "only"
+    if np.isfinite(distance):
+        better = f"{distance / least:.2g} times better"
+    else:
+        better = "only"
     return (
         f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. Set it"
         " right in [columns] or [frame] of the markers' file, or in the scene; the estimate means"
@@ -62,7 +68,8 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
     """Some holds, evenly over the data, and the beginning of a motion."""
     holds = [recording for recording in recordings if not recording.period]
     motions = [recording for recording in recordings if recording.period]
-    stride = math.ceil(len(holds) / FEW) or 1
+    holds_per_few = len(holds) / FEW
+    stride = math.ceil(holds_per_few) or 1
     chosen = holds[::stride] + motions[:1]
     beginnings = list[Recording]()
     for recording in chosen:
@@ -177,7 +184,8 @@ def _orders(names: Sequence[str]) -> dict[str, list[int]]:
         if len(moved) <= 2:  # their own order, and the exchanges above
             continue
         before = ", ".join(names[i] for i in moved)
-        after = ", ".join(names[permutation[i]] for i in moved)
+        read_as = (names[permutation[i]] for i in moved)
+        after = ", ".join(read_as)
         text = f"markers {before} read as {after}"
         orders[text] = [*permutation]
     return orders
@@ -195,7 +203,8 @@ def command_factors(plants: Plants) -> dict[str, float]:
     effects = plants.scene.effects
     unit = effects.command_unit
     factor_of_unit = UNITS[unit]
-    commands = [f"{COMMANDS[unit]}_{i}" for i in range(len(plants.scene.tendons))]
+    tendon_count = len(plants.scene.tendons)
+    commands = [f"{COMMANDS[unit]}_{i}" for i in range(tendon_count)]
     # the unit that [columns] says, of which the first stands for all
     current = 1.0
     for key, column in plants.markers.columns.items():

@@ -99,13 +99,16 @@ class Parameter:
     def bounds(self) -> tuple[float, float]:
         """Least and greatest coordinate."""
         # a factor of a negative number turns the order of the bounds around
-        ends = self.coordinate(self.low), self.coordinate(self.high)
+        first = self.coordinate(self.low)
+        last = self.coordinate(self.high)
+        ends = first, last
         return min(ends), max(ends)
 
 
 def command_limits(scene: Scene) -> Array:
     """Limits (n_a, 2) of commands in their unit."""
-    tension_limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    limits_of_tendons = [tendon.tension_limits for tendon in scene.tendons]
+    tension_limits = np.array(limits_of_tendons)
     return scene.effects.command_limits(tension_limits)
 
 
@@ -301,13 +304,15 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
     (numbers,) = scene_parameters(scene, [key])
     value = numbers.value
     # angles that differ among the tendons have a common factor, as other numbers
-    is_angle = key.endswith((".angle", ".phase")) and not numbers.is_factor
+    has_name = key.endswith((".angle", ".phase"))
+    is_angle = has_name and not numbers.is_factor
     is_factor = all(numbers.values) and not is_angle
     if is_angle:
         low = value - TURN
         high = value + TURN
     elif is_factor or bounds is not None:
-        low, high = sorted((value / FACTOR, value * FACTOR))
+        unordered = (value / FACTOR, value * FACTOR)
+        low, high = sorted(unordered)
     else:
         raise ValueError(
             f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH"
@@ -334,12 +339,18 @@ def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Sc
     # a factor does not reach a number of the other sign
     is_unreachable = usual.is_factor and low * high <= 0.0
     if not is_inside or is_unreachable:
-        what = "of one sign around" if usual.is_factor else "around"
+        if usual.is_factor:
+            what = "of one sign around"
+        else:
+            what = "around"
         raise ValueError(
             f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its"
             f" number, {usual.value:g}"
         )
-    prior = None if bounds else usual.prior
+    if bounds:
+        prior = None
+    else:
+        prior = usual.prior
     bounded = replace(usual, low=low, high=high, prior=prior)
     if bounded.of_scene is None:
         return bounded

@@ -144,7 +144,10 @@ class Readings:
         self._last_x = b""
         self._last_poses: Array = np.empty((0, 0, 4, 4))
         has_motions = any(recording.period for recording in recordings)
-        self._difference = MOTION_DIFFERENCE if has_motions else HOLD_DIFFERENCE
+        if has_motions:
+            self._difference = MOTION_DIFFERENCE
+        else:
+            self._difference = HOLD_DIFFERENCE
         samples = [len(recording.command) for recording in self.recordings]
         self.ends = np.cumsum(samples)
         marker_count = len(plants.markers.markers)
@@ -163,7 +166,8 @@ class Readings:
 
         Raises NoHoldError, ConfigurationError.
         """
-        return self.plants.measurement(x).positions(self._poses(x))
+        measurement = self.plants.measurement(x)
+        return measurement.positions(self._poses(x))
 
     def residual(self, x: Array, poses: Array | None = None) -> Array:
         """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given.
@@ -206,7 +210,10 @@ class Readings:
                 coordinates = x.copy()
                 coordinates[i] = value
                 # an arm that stays keeps its poses, which take nearly all of the time
-                moved_poses = self._poses(coordinates, near) if moves else poses
+                if moves:
+                    moved_poses = self._poses(coordinates, near)
+                else:
+                    moved_poses = poses
                 residuals.append(self.residual(coordinates, moved_poses))
             low_residual, high_residual = residuals
             change = high_residual - low_residual
@@ -286,7 +293,9 @@ class Readings:
         simulated = list[Array]()  # coordinates (n,) of each sample
         with erring_actuators():  # by the gains and offsets that are looked for
             for i, (model, command) in enumerate(arms):
-                moved = _moved(model, command[0], near[i]) if near else None
+                moved = None
+                if near:
+                    moved = _moved(model, command[0], near[i])
                 if moved is None:
                     simulated += self._simulate(model, command, i)
                 else:
@@ -297,7 +306,8 @@ class Readings:
         places = self.plants.markers.arc_lengths
         samples = [model.backbone_at(q, places) for q in simulated]
         # its shape, also without recordings
-        poses = np.array(samples).reshape(-1, places.size, 4, 4)
+        flat = np.array(samples)
+        poses = flat.reshape(-1, places.size, 4, 4)
         measurement = self.plants.measurement(x)
         poses[..., :3, 3] -= measurement.position
         if not near:
@@ -332,7 +342,8 @@ class Readings:
         period = self.recordings[i].period
         if model.command_unit == "N":
             tension = command[0]
-            rest = static_equilibrium(model, tension, self._rests[i], settle=bool(period))
+            near = self._rests[i]
+            rest = static_equilibrium(model, tension, near, settle=bool(period))
         else:
             rest, tension = commanded_equilibrium(model, command[0])
         if not rest.converged:
@@ -342,7 +353,8 @@ class Readings:
             return [rest.q]
         start = Simulation(model).reset(rest.q, tension=tension)
         duration = period * (len(command) - 1)
-        motion = simulate(model, command[:-1], duration, period, start)
+        held = command[:-1]
+        motion = simulate(model, held, duration, period, start)
         return list(motion.q)
 
 
@@ -384,7 +396,8 @@ def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
     if (pulls != near.pulls).any():
         return None
     with model.workspace() as work:
-        balance = Balance(model, u, work).at(near.q, 1.0)
+        balance_of_command = Balance(model, u, work)
+        balance = balance_of_command.at(near.q, 1.0)
     if balance is None:
         return None
     step = near.compliance @ balance.force
@@ -413,4 +426,6 @@ def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
 def mean_of_finite(values: Iterable[float]) -> float:
     """Mean of the values that are there, NaN without any."""
     finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else np.nan
+    if finite:
+        return float(np.mean(finite))
+    return np.nan

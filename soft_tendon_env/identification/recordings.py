@@ -105,7 +105,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         names = [path.stem] * len(rows)
     recordings = list[Recording]()
     # rows of one hold that follow each other are samples of a motion
-    for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
+    row_range = range(len(rows))
+    for name, group in itertools.groupby(row_range, key=names.__getitem__):
         samples = [*group]
         first = samples[0]
         where, cells = table.rows[first]
@@ -151,7 +152,8 @@ def _read_columns(path: Path, scene: Scene, markers: MarkerSet) -> tuple[Table, 
 def _command_names(scene: Scene) -> list[str]:
     """Quantities of the commands, tendon by tendon."""
     command = COMMANDS[scene.effects.command_unit]
-    return [f"{command}_{i}" for i in range(len(scene.tendons))]
+    tendon_count = len(scene.tendons)
+    return [f"{command}_{i}" for i in range(tendon_count)]
 
 
 def _position_names(markers: MarkerSet) -> list[str]:
@@ -228,7 +230,10 @@ def _iso_seconds(where: str, name: str, text: str) -> float:
             f"{where}: {name} is {text!r}: it should be a number, or a time by ISO 8601"
         ) from error
     # a time without a zone is read as UTC: only differences matter
-    in_zone = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    if moment.tzinfo:
+        in_zone = moment
+    else:
+        in_zone = moment.replace(tzinfo=UTC)
     return in_zone.timestamp()
 
 
@@ -238,7 +243,8 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
     It is 0 for a hold, without them. Raises ValueError.
     """
     # one row before time 0 is a log that was cut off behind the row at rest
-    is_cut_log = len(times) == 1 and not times[0] >= 0.0
+    is_alone = len(times) == 1
+    is_cut_log = is_alone and not times[0] >= 0.0
     if not len(times) or is_cut_log:
         if len(wheres) > 1:
             raise ValueError(
@@ -261,7 +267,8 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
     # a line through the times, from which none is far
     steps = np.arange(len(times))
     elapsed = times - times[0]
-    period, first = map(float, np.polyfit(steps, elapsed, 1))
+    line = np.polyfit(steps, elapsed, 1)
+    period, first = map(float, line)
     on_line = first + period * steps
     deviation = np.abs(elapsed - on_line)
     if deviation.max() > UNEVEN * period:

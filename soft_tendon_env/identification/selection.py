@@ -40,14 +40,16 @@ def fewer_parameters_text(estimate: Fit, fit_error: float, judge: Readings) -> s
         deviation = np.sqrt(variances(estimate))
         significance = np.abs(estimate.x) / deviation
     least_first = np.argsort(significance)
-    kept_counts = sorted({int(share * count) for share in KEPT})
+    counts = {int(share * count) for share in KEPT}
+    kept_counts = sorted(counts)
     as_good = (1.0 + SAME) * held_out_error
     for kept in kept_counts:
         left_out = least_first[: count - kept]
         error = _error_without(estimate, left_out, judge)
         if error <= as_good:
             parameters = judge.plants.parameters
-            names = ", ".join(parameters[i].name for i in sorted(left_out))
+            left_out_names = (parameters[i].name for i in sorted(left_out))
+            names = ", ".join(left_out_names)
             return (
                 f"{count} parameters judge no better than {kept}: held-out recordings are off by"
                 f" {1e3 * held_out_error:.3g} mm, and by {1e3 * error:.3g} mm without"
@@ -63,7 +65,8 @@ def _error_without(estimate: Fit, left_out: Places, judge: Readings) -> float:
     It is infinite where that arm does not hold them.
     """
     x = _estimate_without(estimate, left_out)
-    bounds = np.array([parameter.bounds for parameter in judge.plants.parameters])
+    bounds_of_parameters = [parameter.bounds for parameter in judge.plants.parameters]
+    bounds = np.array(bounds_of_parameters)
     low, high = bounds.T
     x_within = np.clip(x, low, high)
     try:

@@ -56,7 +56,10 @@ class ActorAlgorithm(BaseAlgorithm):
             support_multi_env=True,
             **{"device": "cpu", **general},
         )
-        self.settings = self.settings_class() if settings is None else settings
+        if settings is None:
+            self.settings = self.settings_class()
+        else:
+            self.settings = settings
         if _init_setup_model:
             self._setup_model()
 
@@ -123,5 +126,8 @@ class ActorAlgorithm(BaseAlgorithm):
     def _record_episodes(self, name: str, key: str) -> None:
         """Log the mean of a number of the last episodes, NaN without any."""
         values = [episode[key] for episode in self.ep_info_buffer or ()]
-        mean = safe_mean(values) if values else math.nan
+        if values:
+            mean = safe_mean(values)
+        else:
+            mean = math.nan
         self.logger.record(name, mean)

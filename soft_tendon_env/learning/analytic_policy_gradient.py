@@ -37,13 +37,15 @@ def _position_square(trajectories: Trajectories, position: float, angle: float) 
 
 
 def _angle_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
-    ratio = trajectories.error[..., :3] / angle
+    angles = trajectories.error[..., :3]
+    ratio = angles / angle
     return ratio.square().sum(-1)
 
 
 def _backbone_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
     ratio = trajectories.backbone_error / position
-    return ratio.square().sum(-1).mean(-1)
+    squares = ratio.square().sum(-1)
+    return squares.mean(-1)
 
 
 SQUARES: Mapping[str, Square] = {
@@ -101,7 +103,9 @@ class TrackingCost:
         """
         names = []
         for error in episodes.task.errors:
-            is_rewarded = error.terms.keys() & episodes.terms.keys()
+            own_terms = error.terms.keys()
+            terms = episodes.terms.keys()
+            is_rewarded = own_terms & terms
             if episodes.task.goal or is_rewarded:
                 names.append(error.name)
         if not names or not SQUARES.keys() >= {*names}:
@@ -118,12 +122,14 @@ class TrackingCost:
         settings = self._settings
         squares = []
         for square in self._squares:
-            squares.append(square(trajectories, settings.position_scale, settings.angle_scale))
+            mean_square = square(trajectories, settings.position_scale, settings.angle_scale)
+            squares.append(mean_square)
         total = torch.stack(squares).sum(0)
         # Cauchy's loss, and a distance whose gradient does not fade far off
         near = 0.5 * total.log1p()
         far = (1.0 + total).sqrt()
-        tracking = (near + settings.far_weight * far).mean()
+        weighted = near + settings.far_weight * far
+        tracking = weighted.mean()
         change = trajectories.action_change.square().mean()
         return tracking + settings.smoothness * change
 
@@ -161,7 +167,8 @@ class APG(ActorAlgorithm):
                 raise ValueError("identification needs a policy with a memory, see RecurrentPolicy")
             drawn = episodes.drawn_shares().shape[1]
             self._identifier = torch.nn.Linear(self.policy.memory, drawn)
-            self.policy.optimizer.add_param_group({"params": self._identifier.parameters()})
+            parameters = self._identifier.parameters()
+            self.policy.optimizer.add_param_group({"params": parameters})
 
     def _learn_part(self, callback: BaseCallback) -> bool:
         rows = self.rows
@@ -196,7 +203,8 @@ class APG(ActorAlgorithm):
                 return False
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         # of which row a gradient is not finite is not known
-        self._begin_ended(rows, trajectories, all_rows=not math.isfinite(norm))
+        is_finite = math.isfinite(norm)
+        self._begin_ended(rows, trajectories, all_rows=not is_finite)
         callback.on_rollout_end()
         return True
 
@@ -219,8 +227,10 @@ class APG(ActorAlgorithm):
             return cost
         shares = 2.0 * episodes.drawn_shares() - 1.0  # in [-1, 1]
         drawn = torch.tensor(shares, dtype=torch.float32)
-        missed = self._identifier(torch.stack(memories)) - drawn
-        return cost + settings.identification * missed.square().mean()
+        identified = self._identifier(torch.stack(memories))
+        missed = identified - drawn
+        mean_square = missed.square().mean()
+        return cost + settings.identification * mean_square
 
     def _descend(self, cost: Tensor) -> float:
         """Norm of the gradient, by which the policy's weights move once, unless it is infinite."""
@@ -233,7 +243,8 @@ class APG(ActorAlgorithm):
             return math.inf
         weights = self.policy.parameters()
         most = self.settings.max_grad_norm
-        norm = float(torch.nn.utils.clip_grad_norm_(weights, most))
+        norm_before = torch.nn.utils.clip_grad_norm_(weights, most)
+        norm = float(norm_before)
         if math.isfinite(norm):
             optimizer.step()
         return norm
@@ -287,7 +298,8 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
     deviation = torch.as_tensor(np.sqrt(variance))
     most = statistics.clip_obs
     scaled = (observation - mean) / deviation
-    return torch.clamp(scaled, -most, most).to(observation.dtype)
+    clamped = torch.clamp(scaled, -most, most)
+    return clamped.to(observation.dtype)
 
 
 def clip_rows(gradient: Tensor, most: float) -> Tensor:

@@ -74,7 +74,8 @@ def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
     if resumable:
         model.save(folder / MODEL)
         statistics.save(str(folder / PICKLED))
-        (folder / ENVIRONMENT).write_bytes(pickle.dumps(midst_of(model)))
+        pickled = pickle.dumps(midst_of(model))
+        (folder / ENVIRONMENT).write_bytes(pickled)
         if hasattr(model, "save_replay_buffer"):
             model.save_replay_buffer(folder / BUFFER)
 
@@ -107,7 +108,8 @@ def replace_checkpoint(
     try:
         new.mkdir(parents=True)
         write(new)
-        write_json(new / CONFIG, {**config, "files": digests(new)}, say=False)
+        complete = {**config, "files": digests(new)}
+        write_json(new / CONFIG, complete, say=False)
     except (OSError, RuntimeError) as error:  # PyTorch's own, where a disk is full
         shutil.rmtree(new, ignore_errors=True)
         raise UserError(
@@ -127,7 +129,9 @@ def find_checkpoint(folder: Path) -> Path | None:
     new = folder.with_name(f"{folder.name}.new")
     old = folder.with_name(f"{folder.name}.old")
     # killed between the two renamings, when the new one was complete
-    return new if old.exists() else None
+    if not old.exists():
+        return None
+    return new
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
@@ -136,7 +140,8 @@ def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
     Raises ValueError, FileNotFoundError.
     """
     config = read_json(checkpoint / CONFIG)
-    check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
+    known_digests = config.get("files", {})
+    check_digests(checkpoint, known_digests, checkpoint / CONFIG)
     return config
 
 

@@ -115,9 +115,11 @@ class Training(Configuration):
         Returns:
             The seed.
         """
-        sequence = np.random.SeedSequence((self.seed, done))
+        seeds = (self.seed, done)
+        sequence = np.random.SeedSequence(seeds)
         (word,) = sequence.generate_state(1, np.uint64)
-        return SEEDS["training"].start + int(word >> np.uint64(16))
+        drawn = word >> np.uint64(16)
+        return SEEDS["training"].start + int(drawn)
 
     @field_validator("learning_rate", mode="before")
     @classmethod
@@ -148,7 +150,8 @@ class Training(Configuration):
         try:
             self._check_options()
         except ConfigurationError as error:
-            problems += [Problem(("options", *key), text) for key, text in error.problems]
+            of_options = [Problem(("options", *key), text) for key, text in error.problems]
+            problems += of_options
         except ValueError as error:
             problems.append(Problem((), str(error)))
         if problems:
@@ -180,7 +183,8 @@ NO_TRAININGS = ("published", "tune_")  # prefixes of the files in configs/ that 
 
 def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
-    stems = sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
+    files = CONFIGS.glob(f"{prefix}*.toml")
+    stems = sorted(path.stem for path in files)
     if prefix:
         return tuple(stem.removeprefix(prefix) for stem in stems)
     return tuple(stem for stem in stems if not stem.startswith(NO_TRAININGS))
@@ -195,7 +199,8 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
     names = config_names(prefix)
     if name in names and not Path(name).is_file():
         return CONFIGS / f"{prefix}{name}.toml"
-    if Path(name).suffix != ".toml" and not Path(name).exists():
+    has_other_ending = Path(name).suffix != ".toml"
+    if has_other_ending and not Path(name).exists():
         text = (
             f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that"
             f" ships: {not_among(name, names)}"
@@ -221,7 +226,10 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     """
     table = read_toml(path)
     overrides = parsed_changes(changes)
-    source = f"{path}, changed" if changes or more else str(path)
+    if changes or more:
+        source = f"{path}, changed"
+    else:
+        source = str(path)
     twice = overrides.keys() & more.keys()
     if twice:
         raise ValueError(f"--set has {min(twice)}, which is given twice")

@@ -39,7 +39,8 @@ class Curves(NamedTuple):
 
     def values(self, key: str) -> Array:
         """Numbers of a column (seeds, steps)."""
-        return np.array([[row[key] for row in rows] for rows in self.rows])
+        columns = [[row[key] for row in rows] for rows in self.rows]
+        return np.array(columns)
 
 
 def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
@@ -60,8 +61,13 @@ def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
         if runs and task_of_run != task:
             raise ValueError(f"{folder} has runs of several tasks: {task}, {task_of_run}")
         task = task_of_run
-        runs.append({row["steps"]: row for row in rows})
-    steps = sorted(set.intersection(*map(set, runs))) if runs else []
+        by_steps = {row["steps"]: row for row in rows}
+        runs.append(by_steps)
+    if runs:
+        common_steps = set.intersection(*map(set, runs))
+        steps = sorted(common_steps)
+    else:
+        steps = []
     if not steps:
         raise ValueError(f"{folder} has no step at which all seeds were evaluated")
     common = [[run[step] for step in steps] for run in runs]
@@ -79,7 +85,8 @@ def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
         middle = interquartile_mean(values)
         low, high = bootstrap_interval(values)
         colour = style[curves.name].rgb
-        axes.plot(steps, middle, color=colour, label=with_seeds(curves.name, len(values)))
+        label = with_seeds(curves.name, len(values))
+        axes.plot(steps, middle, color=colour, label=label)
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
     set_log_scale(axes, axes.yaxis)
     task = all_curves[0].task
@@ -116,7 +123,10 @@ def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
     low, high = [number(float(bound)) for bound in bootstrap_interval(values)]
     mean, tail = [number(float(value)) for value in tails(values)]
     diverged = any(row["diverged"] for row in last)
-    flag = f" {FLAG}" if diverged else ""
+    if diverged:
+        flag = f" {FLAG}"
+    else:
+        flag = ""
     return (
         curves.name,
         str(len(last)),
@@ -142,8 +152,10 @@ def show_curves(folders: Sequence[Path]) -> bool:
         by_task.setdefault(curves.task, []).append(curves)
     for task, of_task in by_task.items():
         columns = of_task[0].rows[0][0]
-        key = next(name for name in columns if name.endswith(RMS))
+        errors = (name for name in columns if name.endswith(RMS))
+        key = next(errors)
         picture = folders[0].parent / f"learning_curves_{task}.png"
         draw_curves(of_task, key, picture)
-        print(f"\n## {task}\n\n{curve_table(of_task, key)}")
+        table = curve_table(of_task, key)
+        print(f"\n## {task}\n\n{table}")
     return bool(by_task)

@@ -109,7 +109,8 @@ def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Pr
     for name in RANGES.keys() & given.keys():
         value = given[name]
         least, greatest = RANGES[name]
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        is_numeric = isinstance(value, int | float)
+        is_number = is_numeric and not isinstance(value, bool)
         if is_number and least <= value <= greatest:
             continue
         allowed = f"from {least:g} to {greatest:g}"
@@ -125,8 +126,11 @@ def _unknown_keys(key: tuple[str, ...], table: Mapping[str, Any], kind: Any) -> 
     valid = _names(kind)
     problems = []
     for name in table.keys() - {*valid}:
-        text = f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}"
-        problems.append(Problem((*key, name), text))
+        value = shown(table[name])
+        hint = not_among(name, valid)
+        text = f"is an unknown key (given {value}): {hint}"
+        whole_key = (*key, name)
+        problems.append(Problem(whole_key, text))
     return problems
 
 
@@ -135,7 +139,8 @@ def _names(kind: Any) -> list[str]:
 
     Those of an algorithm's settings are among them.
     """
-    arguments = [*inspect.signature(kind.__init__).parameters.values()]
+    signature = inspect.signature(kind.__init__)
+    arguments = [*signature.parameters.values()]
     settings = getattr(kind, "settings_class", None)
     if settings is not None:
         arguments += inspect.signature(settings).parameters.values()

@@ -19,7 +19,7 @@ from torch import Tensor
 from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.command_filter import whole_periods
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
-from soft_tendon_env.control.objectives import TipPosition
+from soft_tendon_env.control.objectives import TipPosition, TrackedObjective
 from soft_tendon_env.control.protocol import Controller, ControllerInput, Reference
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -88,7 +88,8 @@ class Teacher:
             ValueError: commands are no tensions, or late by the scene rather than by `randomize`.
         """
         effects = episodes.model.scene.effects
-        if effects.command_unit != "N" or effects.actuators is not None:
+        is_command = effects.command_unit != "N"
+        if is_command or effects.actuators is not None:
             raise ValueError(
                 "a teacher needs commands that are tensions and act as they are, without"
                 " tendon_elasticity and actuators"
@@ -116,16 +117,22 @@ class Teacher:
         actuation = episodes.actuation
         period = episodes.period
         rows = range(episodes.size)
-        late = np.array([actuation.delay(row) for row in rows])
-        sent = np.stack([actuation.sent(row) for row in rows])
-        longest = np.ceil(late.max() / period - ROUND_OFF)
+        delays = [actuation.delay(row) for row in rows]
+        late = np.array(delays)
+        commands = [actuation.sent(row) for row in rows]
+        sent = np.stack(commands)
+        periods_late = late.max() / period
+        longest = np.ceil(periods_late - ROUND_OFF)
         target = episodes.target_ahead(LOOKS_AHEAD + int(longest))
         arrival = self._predict_arrival(sent, late)
         times = target.tip_pose.shape[1]
-        ahead = period * np.arange(times, dtype=np.float64)
-        tensions = np.empty((episodes.size, episodes.model.tendon_count))
+        counts = np.arange(times, dtype=np.float64)
+        ahead = period * counts
+        shape = (episodes.size, episodes.model.tendon_count)
+        tensions = np.empty(shape)
         for row in rows:
-            reference = self._reference(row, target, ahead - late[row])
+            times_ahead = ahead - late[row]
+            reference = self._reference(row, target, times_ahead)
             now = self._row_input(row, arrival, sent, late, reference)
             tension = self._decide(row, now)
             tensions[row] = actuation.commanded(tension, row)
@@ -135,7 +142,8 @@ class Teacher:
         self, row: int, arrival: Arrival, sent: Array, late: Array, reference: Reference
     ) -> ControllerInput:
         """Knowledge of the controller of a row when its command arrives."""
-        clock = float(self.episodes.arms.rows.clock[row, 0])
+        seconds = self.episodes.arms.rows.clock[row, 0]
+        clock = float(seconds)
         time = clock + late[row]
         last_tension = sent[row, -1]
         return ControllerInput(
@@ -170,7 +178,9 @@ class Teacher:
         arm = (model, limits, episodes.period)
         if episodes.task.shapes:
             return ShapeTracking(*arm, settling_time=self._settling_time)
-        objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
+        objective: TrackedObjective = tip_pose_objective(model)
+        if episodes.task.goal:
+            objective = TipPosition()
         feedforward = StaticFeedforward(*arm, objective)
         tracking = TipTracking(*arm, objective, settling_time=self._settling_time)
         return ReferenceGovernor(feedforward, tracking)
@@ -188,7 +198,8 @@ class Teacher:
             getattr(predicted.rows, name)[...] = values
         durations = self._durations(sent, late)
         predicted.step(sent, np.flatnonzero(late), durations)
-        is_predicted = (late > 0.0) & (predicted.outcome.status == OK)
+        is_fine = predicted.outcome.status == OK
+        is_predicted = (late > 0.0) & is_fine
 
         def choose(arrived: Array, now: Array) -> Array:
             chosen = now.copy()
@@ -217,7 +228,8 @@ class Teacher:
         episodes = self.episodes
         pose = target.tip_pose[row]
         if episodes.task.shapes:
-            q = episodes.arms.coordinates_of(row, target.q[row])
+            shape = target.q[row]
+            q = episodes.arms.coordinates_of(row, shape)
             return Reference(ahead, tip_pose=pose, q=q)
         if episodes.task.goal:
             return Reference(ahead, tip_position=pose[:, :3, 3])
@@ -226,8 +238,11 @@ class Teacher:
 
 def loss(means: Tensor, answers: Tensor) -> Tensor:
     """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
-    least = torch.where(answers <= -1.0, means.clamp(min=-1.0), means)
-    bounded = torch.where(answers >= 1.0, means.clamp(max=1.0), least)
+    raised = means.clamp(min=-1.0)
+    is_least = answers <= -1.0
+    least = torch.where(is_least, raised, means)
+    lowered = means.clamp(max=1.0)
+    bounded = torch.where(answers >= 1.0, lowered, least)
     return torch.nn.functional.smooth_l1_loss(bounded, answers, beta=EXACT)
 
 
@@ -258,7 +273,8 @@ class DAgger(ActorAlgorithm):
             )
         # what a loaded training has already
         known = vars(self)
-        known.setdefault("generator", np.random.default_rng(self.seed))
+        generator = np.random.default_rng(self.seed)
+        known.setdefault("generator", generator)
         known.setdefault("_shown", [])
         episodes = self.rows.episodes
         if "_teacher" not in known or self._teacher.episodes is not episodes:
@@ -270,7 +286,8 @@ class DAgger(ActorAlgorithm):
         done = self.num_timesteps // self.n_envs
         callback.on_rollout_start()
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
-        if not self._watch(self._end_of_round(done, periods), periods, callback):
+        ended = self._end_of_round(done, periods)
+        if not self._watch(ended, periods, callback):
             return False
         callback.on_rollout_end()
         rate = self.lr_schedule(self._current_progress_remaining)
@@ -294,7 +311,8 @@ class DAgger(ActorAlgorithm):
         """
         env: Any = self.env
         observation: Any = self._last_obs
-        for done in range(self.num_timesteps // self.n_envs, end):
+        begin = self.num_timesteps // self.n_envs
+        for done in range(begin, end):
             answers = self._teacher.actions()
             self._shown.append((observation, answers))
             actions = self._noisy_actions(observation, answers)
@@ -304,7 +322,8 @@ class DAgger(ActorAlgorithm):
             self._update_info_buffer(infos, ended)
             draws = self.generator.random(ended.sum())
             # who leads an episode leads it to its end
-            self._leads[ended] = draws < self._lead_share(done + 1, periods)
+            lead_share = self._lead_share(done + 1, periods)
+            self._leads[ended] = draws < lead_share
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
@@ -313,9 +332,12 @@ class DAgger(ActorAlgorithm):
     def _noisy_actions(self, observation: Any, answers: Array) -> Any:
         """Actions (rows, n_a), float32, of the teacher where it leads, else of the agent."""
         chosen, _ = self.predict(observation, deterministic=True)
-        noise = self.settings.noise * self.generator.standard_normal(answers.shape)
-        actions = np.where(self._leads[:, None], answers, chosen)
-        return np.clip(actions + noise, -1.0, 1.0).astype(np.float32)
+        draws = self.generator.standard_normal(answers.shape)
+        noise = self.settings.noise * draws
+        leads = self._leads[:, None]
+        actions = np.where(leads, answers, chosen)
+        bounded = np.clip(actions + noise, -1.0, 1.0)
+        return bounded.astype(np.float32)
 
     def _lead_share(self, done: int, periods: int) -> float:
         """Share of the episodes that the teacher leads after so many control periods."""
@@ -354,7 +376,8 @@ class DAgger(ActorAlgorithm):
     def _joined(self) -> tuple[Any, Tensor]:
         """All observations that were shown, and the answers to them."""
         observations, answers = zip(*self._shown, strict=True)
-        together = torch.as_tensor(np.concatenate(answers), dtype=torch.float32)
+        every_answer = np.concatenate(answers)
+        together = torch.as_tensor(every_answer, dtype=torch.float32)
         if not isinstance(observations[0], dict):
             return np.concatenate(observations), together
         joined = {}
@@ -370,14 +393,17 @@ class DAgger(ActorAlgorithm):
         optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
         batches: list[Tensor] = []
         for _ in range(self.settings.n_epochs):
-            order = torch.as_tensor(self.generator.permutation(len(answers)))
+            permutation = self.generator.permutation(len(answers))
+            order = torch.as_tensor(permutation)
             batches += order.split(self.settings.batch_size)
         losses = []
         for index, batch in enumerate(batches):
-            left = 1.0 - (1.0 - LAST_RATE) * index / len(batches)
+            lost = (1.0 - LAST_RATE) * index / len(batches)
+            left = 1.0 - lost
             optimizer.param_groups[0]["lr"] = rate * left
             optimizer.zero_grad()
-            error = loss(actor(features[batch]), answers[batch])
+            means = actor(features[batch])
+            error = loss(means, answers[batch])
             error.backward()
             losses.append(error.item())
             torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
@@ -386,7 +412,8 @@ class DAgger(ActorAlgorithm):
 
     def save_replay_buffer(self, path: str | Path) -> None:
         """Write all that was shown so far, with what teacher and leads remember."""
-        save_to_pkl(path, (self._shown, self._leads, self._teacher.memories))
+        midst = (self._shown, self._leads, self._teacher.memories)
+        save_to_pkl(path, midst)
 
     def load_replay_buffer(self, path: str | Path) -> None:
         """Read what `save_replay_buffer` has written.

@@ -52,7 +52,8 @@ def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
     typical = row["typical"]
     if typical is None or np.isnan(typical):
         typical = np.inf
-    return -row.get("reached", 0.0), row["cost"], typical
+    reached = row.get("reached", 0.0)
+    return -reached, row["cost"], typical
 
 
 def format_row(row: Mapping[str, float]) -> str:
@@ -61,7 +62,8 @@ def format_row(row: Mapping[str, float]) -> str:
     for name, value in row.items():
         if name.endswith(RMS):
             unit = error_unit(name.removesuffix(RMS))
-            parts.append(f"{unit.heading} {number(unit.factor * value)}")
+            text = number(unit.factor * value)
+            parts.append(f"{unit.heading} {text}")
     return ", ".join(parts)
 
 
@@ -78,19 +80,29 @@ class TrainingMonitor(ABC):
 
         checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
         """
-        record = {} if checkpoint is None else read_checkpoint(checkpoint)
+        if checkpoint is None:
+            record = {}
+        else:
+            record = read_checkpoint(checkpoint)
         self.training = training
         self.folder = folder
         self.began = record.get("steps_done", 0)
         self._before = record.get("seconds_learned", 0.0)
         self._untimed = 0.0
         self._csv = folder / "evaluations.csv"
-        rows = read_numbers(self._csv, COLUMNS) if self._csv.exists() else []
+        if self._csv.exists():
+            rows = read_numbers(self._csv, COLUMNS)
+        else:
+            rows = []
         # what follows was learned by an agent that is lost
         self.curve = [row for row in rows if row["steps"] <= self.began]
         # which may be further than the last checkpoint
         best = find_checkpoint(folder / "best")
-        self._best = None if best is None else quality(read_json(best / CONFIG)["evaluated"])
+        if best is None:
+            self._best = None
+        else:
+            evaluated = read_json(best / CONFIG)["evaluated"]
+            self._best = quality(evaluated)
         self.envs = gym.make_vec(
             IDS[training.task],
             num_envs=training.evaluation.episodes,
@@ -123,7 +135,9 @@ class TrainingMonitor(ABC):
         self._started = time.perf_counter()
         self._config = config
         write_json(self.folder / CONFIG, config, say=False)
-        (self.folder / PURPOSE).write_text(purpose(self.training), encoding="utf-8")
+        file = self.folder / PURPOSE
+        text = purpose(self.training)
+        file.write_text(text, encoding="utf-8")
         self._evaluated = self._evaluations_due()
         if not self.curve:
             self.evaluate()  # compiles, if need be
@@ -140,7 +154,8 @@ class TrainingMonitor(ABC):
         before = self._evaluated
         self._evaluated = self._evaluations_due()
         is_due = self._evaluated > before
-        if is_due or ends and self.curve[-1]["steps"] < self.steps_done():
+        is_time = is_due or ends and self.curve[-1]["steps"] < self.steps_done()
+        if is_time:
             self.evaluate()
             config = {
                 **self._config,
@@ -203,15 +218,18 @@ class TrainingMonitor(ABC):
     def _write_curve(self) -> None:
         """Replace the file of the learning curve."""
         with replacing(self._csv) as new, open(new, "w", newline="") as file:
-            writer = csv.DictWriter(file, list(self.curve[-1]))
+            names = list(self.curve[-1])
+            writer = csv.DictWriter(file, names)
             writer.writeheader()
             for values in self.curve:
-                writer.writerow({name: f"{value:.9g}" for name, value in values.items()})
+                texts = {name: f"{value:.9g}" for name, value in values.items()}
+                writer.writerow(texts)
 
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
         parameters = self.network().parameters()
-        if not all(bool(torch.isfinite(weights).all()) for weights in parameters):
+        is_finite = (bool(torch.isfinite(weights).all()) for weights in parameters)
+        if not all(is_finite):
             text = (
                 f"after {self.steps_done()} steps the agent's weights are no longer finite: a"
                 " smaller learning_rate may help"
@@ -229,7 +247,9 @@ class TrainingMonitor(ABC):
 
     def _seconds(self) -> float:
         """How long it has learned [s], without evaluations."""
-        return self._before + time.perf_counter() - self._started - self._untimed
+        now = self._before + time.perf_counter()
+        elapsed = now - self._started
+        return elapsed - self._untimed
 
 
 class TrainingCallback(TrainingMonitor, BaseCallback):

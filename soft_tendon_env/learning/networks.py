@@ -63,5 +63,6 @@ def new_network(
     known = inspect.signature(policy.__init__).parameters
     unknown = made.keys() - known.keys()
     if unknown:
-        raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
+        unknown_names = ", ".join(sorted(unknown))
+        raise ValueError(f"policies of {algorithm} have no argument {unknown_names}")
     return policy(observations, actions, lr_schedule=lambda _: 0.0, **made)

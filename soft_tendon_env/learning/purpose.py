@@ -58,7 +58,8 @@ def _drawn(randomize: Randomization, scene: Scene) -> Iterator[str]:
     """Lines of what is drawn for every episode."""
     yield f"drawn for every episode, each left out with a probability of {randomize.omit:g}:"
     for drawn in randomize.ranges(scene):
-        yield f"  {_name(drawn)}: {drawn.least:g} to {drawn.greatest:g}{KINDS[drawn.kind]}"
+        ending = KINDS[drawn.kind]
+        yield f"  {_name(drawn)}: {drawn.least:g} to {drawn.greatest:g}{ending}"
     for name in ("tension_gain", "tension_offset", "latency"):
         least, greatest = getattr(randomize, name)
         yield f"  {name}: {least:g} to {greatest:g}"

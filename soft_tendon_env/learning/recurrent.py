@@ -65,7 +65,10 @@ class RecurrentPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         check_sizes(self.memory, self.posture, self.features_dim)
-        times = 2 if self.fine else 1
+        if self.fine:
+            times = 2
+        else:
+            times = 1
         inputs = self.features_dim * times + self.memory
         if self.memory:
             self.gate = torch.nn.Linear(inputs, self.memory)
@@ -90,12 +93,14 @@ class RecurrentPolicy(ActorCriticPolicy):
         seen = with_fine_entries(plain, self.fine)
         if self.memory:
             memory = next_memory(self.gate, self.candidate, seen, memory)
-        latent = self.mlp_extractor.forward_actor(torch.cat([seen, memory], dim=1))
+        features = torch.cat([seen, memory], dim=1)
+        latent = self.mlp_extractor.forward_actor(features)
         mean = self.action_net(latent)
         if self.posture:
             posture = plain[:, self.posture :]
             away = with_fine_entries(posture, self.fine)
-            gains = self.gain(latent * self.way(away))
+            towards = self.way(away)
+            gains = self.gain(latent * towards)
             mean = mean + gains
         return mean, memory
 
@@ -135,7 +140,10 @@ class RecurrentPolicy(ActorCriticPolicy):
     def _read_memory(self, state: Any, rows: int) -> Tensor:
         """The memory (rows, size) of a state, zeros for None."""
         shape = (rows, self.memory)
-        memory = torch.zeros(shape) if state is None else torch.as_tensor(state)
+        if state is None:
+            memory = torch.zeros(shape)
+        else:
+            memory = torch.as_tensor(state)
         if memory.shape != shape:
             raise ValueError(
                 f"state should be what predict gave for these rows, of shape {shape}, not"

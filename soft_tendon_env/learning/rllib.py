@@ -67,7 +67,10 @@ class RunnerEnv(VectorWrapper):
 
         RLlib's are one apart from runner to runner: most arms would be there twice.
         """
-        own_seed = None if seed is None else self._first_seed
+        if seed is None:
+            own_seed = None
+        else:
+            own_seed = self._first_seed
         observation, _ = self.env.reset(seed=own_seed, options=options)
         return observation, {}
 
@@ -89,8 +92,10 @@ def make_runner_env(context: Mapping[str, Any]) -> VectorEnv[Any, Any, Any]:
         "threads": 1,
         **training.options,
     }
-    envs = gym.make_vec(IDS[training.task], rows, BY_ROWS, **options)
-    arms = RunnerEnv(envs, context["seed"] + rows * index)
+    env_id = IDS[training.task]
+    envs = gym.make_vec(env_id, rows, BY_ROWS, **options)
+    seed = context["seed"] + rows * index
+    arms = RunnerEnv(envs, seed)
     if not training.normalise.rewards:
         return arms
     gamma = training.hyperparameters.get("gamma", 0.99)
@@ -118,7 +123,8 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     network = {"network": value["policy_kwargs"] or {}}
     module = RLModuleSpec(module_class=ActorCriticModule, model_config=network)
     config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module)
-    config.debugging(seed=(training.seed + done) % 2**31, log_level="ERROR")
+    seed = (training.seed + done) % 2**31
+    config.debugging(seed=seed, log_level="ERROR")
     # actions are clipped, not scaled, as Stable-Baselines3 does
     config.environment(
         "soft_tendon_env",
@@ -150,7 +156,8 @@ def _learning_rate(training: Training) -> float | list[list[float]]:
     rate = training.learning_rate
     if isinstance(rate, float):
         return rate
-    return [[0, rate[0]], [training.steps, rate[1]]]
+    begin = [0, rate[0]]
+    return [begin, [training.steps, rate[1]]]
 
 
 def _check_counterparts(training: Training, runners: int) -> None:
@@ -191,14 +198,18 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
 
     def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
         policy = self.policy
-        features = policy.extract_features(batch[Columns.OBS], policy.pi_features_extractor)
+        observation = batch[Columns.OBS]
+        features = policy.extract_features(observation, policy.pi_features_extractor)
         latent = policy.mlp_extractor.forward_actor(features)
         mean = policy.action_net(latent)
         log_std = policy.log_std.expand_as(mean)
-        return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, log_std], dim=-1)}
+        distribution = torch.cat([mean, log_std], dim=-1)
+        return {Columns.ACTION_DIST_INPUTS: distribution}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
-        return self.policy.predict_values(batch[Columns.OBS]).squeeze(-1)
+        observation = batch[Columns.OBS]
+        values = self.policy.predict_values(observation)
+        return values.squeeze(-1)
 
 
 class RllibTraining(TrainingMonitor):
@@ -214,7 +225,8 @@ class RllibTraining(TrainingMonitor):
         torch.set_num_threads(1)
         self.runners = runners
         self._done = self.began
-        self.algorithm: PPO = make_config(training, runners, self._done).build_algo()
+        config = make_config(training, runners, self._done)
+        self.algorithm: PPO = config.build_algo()
         if checkpoint is not None:
             own = (checkpoint / RLLIB).absolute()
             self.algorithm.restore_from_path(str(own))
@@ -256,5 +268,6 @@ class RllibTraining(TrainingMonitor):
         while self._done < self.training.steps:
             results = self.algorithm.train()
             self._done = int(results["num_env_steps_sampled_lifetime"])
-            self.between_rollouts(ends=self._done >= self.training.steps)
+            is_end = self._done >= self.training.steps
+            self.between_rollouts(ends=is_end)
         self.report()

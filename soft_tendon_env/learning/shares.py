@@ -78,7 +78,8 @@ def arm_units(scene: Scene, options: Mapping[str, Any]) -> dict[str, float]:
     limits = options.get("tension_limits") or ()
     pace = _pace(scene, arm)
     # the tip of a cantilever turns by F L^2 / (2 E I)
-    bends = 2.0 * arm.bending / arm.length**2
+    stiffness = 2.0 * arm.bending
+    bends = stiffness / arm.length**2
     # by a third of that where the force is spread over its length
     weight = 3.0 * bends / arm.mass
     return {
@@ -98,14 +99,21 @@ def _early_turn(phase: float) -> float:
 
     It is that of an oscillator without damping, which swings as far beyond its rest as to it.
     """
-    return 1.0 - math.cos(min(phase, math.pi))
+    cosine = math.cos(min(phase, math.pi))
+    return 1.0 - cosine
 
 
 def _pace(scene: Scene, arm: ArmScales) -> float:
     """The pace of an arm [s], in DIGITS."""
     tip_load = scene.effects.tip_load
-    payload = 0.0 if tip_load is None else tip_load.mass
-    period = 2.0 * math.pi / arm.rate * math.sqrt(1.0 + TIP_SHARE * payload / arm.mass)
+    if tip_load is None:
+        payload = 0.0
+    else:
+        payload = tip_load.mass
+    whole_mass = 1.0 + TIP_SHARE * payload / arm.mass
+    loading = math.sqrt(whole_mass)
+    own_period = 2.0 * math.pi / arm.rate
+    period = own_period * loading
     return _rounded(max(1.0, SLOW * period))
 
 
@@ -131,17 +139,25 @@ def in_si_units(value: Any, sizes: Mapping[str, float], key: Key = ()) -> Any:
         return {name: in_si_units(entry, sizes, (*key, name)) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         entries = [in_si_units(entry, sizes, (*key, place)) for place, entry in enumerate(value)]
-        return tuple(entries) if isinstance(value, tuple) else entries
-    share = SHARE.fullmatch(value) if isinstance(value, str) else None
+        if isinstance(value, tuple):
+            return tuple(entries)
+        return entries
+    share = None
+    if isinstance(value, str):
+        share = SHARE.fullmatch(value)
     if share is None:
         return value
     number, unit, divisor = share.groups(default="rad")
     for name in (unit, divisor):
         if name not in sizes:
-            text = f"is {shown(value)}, a share of the arm's {name!r}: {not_among(name, sizes)}"
+            hint = not_among(name, sizes)
+            text = f"is {shown(value)}, a share of the arm's {name!r}: {hint}"
             raise ConfigurationError([Problem(key, text)])
-    size = float(number) * sizes[unit] / sizes[divisor]
-    return _rounded(size) if unit in ROUNDED else size
+    scaled = float(number) * sizes[unit]
+    size = scaled / sizes[divisor]
+    if unit in ROUNDED:
+        return _rounded(size)
+    return size
 
 
 def resolved(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,10 +185,13 @@ def resolved(table: Mapping[str, Any]) -> dict[str, Any]:
     changed = dict(table)
     for name in OF_ENVIRONMENT:
         if name in table:
-            changed[name] = in_si_units(_without_scene(name, table[name]), sizes, (name,))
-    changed["options"] = {**changed.get("options", {}), **_scene_option(options)}
+            table_alone = _without_scene(name, table[name])
+            changed[name] = in_si_units(table_alone, sizes, (name,))
+    changed_options = changed.get("options", {})
+    changed["options"] = {**changed_options, **_scene_option(options)}
     added = changed.get("added_effects", {})
-    if isinstance(added, Mapping) and all(isinstance(table, Mapping) for table in added.values()):
+    is_table = isinstance(added, Mapping)
+    if is_table and all(isinstance(table, Mapping) for table in added.values()):
         changed["options"] = _with_effects(changed["options"], scene, added)
         changed["added_effects"] = {}
     _count_posture(changed)
@@ -221,7 +240,8 @@ def _with_effects(
     """Options whose arm has the added effects, by name, and draws their numbers."""
     if not added:
         return dict(options)
-    own = scene.effects.chosen().keys() & added.keys()
+    names = scene.effects.chosen().keys()
+    own = names & added.keys()
     changes: dict[str, Any] = {}
     for effect in added.keys() - own:
         for name, value in added[effect].items():
@@ -253,7 +273,8 @@ def _added(value: Any) -> Any:
     """A range, or a list of them, as offsets; those that are relative stay so."""
     if isinstance(value, Mapping):
         return value
-    is_vector = isinstance(value, list) and any(isinstance(entry, list) for entry in value)
+    is_list = isinstance(value, list)
+    is_vector = is_list and any(isinstance(entry, list) for entry in value)
     if is_vector:
         return [_added(entry) for entry in value]
     return {"offset": value}
@@ -265,11 +286,17 @@ def _count_posture(table: dict[str, Any]) -> None:
     Raises ConfigurationError.
     """
     hyperparameters = table.get("hyperparameters", {})
-    policy = hyperparameters.get("policy_kwargs", {}) if isinstance(hyperparameters, dict) else {}
-    group = policy.get("posture") if isinstance(policy, dict) else None
+    if isinstance(hyperparameters, dict):
+        policy = hyperparameters.get("policy_kwargs", {})
+    else:
+        policy = {}
+    group = None
+    if isinstance(policy, dict):
+        group = policy.get("posture")
     if not isinstance(group, str) or table.get("task") not in TASKS:
         return
-    entries = _entries_by_group(TASKS[table["task"]], table["options"])
+    task = TASKS[table["task"]]
+    entries = _entries_by_group(task, table["options"])
     if group not in entries:
         key = ("hyperparameters", "policy_kwargs", "posture")
         text = (

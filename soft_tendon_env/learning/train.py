@@ -70,7 +70,10 @@ def checkpoint_to_resume(
         )
     if checkpoint is None and not begun.exists():
         return None
-    record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
+    if checkpoint is None:
+        record = read_json(begun)
+    else:
+        record = read_checkpoint(checkpoint)
     _check_same(folder, training, engine, record)
     return checkpoint
 
@@ -140,10 +143,15 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         print(f"done before: {done} steps")
         return
     callback.model = model  # which `check` asks, where the first reset fails too
-    kind = "tensorboard" if find_spec("tensorboard") else "csv"
-    model.set_logger(configure(str(callback.folder / kind), [kind]))
+    if find_spec("tensorboard"):
+        kind = "tensorboard"
+    else:
+        kind = "csv"
+    log_folder = str(callback.folder / kind)
+    model.set_logger(configure(log_folder, [kind]))
     try:
-        model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
+        steps_left = training.steps - done
+        model.learn(steps_left, callback=callback, reset_num_timesteps=False)
     except (ArithmeticError, RuntimeError, ValueError):
         callback.check()  # what is not finite ends in errors of PyTorch
         raise
@@ -215,7 +223,8 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     Loading runs what is in its files. Raises ValueError, OSError.
     """
     midst = pickle.loads((checkpoint / ENVIRONMENT).read_bytes())
-    statistics = VecNormalize.load(str(checkpoint / PICKLED), midst["env"])
+    file = str(checkpoint / PICKLED)
+    statistics = VecNormalize.load(file, midst["env"])
     rate = learning_rate(training)
     kind = training_class(training.algorithm)
     model: BaseAlgorithm = kind.load(
@@ -246,4 +255,6 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
     def straight(remains: float) -> float:
         return last + (first - last) * remains
 
-    return geometric if kind else straight
+    if kind:
+        return geometric
+    return straight

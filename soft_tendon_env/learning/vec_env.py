@@ -93,7 +93,8 @@ class StableBaselinesVecEnv(VecEnv):
             last["terminal_observation"] = info["final_obs"][row]
             last["episode"] = self._end_episode(row)
             infos[row] = last
-        return observation, reward.astype(np.float32), done, infos
+        rewards = reward.astype(np.float32)
+        return observation, rewards, done, infos
 
     def _end_episode(self, row: int) -> dict[str, float]:
         """Return, length and time of a row's episode that has ended, as Monitor has them."""
@@ -110,7 +111,10 @@ class StableBaselinesVecEnv(VecEnv):
         Spaces are those of one row.
         """
         is_space = attr_name in ("observation_space", "action_space")
-        name = f"single_{attr_name}" if is_space else attr_name
+        if is_space:
+            name = f"single_{attr_name}"
+        else:
+            name = attr_name
         value = getattr(self.env, name)
         return [value for _ in self._get_indices(indices)]
 
@@ -152,7 +156,8 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A frame (height, width, 3) per row; None without a render mode."""
-        return self.env.render() or [None] * self.num_envs
+        pictures = self.env.render()
+        return pictures or [None] * self.num_envs
 
     def close(self) -> None:
         """Close the environment."""
@@ -199,7 +204,8 @@ def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[di
     columns |= more
     names = tuple(columns)
     lists = [column.tolist() for column in columns.values()]
-    return [dict(zip(names, values, strict=True)) for values in zip(*lists, strict=True)]
+    rows = zip(*lists, strict=True)
+    return [dict(zip(names, values, strict=True)) for values in rows]
 
 
 def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
@@ -207,7 +213,8 @@ def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
     values = {}
     for name, column in info.items():
         if _is_value(name) and info[f"_{name}"][row]:
-            plain = column[row : row + 1].tolist()
+            entry = column[row : row + 1]
+            plain = entry.tolist()
             values[name] = plain[0]
     return values
 

@@ -27,7 +27,9 @@ def make_arm(
     """
     stress_free = at_points(scene, grid)
     effects = _effect_table(scene, stress_free)
-    law = strain.law if isinstance(strain, Implicit) else None
+    law = None
+    if isinstance(strain, Implicit):
+        law = strain.law
     pose = scene.base.pose
     return Arm(
         base=aligned_copy(np.append(pose[:3, :3], pose[:3, 3])),

@@ -62,7 +62,10 @@ def _checked_model(scene: Scene) -> Model:
         sufficient = estimate
     else:
         estimate = test.error_estimate(intervals)
-        sufficient = test.search(intervals) if estimate.problem else estimate
+        if estimate.problem:
+            sufficient = test.search(intervals)
+        else:
+            sufficient = estimate
     # the model is made all the same: it may do for what it is asked
     if estimate.problem:
         warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=3)
@@ -85,7 +88,8 @@ def _check_turns(scene: Scene) -> None:
     most = MOST_INTERVALS * pieces
     for i, segment in enumerate(scene.segments):
         rate = math.hypot(*segment.curvature)
-        turns = rate * segment.length / (2.0 * math.pi)
+        turned_angle = rate * segment.length
+        turns = turned_angle / (2.0 * math.pi)
         if turns > most:
             text = (
                 f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the"
@@ -144,4 +148,5 @@ def _check_coordinates(model: Model) -> None:
 
 def _strain_error(text: str, *keys: str) -> ConfigurationError:
     """Error about the scene's strain, or about a key of its table."""
-    return ConfigurationError([Problem(("strain", *keys), text)])
+    problem = Problem(("strain", *keys), text)
+    return ConfigurationError([problem])

@@ -43,7 +43,9 @@ def effects_inside(scene: Scene) -> bool:
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
     effects = scene.effects
-    return effects.outside() if effects_inside(scene) else effects
+    if effects_inside(scene):
+        return effects.outside()
+    return effects
 
 
 def coordinate_count(scene: Scene) -> int:
@@ -51,7 +53,8 @@ def coordinate_count(scene: Scene) -> int:
 
     They are counted where the points of the quadrature tell all of its fields apart.
     """
-    grid = make_grid(scene, max(COUNTING_INTERVALS, resolving_intervals(scene)))
+    intervals = max(COUNTING_INTERVALS, resolving_intervals(scene))
+    grid = make_grid(scene, intervals)
     stress_free = at_points(scene, grid)
     return make_strain(scene, grid, stress_free).size
 
@@ -70,7 +73,8 @@ def resolving_intervals(scene: Scene) -> int:
     pieces = np.diff(breakpoints(scene))
     waves = PER_WAVE * pieces.max() / shortest_wave
     functions = scene.strain.highest_order + 1
-    intervals = max(math.ceil(waves), PER_FUNCTION * functions)
+    of_waves = math.ceil(waves)
+    intervals = max(of_waves, PER_FUNCTION * functions)
     return min(intervals, MOST_INTERVALS)
 
 
@@ -115,7 +119,8 @@ def tension_law(
     They say which tensions are independent, and which passive fields are left beside them.
     """
     # of the inner product that energies are: int F^T Sigma^-1 G dX
-    weight = stress_free.compliance * grid.weights[..., None]
+    weights = grid.weights[..., None]
+    weight = stress_free.compliance * weights
     actuation = stress_free.actuation
     gram = _inner(actuation, actuation, weight)
     mixing = independent_tensions(gram, strain.rank_tolerance)
@@ -173,7 +178,8 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
     projector = span @ span.T
     rank = int(is_independent.sum())
     basis = _spanning_columns(projector, rank)
-    mixing = np.array(basis).reshape(-1, count).T
+    columns = np.array(basis)
+    mixing = columns.reshape(-1, count).T
     is_share = np.abs(mixing) > NO_SHARE
     return np.where(is_share, mixing, 0.0)
 
@@ -183,7 +189,8 @@ def _explicit_basis(strain: ExplicitBasis, grid: Grid, stress_free: StressFreeAr
 
     Raises ConfigurationError where its fields are of another shape.
     """
-    fields = np.asarray(strain.fields(grid.points, grid.breakpoints), dtype=np.float64)
+    values = strain.fields(grid.points, grid.breakpoints)
+    fields = np.asarray(values, dtype=np.float64)
     count = len(fields)
     expected = (count, *grid.points.shape, len(STRAINS))
     if fields.shape != expected or not np.isfinite(fields).all():
@@ -251,7 +258,8 @@ def _orthogonal_to(actuation: Array, passive: Array, weight: Array, tolerance: f
             if i < len(actuation):
                 actuation_rank += 1
     orthogonal = np.array(basis[actuation_rank:])
-    return orthogonal.reshape(-1, *passive.shape[1:])
+    shape = passive.shape[1:]
+    return orthogonal.reshape(-1, *shape)
 
 
 def _orthogonal_part(field: Array, basis: list[Array], weight: Array) -> Array:

@@ -62,7 +62,8 @@ class Linearised:
         S = balance._by_metric(self.stiffness)
         has_potential = balance._is_symmetric(S)
         if has_potential:
-            values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+            symmetric = 0.5 * (S + S.T)
+            values, vectors = np.linalg.eigh(symmetric)
         else:
             values, vectors = np.linalg.eig(S)
         softest_first = np.argsort(values.real)
@@ -70,8 +71,10 @@ class Linearised:
         flutters = not has_potential and balance._flutters(self)
         # eigenvectors of unit energy, scaled to that of bending by 1 rad
         ordered = vectors[:, softest_first].real
-        modes = balance.model.metric_unit @ ordered * math.sqrt(balance.energy)
-        neutral = NEUTRAL * float(np.linalg.norm(S))
+        ordered_modes = balance.model.metric_unit @ ordered
+        modes = ordered_modes * math.sqrt(balance.energy)
+        size = float(np.linalg.norm(S))
+        neutral = NEUTRAL * size
         is_stable = least > -neutral and not flutters
         return Stability(is_stable, least, modes, has_potential, flutters)
 
@@ -117,7 +120,8 @@ class Balance:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
         unit = self.model.coordinate_scale()
-        computed = self._compute(q, part, True, np.diag(unit))
+        directions = np.diag(unit)
+        computed = self._compute(q, part, True, directions)
         if computed is None:
             return None
         evaluation, out = computed
@@ -136,15 +140,20 @@ class Balance:
         except np.linalg.LinAlgError:
             inverse = np.full_like(stiffness, np.nan)
         # a compliance that is large beside the metric's is that of a neutral mode
-        compliances = np.diag(self.model.metric) * np.diag(inverse)
+        metric = np.diag(self.model.metric)
+        inverse_metric = np.diag(inverse)
+        compliances = metric * inverse_metric
         is_finite = np.isfinite(inverse).all()
         if is_finite and np.abs(compliances).max() < 0.1 / NEUTRAL:
             return np.asarray(inverse)
         S = self._by_metric(stiffness)
         if np.isfinite(S).all() and self._is_symmetric(S):
-            values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-            is_stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
-            modes = self.model.metric_unit @ vectors[:, is_stiff]
+            symmetric = 0.5 * (S + S.T)
+            values, vectors = np.linalg.eigh(symmetric)
+            least = NEUTRAL * np.linalg.norm(S)
+            is_stiff = np.abs(values) > least
+            stiff_vectors = vectors[:, is_stiff]
+            modes = self.model.metric_unit @ stiff_vectors
             stiff_values = values[is_stiff]
             return np.asarray(modes / stiff_values @ modes.T)
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
@@ -161,13 +170,16 @@ class Balance:
         arm = self.model.arm
         if isinstance(arm.strain, Loaded) and arm.strain.has_potential and not arm.effects.load:
             return True
-        asymmetry = np.linalg.norm(S - S.T)
-        return bool(asymmetry <= ASYMMETRIC * np.linalg.norm(S))
+        difference = S - S.T
+        asymmetry = np.linalg.norm(difference)
+        size = np.linalg.norm(S)
+        return bool(asymmetry <= ASYMMETRIC * size)
 
     def unloaded(self) -> Linearised:
         """The unloaded arm, where S is G."""
         no_directions = np.empty((0, self.size))
-        computed = self._compute(np.zeros(self.size), 0.0, True, no_directions)
+        straight = np.zeros(self.size)
+        computed = self._compute(straight, 0.0, True, no_directions)
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
         evaluation, out = computed
         inverse = np.linalg.inv(evaluation.G)
@@ -185,7 +197,8 @@ class Balance:
         if computed is None:
             return None
         evaluation, out = computed
-        curvature = modes.T @ out.slopes / self.energy
+        product = modes.T @ out.slopes
+        curvature = product / self.energy
         return evaluation, curvature
 
     def _compute(
@@ -230,7 +243,8 @@ class Balance:
         unbalanced = float(out.force @ answer)
         if not unbalanced >= 0.0:
             return math.inf
-        stored = self.energy + q @ out.G @ q
+        force = q @ out.G
+        stored = self.energy + force @ q
         return math.sqrt(unbalanced / stored)
 
     def product(self, a: Array, b: Array) -> float:
@@ -239,7 +253,8 @@ class Balance:
         It is infinite or NaN for absurd coordinates.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            product = float(a @ self.model.metric @ b)
+            dual = a @ self.model.metric
+            product = float(dual @ b)
             return product / self.energy
 
     def angle(self, change: Array) -> float:
@@ -275,13 +290,19 @@ class Balance:
         S = self._by_metric(point.stiffness)
         # of the state (q, q_dot): q_dot, and q_ddot = -M^-1 (S q + D q_dot)
         try:
-            acceleration = np.linalg.solve(M, np.hstack([-S, -D]))
+            parts = [-S, -D]
+            both = np.hstack(parts)
+            acceleration = np.linalg.solve(M, both)
         except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns
             return False
         unit = np.eye(self.size)
-        velocity = np.hstack([np.zeros_like(unit), unit])
-        rates = np.linalg.eigvals(np.vstack([velocity, acceleration]))
+        no_change = np.zeros_like(unit)
+        velocity = np.hstack([no_change, unit])
+        companion = np.vstack([velocity, acceleration])
+        rates = np.linalg.eigvals(companion)
         # an oscillation turns, and grows by more than round-off while it turns
         turning = np.abs(rates.imag)
         growing_oscillation = np.minimum(turning, rates.real)
-        return bool((growing_oscillation > NEUTRAL * np.abs(rates)).any())
+        slow = NEUTRAL * np.abs(rates)
+        is_growing = growing_oscillation > slow
+        return bool(is_growing.any())

@@ -141,7 +141,9 @@ class Grid:
         begin = np.argmax(from_base, axis=1)
         empty_at_tip = np.argmax(from_tip, axis=1)
         end = self.packs - empty_at_tip
-        return begin.astype(np.int64), end.astype(np.int64)
+        begin_numbers = begin.astype(np.int64)
+        end_numbers = end.astype(np.int64)
+        return begin_numbers, end_numbers
 
 
 class StressFreeArm(NamedTuple):
@@ -301,7 +303,8 @@ def newton_cotes(intervals: int) -> Array:
     first = 0
     for size in sizes:
         last = first + size
-        panel = _panel_weights(size) * 0.5 * size / intervals
+        half_weights = _panel_weights(size) * 0.5
+        panel = half_weights * size / intervals
         weights[first : last + 1] += panel
         first = last
     return weights
@@ -331,7 +334,8 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
         least = a + into_piece
         greatest = b - into_piece
         inside = np.clip(nodes, least, greatest)
-        shares = (b - a) * weights * density(inside)
+        scaled = (b - a) * weights
+        shares = scaled * density(inside)
         behind = first + count
         total[first:behind] += shares[1:]
         if first > 0:
@@ -355,7 +359,8 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
         is_behind_start = places > start
         is_before_end = places < end
         presence = is_behind_start & is_before_end
-        row = np.concatenate([offset, slope, presence[:, None]], axis=1)
+        columns = [offset, slope, presence[:, None]]
+        row = np.concatenate(columns, axis=1)
         rows.append(row)
     geometry = np.array(rows)
     shape = (len(rows), *grid.points.shape, 5)
@@ -379,7 +384,8 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
     d[..., 1:] = offset
     d_prime[..., 1:] = slope
     # t_c = k~ d + p + d'
-    t_c = np.cross(k, d) + p + d_prime
+    turned = np.cross(k, d)
+    t_c = turned + p + d_prime
     return d, t_c
 
 
@@ -425,14 +431,18 @@ def _lengths_and_turns(geometry: Array, curvature: Array, grid: Grid) -> tuple[A
     # points from base to tip, without the empty intervals
     count = len(geometry)
     real = grid.real
-    tangent = tangent[:, real].reshape(count, -1, 3)
-    presence = presence[:, real].reshape(count, -1)
+    real_tangent = tangent[:, real]
+    tangent = real_tangent.reshape(count, -1, 3)
+    real_presence = presence[:, real]
+    presence = real_presence.reshape(count, -1)
     k = curvature[real].reshape(-1, 3)
     place = grid.points[real].ravel()
     # from point to point a tangent turns in the section, and with it
     distance = np.diff(place)[:, None]
     rate = np.cross(k, tangent)
-    rate_sum = rate[:, 1:] + rate[:, :-1]
+    end_rate = rate[:, 1:]
+    begin_rate = rate[:, :-1]
+    rate_sum = end_rate + begin_rate
     with_section = 0.5 * distance * rate_sum
     in_section = np.diff(tangent, axis=1)
     angle = np.linalg.norm(in_section + with_section, axis=-1)
@@ -466,7 +476,8 @@ def _discretisation(
         return segment.shape.hull(places, segment.length)
 
     def segment_corners(segment: Segment, places: Array) -> ArrayLike:
-        return np.full((1, places.size), segment.shape.has_corners)
+        shape = (1, places.size)
+        return np.full(shape, segment.shape.has_corners)
 
     def line_mass(arc_length: Array) -> Array:
         _, _, inertia = screw_matrices(scene, arc_length)
@@ -518,7 +529,8 @@ def _node_inertia(scene: Scene, grid: Grid, rod: Discretisation) -> tuple[Array,
 def _leading_strains(free: tuple[Strain, ...]) -> tuple[int, ...]:
     """Indices of the leading strains up to the last that is not rigid, as `Rod.free` has them."""
     stretch = STRAINS.index("stretch")
-    last = max(STRAINS.index(strain) for strain in free)
+    numbers = (STRAINS.index(strain) for strain in free)
+    last = max(numbers)
     if last < stretch:
         return tuple(range(3))
     if last == stretch:

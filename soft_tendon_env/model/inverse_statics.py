@@ -81,15 +81,18 @@ def tension_for_tip_pose(
     pose = checked_array("pose", pose, (4, 4))
     # a rotation has R^T R = 1, and no reflection
     R = pose[:3, :3]
-    stretch = np.abs(R.T @ R - np.eye(3))
-    off_last_row = np.abs(pose[3] - [0, 0, 0, 1])
+    excess = R.T @ R - np.eye(3)
+    stretch = np.abs(excess)
+    difference = pose[3] - [0, 0, 0, 1]
+    off_last_row = np.abs(difference)
     deviation = max(stretch.max(), off_last_row.max())
     is_reflection = np.linalg.det(R) < 0
     if deviation > RIGID or is_reflection:
         raise ValueError(
             "pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R"
         )
-    search = _TipSearch(model, pose, ANGLE_WEIGHT * model.length)
+    angle_weight = ANGLE_WEIGHT * model.length
+    search = _TipSearch(model, pose, angle_weight)
     return search.nearest(start)
 
 
@@ -143,7 +146,10 @@ class _TipSearch:
             starts = [checked_array("start", start, self.slack.shape)]
         solutions = list[InverseEquilibrium]()
         for tension in starts:
-            efforts = EFFORTS if tension is self.slack else EFFORTS[NEAR:]
+            first_effort = NEAR
+            if tension is self.slack:
+                first_effort = 0
+            efforts = EFFORTS[first_effort:]
             within_limits = np.clip(tension, self.least, self.greatest)
             optimum = self.descend(within_limits, efforts)
             solution = self.solution(optimum)
@@ -160,7 +166,8 @@ class _TipSearch:
             efforts: mu, one after the other.
         """
         # tensions without equilibrium are halved towards slack
-        largest_range = np.abs(self.greatest - self.least).max()
+        ranges = self.greatest - self.least
+        largest_range = np.abs(ranges).max()
         next_to_slack = NEXT_TO_SLACK * largest_range
         while not self.equilibrium(u).converged:
             pull = np.abs(u - self.slack)
@@ -324,5 +331,6 @@ def _inverse_left_jacobian(turn: Array) -> Array:
         ]
     )
     c = coefficients(turn @ turn)
-    second_order = 0.5 * c.a1 / c.a * skew @ skew
+    factor = 0.5 * c.a1 / c.a
+    second_order = factor * skew @ skew
     return np.eye(3) - 0.5 * skew - second_order

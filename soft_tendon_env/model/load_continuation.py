@@ -85,7 +85,8 @@ class LoadPath:
         Args:
             settlings: times that the arm settles at most, before it reaches the full load.
         """
-        end, reason = self.follow(self.balance.unloaded())
+        begin = self.balance.unloaded()
+        end, reason = self.follow(begin)
         for _ in range(settlings):
             if not reason:
                 break
@@ -102,7 +103,8 @@ class LoadPath:
             point: of the path, from which it is followed.
         """
         balance = self.balance
-        way = balance.angle(point.tangent - self._answer)
+        change = point.tangent - self._answer
+        way = balance.angle(change)
         step = 1.0
         if way > FIRST_REACH:
             step = max(FIRST_REACH / way, LEAST_LOAD)
@@ -115,7 +117,8 @@ class LoadPath:
                 point = ahead
                 continue
             step = 0.5 * (aim - part)
-            is_shortest = step < max(SHORTEST * part, LEAST_LOAD)
+            shortest = max(SHORTEST * part, LEAST_LOAD)
+            is_shortest = step < shortest
             is_too_long = balance.linearisations > self.most
             if is_too_long and not is_shortest:
                 balance.obstacle = f"the path is too winding, {self.most} iterations did not do"
@@ -139,13 +142,16 @@ class LoadPath:
             return None
         # branches lie close where the arm is soft
         least = min(point.stability.least, ahead.stability.least)
-        soft = max(min(1.0, least / SOFT), SOFTEST)
+        softness = min(1.0, least / SOFT)
+        soft = max(softness, SOFTEST)
         q_ahead = ahead.evaluation.q
         correction = balance.angle(q_ahead - predicted)
         if correction <= soft * CORRECTION:
             # of the cubic through both ends
             tangent_change = point.tangent - ahead.tangent
-            middle = 0.5 * (q + q_ahead) + 0.125 * h * tangent_change
+            mean = 0.5 * (q + q_ahead)
+            bow = 0.125 * h * tangent_change
+            middle = mean + bow
             stray = self._stray(middle, point, ahead)
             if stray is None:
                 return None
@@ -154,7 +160,9 @@ class LoadPath:
         if not stray <= soft * STRAY:
             balance.obstacle = "the equilibria bend away from steps of any size"
             return None
-        return ahead if balance.is_continuous(q, q_ahead) else None
+        if not balance.is_continuous(q, q_ahead):
+            return None
+        return ahead
 
     def equilibrium(self, q: Array, part: float) -> Linearised | None:
         """The equilibrium under this part of the load to which Newton's method leads.
@@ -166,10 +174,19 @@ class LoadPath:
             part: of the load, 0 to 1.
         """
         balance = self.balance
-        tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
-        slow = SLOW if balance.size > FEW else 0.0
+        if part == 1.0:
+            tolerance = RESIDUAL
+        else:
+            tolerance = ON_THE_WAY
+        if balance.size > FEW:
+            slow = SLOW
+        else:
+            slow = 0.0
         linearised = balance.linearise(q, part)
-        current = None if linearised is None else linearised.evaluation
+        if linearised is None:
+            current = None
+        else:
+            current = linearised.evaluation
         last_size = np.inf
         # what the last correction leads to is looked at too
         for _ in range(MOST_CORRECTIONS + 1):
@@ -188,7 +205,10 @@ class LoadPath:
                 return None
             if size > slow * last_size and not is_own:
                 linearised = balance.linearise(current.q, part)
-                current = None if linearised is None else linearised.evaluation
+                if linearised is None:
+                    current = None
+                else:
+                    current = linearised.evaluation
             else:
                 current = balance.at(current.q + change, part)
                 last_size = size
@@ -206,17 +226,23 @@ class LoadPath:
             end: of the path.
         """
         balance = self.balance
-        beyond = (1.0 + BEYOND) * end.evaluation.part + LEAST_LOAD
+        enlarged = (1.0 + BEYOND) * end.evaluation.part
+        beyond = enlarged + LEAST_LOAD
         part = min(beyond, 1.0)
         mode = end.stability.modes[:, 0]
-        largest_entry = mode[np.argmax(np.abs(mode))]
+        place = np.argmax(np.abs(mode))
+        largest_entry = mode[place]
         side = balance.product(mode, end.tangent) or largest_entry
-        push = PUSH * np.copysign(1.0, side) * mode
-        point = balance.linearise(end.evaluation.q + push, part)
+        sign = np.copysign(1.0, side)
+        push = PUSH * sign * mode
+        pushed = end.evaluation.q + push
+        point = balance.linearise(pushed, part)
         h = FIRST_FLOW
         while point is not None and balance.linearisations < self.most:
             if point.evaluation.residual <= RESIDUAL:
-                return point if self._is_stable(point.stability) else None
+                if not self._is_stable(point.stability):
+                    return None
+                return point
             q = point.evaluation.q
             change = _flow(point, h)
             size = balance.angle(change)
@@ -240,7 +266,8 @@ class LoadPath:
         """
         if equilibrium is linearised.evaluation:
             return linearised
-        way = self.balance.angle(equilibrium.q - linearised.evaluation.q)
+        difference = equilibrium.q - linearised.evaluation.q
+        way = self.balance.angle(difference)
         stability = linearised.stability
         is_stiff = stability.has_potential and stability.least > SOFT
         if way <= NEAR and is_stiff:
@@ -260,7 +287,8 @@ class LoadPath:
             The angle; None where the arm is not stable.
         """
         balance = self.balance
-        part = 0.5 * (point.evaluation.part + ahead.evaluation.part)
+        sum_of_parts = point.evaluation.part + ahead.evaluation.part
+        part = 0.5 * sum_of_parts
         if not ahead.stability.has_potential:
             linearised = balance.linearise(middle, part)
             if linearised is None or not self._is_stable(linearised.stability):
@@ -288,7 +316,10 @@ class LoadPath:
     def _is_stable(self, stability: Stability) -> bool:
         """Whether it is; the obstacle where it is not."""
         if not stability.stable:
-            self.balance.obstacle = FLUTTERS if stability.flutters else BUCKLES
+            if stability.flutters:
+                self.balance.obstacle = FLUTTERS
+            else:
+                self.balance.obstacle = BUCKLES
         return stability.stable
 
     def _reason(self, point: Linearised) -> str:
@@ -303,7 +334,10 @@ class LoadPath:
             tangent_size = balance.angle(point.tangent)
             # at a limit point the path goes on along the softest mode, at a bifurcation it does not
             snaps = along_mode > 0.5 * tangent_size
-            obstacle = SNAPS if snaps else BUCKLES
+            if snaps:
+                obstacle = SNAPS
+            else:
+                obstacle = BUCKLES
         percent = 100 * point.evaluation.part
         return f"beyond {percent:.4g} % of the load: {obstacle}"
 
@@ -323,7 +357,8 @@ def _flow(point: Linearised, h: float) -> Array:
     force = point.evaluation.force
     symmetric = point.stiffness + point.stiffness.T
     try:
-        root = cho_factor(point.evaluation.G + 0.5 * h * symmetric)
+        damping = 0.5 * h * symmetric
+        root = cho_factor(point.evaluation.G + damping)
     except np.linalg.LinAlgError:
         return np.full_like(force, np.inf)
     rate = cho_solve(root, force)

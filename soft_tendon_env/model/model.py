@@ -84,7 +84,10 @@ class Model:
         arm = make_arm(scene, self.grid, self.arm.strain)
         # workspaces serve every arm of the same sizes
         own_kind = _workspace_kind(self.arm)
-        idle = self._idle if _workspace_kind(arm) == own_kind else []
+        if _workspace_kind(arm) == own_kind:
+            idle = self._idle
+        else:
+            idle = []
         return Model(scene, self.grid, arm, idle)
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
@@ -106,7 +109,8 @@ class Model:
         misfit = self.misfit(model)
         if misfit:
             text = f"changes {misfit}: build a model for each value"
-            raise ConfigurationError([Problem((key,), text) for key in changes])
+            problems = [Problem((key,), text) for key in changes]
+            raise ConfigurationError(problems)
         return model
 
     def misfit(self, other: Model) -> str:
@@ -114,7 +118,9 @@ class Model:
 
         It is empty where there is none, so that both can be rows of one batch.
         """
-        if type(other.arm.strain) is not type(self.arm.strain):
+        other_kind = type(other.arm.strain)
+        own_kind = type(self.arm.strain)
+        if other_kind is not own_kind:
             return "whether there are loads inside of the strain"
         own_names = [*self.acting]
         other_names = [*other.acting]
@@ -125,7 +131,9 @@ class Model:
             return f"which effects act, from {own_list} to {other_list}"
         own = self.arm.effects
         others = other.arm.effects
-        has_same_shapes = _shapes(own, count) == _shapes(others, count)
+        own_shapes = _shapes(own, count)
+        other_shapes = _shapes(others, count)
+        has_same_shapes = own_shapes == other_shapes
         first_states = others.first_state[: count + 1]
         has_same_states = np.array_equal(own.first_state, first_states)
         has_room = others.state.size <= own.state.size
@@ -224,7 +232,8 @@ class Model:
             StrainLimitError: if no strain balances the coordinates.
         """
         places = self.arc_lengths("arc_length", arc_length)
-        poses = np.tile(np.eye(4), (places.size, 1, 1))
+        shape = (places.size, 1, 1)
+        poses = np.tile(np.eye(4), shape)
         with self.configuration(q) as work:
             xi = work.strain.xi
             located = self.grid.locate(places)
@@ -251,7 +260,8 @@ class Model:
         places = self.arc_lengths("arc_length", arc_length)
         q = checked_array("q", q, (self.coordinate_count,))
         # the strain, then a column of Phi for each coordinate
-        rows = np.empty((1 + q.size, places.size, 6))
+        shape = (1 + q.size, places.size, 6)
+        rows = np.empty(shape)
         with self.configuration(q) as work:
             strain = work.strain
             still = np.zeros_like(q)
@@ -263,7 +273,8 @@ class Model:
             located = self.grid.locate(places)
             for values, out in zip(fields, rows, strict=True):
                 strains_inside(self.grid.length, *located, values, out)
-        return rows[0], np.moveaxis(rows[1:], 0, 2)
+        derivatives = np.moveaxis(rows[1:], 0, 2)
+        return rows[0], derivatives
 
     @cached_property
     def discretisation(self) -> Discretisation:
@@ -290,7 +301,8 @@ class Model:
         An effect with internal states or other commands than tensions has an entry, "actuators:20";
         so have relaxation times.
         """
-        sizes = np.diff(self.arm.effects.first_state).tolist()
+        counts = np.diff(self.arm.effects.first_state)
+        sizes = counts.tolist()
         names = []
         for (name, effect), size in zip(self.acting.items(), sizes, strict=True):
             if size or effect.command_unit != "N":
@@ -323,9 +335,11 @@ class Model:
 
         It is that of the rod bent evenly by an angle of 1.
         """
-        elasticity, _, _ = screw_matrices(self.scene, self.grid.points.ravel())
+        points = self.grid.points.ravel()
+        elasticity, _, _ = screw_matrices(self.scene, points)
         bending = elasticity[:, 1]
-        integral = float(bending @ self.grid.weights.ravel())
+        weights = self.grid.weights.ravel()
+        integral = float(bending @ weights)
         return integral / self.length**2
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
@@ -342,7 +356,8 @@ class Model:
             ValueError: for a wrong shape or numbers that are not finite.
             StrainLimitError: if no strain balances the coordinates.
         """
-        places = self.grid.points[self.grid.real].ravel()
+        points = self.grid.points[self.grid.real]
+        places = points.ravel()
         strains = self.grid.unpacked(self.packed_strain(q))
         return places, strains
 
@@ -398,7 +413,8 @@ class Model:
             by_node = by_pack.swapaxes(1, 2).reshape(-1, 12)
         if effects is not None:
             state = checked_array("effects", effects, state.shape)
-        root = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6)
+        root_stiffness = grid.at_points(rod.root_stiffness, 6)
+        root = root_stiffness.reshape(-1, 6)
         stiffness = root**2
         weight = grid.weights.ravel()
         configured = Configured(
@@ -414,7 +430,8 @@ class Model:
         # int xi^T Sigma xi dX
         density = (stiffness * strain**2).sum(axis=1)
         elastic = 0.5 * float(weight @ density)
-        kinetic = 0.5 * float(rate @ mass @ rate)
+        doubled = rate @ mass @ rate
+        kinetic = 0.5 * float(doubled)
         load = self.scene.effects.potential_energy(configured)
         return Energy(kinetic, elastic, load)
 
@@ -475,7 +492,8 @@ class Model:
             Units (n,).
         """
         stiffness = np.diag(self.metric)
-        return np.asarray(np.sqrt(self.bending_energy / stiffness))
+        squares = self.bending_energy / stiffness
+        return np.asarray(np.sqrt(squares))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
         """Arc lengths (m,) [m] along the rod, checked.
@@ -483,8 +501,9 @@ class Model:
         Raises TypeError or ValueError naming `name`.
         """
         # an empty list has no type of its own
-        values = np.zeros(0) if np.size(value) == 0 else value
-        places = checked_array(name, values, (None,))
+        if np.size(value) == 0:
+            value = np.zeros(0)
+        places = checked_array(name, value, (None,))
         if not places.size:
             return places
         least = places.min()
@@ -522,7 +541,8 @@ class Model:
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
-            is_placed = bool(np.isfinite(work.kinematics.pose).all())
+            is_finite = np.isfinite(work.kinematics.pose)
+            is_placed = bool(is_finite.all())
             self._check(q, work, block, reached, is_placed)
             yield work
 
@@ -533,7 +553,10 @@ class Model:
         """
         if block >= 0:
             nearest = nearest_limit(self.arm, self.grid, q, work.strain.xi, reached, block)
-            what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
+            if isinstance(self.arm.strain, Loaded):
+                what = "coordinates and loads"
+            else:
+                what = "coordinates"
             raise StrainLimitError(
                 f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}"
             )
@@ -563,12 +586,16 @@ class Model:
                 f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}"
             )
         strain = self.arm.strain
-        stiffness = strain.stiffness if isinstance(strain, Explicit) else out.stiffness
+        if isinstance(strain, Explicit):
+            stiffness = strain.stiffness
+        else:
+            stiffness = out.stiffness
         out.elastic_force[:] = stiffness @ q
         return out
 
     def __reduce__(self) -> tuple[type[Model], tuple[Scene, Grid, Arm]]:
-        return Model, (self.scene, self.grid, self.arm)
+        parts = (self.scene, self.grid, self.arm)
+        return Model, parts
 
     def __deepcopy__(self, memo: object) -> Model:
         return self  # copies of what has a model share it, since it never changes
@@ -614,7 +641,8 @@ def _empty_terms(n: int, n_a: int) -> Terms:
 def _workspace_kind(arm: Arm) -> tuple[type, int, int]:
     """Kind of strain, number of effects and size of their state, which a workspace is made for."""
     effects = arm.effects
-    return type(arm.strain), effects.count, effects.state.size
+    kind = type(arm.strain)
+    return kind, effects.count, effects.state.size
 
 
 def _shapes(effects: EffectTable, count: int) -> list[tuple[int, ...]]:
@@ -628,7 +656,8 @@ def _shapes(effects: EffectTable, count: int) -> list[tuple[int, ...]]:
 
 def _poses(rows: Array) -> Array:
     """Poses (m, 4, 4) of rotations, row by row, and positions (m, 12)."""
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    shape = (len(rows), 1, 1)
+    poses = np.tile(np.eye(4), shape)
     rotation = rows[:, :9]
     poses[:, :3, :3] = rotation.reshape(-1, 3, 3)
     poses[:, :3, 3] = rows[:, 9:]

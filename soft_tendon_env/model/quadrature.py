@@ -104,7 +104,10 @@ class QuadratureTest:
                 return estimate
             by_order = estimate.excess ** (1 / ORDER)
             factor = min(SPARE * by_order, 2.0)
-            excess_of_half = estimate.excess if factor == 2.0 else np.inf
+            if factor == 2.0:
+                excess_of_half = estimate.excess
+            else:
+                excess_of_half = np.inf
             suggested = math.ceil(intervals * factor)
             more = max(intervals + 1, suggested)
             intervals = min(more, MOST_INTERVALS)
@@ -185,7 +188,10 @@ class QuadratureTest:
             share, tension = self.displacement(coarse, fine)
             kept = inertia_kept(coarse, fine)
         error = share / SAFETY
-        loads = " and loads" if coarse.arm.effects.load else ""
+        if coarse.arm.effects.load:
+            loads = " and loads"
+        else:
+            loads = ""
         size = "so far off that the arm has no rest"
         if np.isfinite(error):
             length = 1e3 * error * coarse.length
@@ -290,7 +296,8 @@ def _unloaded_share(
             continue
         from_base = [tip - base, fine_tip - base]
         distances = np.linalg.norm(from_base, axis=1)
-        if distances.max() <= FARTHEST * coarse.length:
+        allowed = FARTHEST * coarse.length
+        if distances.max() <= allowed:
             displacement = np.linalg.norm(fine_tip - tip)
             return float(displacement) / coarse.length
         tension = 0.5 * tension

@@ -103,7 +103,8 @@ def reference_model(scene: Scene, level: Level, tolerance: float | None = None) 
     reduced_order = min(level.order - reduction, HIGHEST_ORDER)
     least_order = LEVELS.index(level) + 1
     order = max(least_order, reduced_order)
-    modes = [{"strains": list(scene.strain.free), "order": order, "span": "piece"}]
+    strains = list(scene.strain.free)
+    modes = [{"strains": strains, "order": order, "span": "piece"}]
     borders = [*scene.strain.borders, *cuts]
     strain = {"type": "explicit", "modes": modes, "borders": borders}
     integrator: dict[str, float] = {}
@@ -114,9 +115,11 @@ def reference_model(scene: Scene, level: Level, tolerance: float | None = None) 
             "max_halvings": MOST_HALVINGS,
         }
     changes = {"strain": strain, "integrator": integrator}
-    intervals = math.ceil(INTERVALS * level.order / parts)
+    per_part = INTERVALS * level.order / parts
+    intervals = math.ceil(per_part)
     resolving = order + SPARE_INTERVALS
-    return model_on(scene.replace(changes), max(resolving, intervals))
+    finest = max(resolving, intervals)
+    return model_on(scene.replace(changes), finest)
 
 
 def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
@@ -140,7 +143,8 @@ def nearest_strain(model: Model, q: Array, fine: Model) -> Array:
     change = strain - reference_strain
     # columns of an explicit basis are its fields, at all coordinates
     packed = make_workspace(fine.arm).strain.Phi
-    fields = grid.unpacked(packed.reshape(fine.coordinate_count, -1))
+    rows = packed.reshape(fine.coordinate_count, -1)
+    fields = grid.unpacked(rows)
     basis = fields.reshape(len(fields), -1).T
     coordinates, *_ = np.linalg.lstsq(basis, change.ravel())
     return np.asarray(coordinates)
@@ -186,7 +190,9 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
         change = np.inf
         if last_tip is not None:
             change = float(np.linalg.norm(reference_tip - last_tip))
-        if change <= max(AGREED * error, NEGLIGIBLE * model.length):
+        negligible = NEGLIGIBLE * model.length
+        allowed = max(AGREED * error, negligible)
+        if change <= allowed:
             return error
         bound = error + change
         last_tip = reference_tip
@@ -216,4 +222,6 @@ def rest_near(
             equilibrium, reason = path.rest()
             if reason:
                 return None
-    return None if equilibrium is None else equilibrium.evaluation.q
+    if equilibrium is None:
+        return None
+    return equilibrium.evaluation.q

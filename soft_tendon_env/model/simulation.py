@@ -88,7 +88,10 @@ class SimulationDiverged(RuntimeError):
         self.unit = unit
 
     def __str__(self) -> str:
-        kind = "tensions" if self.unit == "N" else "commands"
+        if self.unit == "N":
+            kind = "tensions"
+        else:
+            kind = "commands"
         return (
             f"no step succeeds at {self.state.time:.6g} s under {kind}"
             f" {shown_numbers(self.command)} {self.unit}: {self.cause}"
@@ -188,7 +191,8 @@ class Simulation:
             self.state = state
 
     def __repr__(self) -> str:
-        return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
+        time = self._motion.clock[0]
+        return f"Simulation({self.model!r} at {time:g} s)"
 
     def reset(
         self,
@@ -218,12 +222,19 @@ class Simulation:
             StrainLimitError: if no strain balances the coordinates.
         """
         model = self.model
-        clock = np.array([checked_number("time", time, -np.inf, "a finite number")])
+        seconds = checked_number("time", time, -np.inf, "a finite number")
+        clock = np.array([seconds])
         still = np.zeros(model.coordinate_count)
         no_tension = np.zeros(model.tendon_count)
-        start = checked_array("q", still if q is None else q, still.shape)
-        rate = checked_array("q_dot", still if q_dot is None else q_dot, still.shape)
-        command = model.command(no_tension if tension is None else tension, start)
+        if q is None:
+            q = still
+        start = checked_array("q", q, still.shape)
+        if q_dot is None:
+            q_dot = still
+        rate = checked_array("q_dot", q_dot, still.shape)
+        if tension is None:
+            tension = no_tension
+        command = model.command(tension, start)
         strain = model.packed_strain(start)
         if effects is None:
             states = self._rest_states(strain, command)
@@ -360,7 +371,8 @@ class Simulation:
                     f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}"
                 )
             u = np.asarray(command, dtype=np.float64)
-            inputs = np.concatenate([start.q, start.q_dot, start.state, u])
+            parts = [start.q, start.q_dot, start.state, u]
+            inputs = np.concatenate(parts)
             # a period of no length has one step of none
             taken = np.array([[0.0, self._method.columns]])
             if steps:
@@ -401,12 +413,18 @@ class Simulation:
         n = model.coordinate_count
         n_a = model.tendon_count
         has_parts = np.ndim(duration) > 0
-        durations = checked_array("duration", duration, (None,) * np.ndim(duration))
+        shape_of_durations = (None,) * np.ndim(duration)
+        durations = checked_array("duration", duration, shape_of_durations)
         parts = np.atleast_1d(durations)
-        shape = (None, parts.size, n_a) if has_parts else (None, n_a)
+        shape: tuple[int | None, ...] = (None, n_a)
+        if has_parts:
+            shape = (None, parts.size, n_a)
         played = checked_array("commands", commands, shape)
         no_forces = np.empty((n, 0))
-        others = no_forces if forces is None else checked_array("forces", forces, (n, None))
+        if forces is None:
+            others = no_forces
+        else:
+            others = checked_array("forces", forces, (n, None))
         shortest = float(parts.min(initial=0.0))
         checked_number("duration", shortest, 0.0, "a number of seconds, at least 0")
         whole = float(parts.sum())
@@ -427,14 +445,16 @@ class Simulation:
         code, row = linearised_rollout(model.arm, scheme, motion, steps, self._scratch, plan)
         if code != status.OK:
             last = len(plan.command) - 1
-            failed_command = plan.command[min(row, last), 0]
+            command_row = min(row, last)
+            failed_command = plan.command[command_row, 0]
             raise self._divergence(code, motion, failed_command, control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError(
                 "there is no linearisation of this motion: the matrix of an implicit step is"
                 " singular"
             )
-        by = np.split(plan.jacobian, [2 * n, 2 * n + n_a], axis=2)
+        borders = [2 * n, 2 * n + n_a]
+        by = np.split(plan.jacobian, borders, axis=2)
         return Rollout(plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian, *by)
 
     @property
@@ -464,7 +484,8 @@ class Simulation:
         if outcome.status == status.OK:
             return StepReport(outcome.steps, outcome.rejected, outcome.error, outcome.evaluations)
         self._take(motion, outcome.step)
-        raise self._divergence(outcome.status, motion, commands[outcome.row], control)
+        command = commands[outcome.row]
+        raise self._divergence(outcome.status, motion, command, control)
 
     def _divergence(
         self, code: int, motion: Motion, command: Array, control: Control
@@ -528,16 +549,22 @@ def simulate(
     begin = simulation.state.time
     commands = command_table(model, command, begin, samples, per_sample, control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
-    start = simulation.reset_at_rest() if initial is None else simulation.state
+    if initial is None:
+        start = simulation.reset_at_rest()
+    else:
+        start = simulation.state
     # the first sample is the start
     values = [start.q, start.q_dot, simulation.tip_pose]
-    record = Record(*(value[None].repeat(samples + 1, axis=0) for value in values))
+    stacked = (value[None].repeat(samples + 1, axis=0) for value in values)
+    record = Record(*stacked)
     report = StepReport(0, 0, 0.0, 0)
     if samples:
         every_command = commands.reshape(-1, model.tendon_count)
-        later = Record(*(rows[1:] for rows in record))
+        rows_after = (rows[1:] for rows in record)
+        later = Record(*rows_after)
         report = simulation._run(every_command, control, later)
-    times = start.time + period * np.arange(samples + 1, dtype=np.float64)
+    counts = np.arange(samples + 1, dtype=np.float64)
+    times = start.time + period * counts
     return Trajectory(
         times,
         *record,
@@ -578,7 +605,8 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
 
     # the steps that were taken, again: none is refused, and none has another length
     method = step_method(model)._replace(strain_tolerance=STRAIN_TOLERANCE)
-    control = step_control(model, taken[:, 0].sum() or 1.0)
+    longest = taken[:, 0].sum()
+    control = step_control(model, longest or 1.0)
     tolerance = TOLERANCE_FACTOR * control.tolerance
     control = control._replace(adaptive=False, tolerance=tolerance)
     scratch = make_scratch(arm, method.columns)
@@ -595,7 +623,8 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
         cause = status.MESSAGES[batch.outcome.status[0]]
         raise np.linalg.LinAlgError(f"the motion has no derivative: {cause}")
 
-    state = np.hstack([rows.q, rows.q_dot, rows.state])
+    parts = [rows.q, rows.q_dot, rows.state]
+    state = np.hstack(parts)
     tip_pose = batch.reading.tip_pose
     tip_twist = batch.reading.tip_twist
     for values in (state, tip_pose, tip_twist):
@@ -616,7 +645,9 @@ def _slopes(values: Array, step: Array) -> Array:
     right = values[1 : count + 1] - middle
     left = middle - values[count + 1 :]
     central = 0.5 * (left + right)
-    jumps = [_jumps(right, left), _jumps(left, right)]
+    backward = _jumps(right, left)
+    forward = _jumps(left, right)
+    jumps = [backward, forward]
     difference = np.select(jumps, [left, right], central)
     return np.moveaxis(difference, 0, -1) / step
 
@@ -626,7 +657,8 @@ def _jumps(side: Array, other: Array) -> NDArray[np.bool_]:
 
     A difference beside none is no jump but a kink, as where friction holds something at rest.
     """
-    is_far_larger = abs(side) > JUMP_RATIO * abs(other)
+    bound = JUMP_RATIO * abs(other)
+    is_far_larger = abs(side) > bound
     moves = other != 0.0
     fails = np.isinf(side)
     return np.asarray(is_far_larger & (moves | fails))
@@ -643,19 +675,24 @@ def period_derivatives(
     # steps of the differences, by the unit of every input
     effects = model.scene.effects
     scale = model.coordinate_scale()
-    state_unit = np.maximum(np.abs(start.state), LEAST_STATE_UNIT)
+    state_size = np.abs(start.state)
+    state_unit = np.maximum(state_size, LEAST_STATE_UNIT)
     limits = effects.command_limits(model.discretisation.tension_limits)
     command_unit = np.abs(limits).max(axis=1)
     rate_unit = RATE_UNIT * scale
-    unit = np.concatenate([scale, rate_unit, state_unit, command_unit])
+    units = [scale, rate_unit, state_unit, command_unit]
+    unit = np.concatenate(units)
     step = DIFFERENCE_SHARE * unit
-    has_contact = any(effect.is_contact for effect in effects.chosen().values())
+    chosen = effects.chosen().values()
+    is_contact = (effect.is_contact for effect in chosen)
+    has_contact = any(is_contact)
     if has_contact:
         step *= CONTACT_FACTOR
 
     # row 0 has the inputs themselves, then one row for every step to the right, and to the left
     changes = np.diag(step)
-    all_inputs = np.vstack([inputs, inputs + changes, inputs - changes])
+    parts = [inputs, inputs + changes, inputs - changes]
+    all_inputs = np.vstack(parts)
     state, tip_pose, tip_twist = ends(model, start, taken, all_inputs)
     by = _slopes(state, step)
     pose_slopes = _slopes(tip_pose, step)
@@ -667,8 +704,13 @@ def period_derivatives(
     # in the tip frame: the vector of R^T dR, which is antisymmetric, and R^T dr
     rotation = tip_pose[0, :3, :3]
     moved = np.einsum("ji,jkm->ikm", rotation, pose_slopes[:3])
-    angular = [moved[2, 1], moved[0, 2], moved[1, 0]]
+    about_x = moved[2, 1]
+    about_y = moved[0, 2]
+    about_z = moved[1, 0]
+    angular = [about_x, about_y, about_z]
     linear = moved[:, 3]
     tip = np.stack([*angular, *linear])
     size = len(by)
-    return Linearization(following, by[:, :size], by[:, size:], tip, twists)
+    by_state = by[:, :size]
+    by_command = by[:, size:]
+    return Linearization(following, by_state, by_command, tip, twists)

@@ -98,7 +98,9 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
         checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,))
         for name in ("q", "q_dot")
     )
-    strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
+    points = int(model.grid.real.sum())
+    shape = (2 * points, 6)
+    strain = checked_array("state.strain", state.strain, shape)
     if tuple(state.names) != model.state_names:
         wanted, given = (
             " + ".join(names) or "no effects with states"
@@ -108,8 +110,10 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
             f"state.names should be those of the model's states, {wanted}; this state is of {given}"
         )
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
-    clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
-    motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
+    time = checked_number("state.time", state.time, -np.inf, "a finite number")
+    clock = np.array([time])
+    packed = model.grid.packed(strain)
+    motion = Motion(q, q_dot, packed, effects, clock)
     with model.workspace() as work:
         work.strain.xi[:] = motion.xi
         failed = strain_from_guess(

@@ -128,14 +128,18 @@ def static_equilibrium(
                     linearised = balance.linearise(q, 1.0)
                     is_stable = linearised is None or linearised.stability.stable
                 return _equilibrium(balance, evaluation, is_stable, "")
-        settlings = MOST_SETTLINGS if settle else 0
+        if settle:
+            settlings = MOST_SETTLINGS
+        else:
+            settlings = 0
         end, reason = path.rest(settlings)
         return _equilibrium(balance, end.evaluation, end.stability.stable, reason)
 
 
 def rests_at_tensions(model: Model) -> bool:
     """Whether q = [u; 0] is at rest under tensions u (34), and S = G there."""
-    return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
+    is_implicit = isinstance(model.arm.strain, Implicit)
+    return is_implicit and not model.arm.effects.load
 
 
 def _equilibrium(
@@ -145,8 +149,14 @@ def _equilibrium(
     q = evaluation.q
     tip = balance.model.tip_pose(q)
     # that of the full load, also where the path ends before
-    loaded = balance.at(q, 1.0) if reason else evaluation
-    residual = np.inf if loaded is None else loaded.residual
+    if reason:
+        loaded = balance.at(q, 1.0)
+    else:
+        loaded = evaluation
+    if loaded is None:
+        residual = np.inf
+    else:
+        residual = loaded.residual
     _warn_of_redundancy(balance, evaluation, tip)
     return Equilibrium(
         q,
@@ -174,22 +184,27 @@ def _warn_of_redundancy(balance: Balance, evaluation: Evaluation, tip: Array) ->
     round_off = 1e-12 * np.abs(u).max()
     if np.abs(left_out).max() <= round_off:
         return
-    q = rest if rests_at_tensions(model) else evaluation.q
+    if rests_at_tensions(model):
+        q = rest
+    else:
+        q = evaluation.q
     try:
         # the arm with a coordinate for each tension
         arm = with_every_tension(model.arm)
         whole_model = Model(model.scene, model.grid, arm)
         every_tension = strain.law.tensions(q) + left_out
         passive = q[strain.law.active :]
-        whole_tip = whole_model.tip_pose(np.concatenate([every_tension, passive]))
+        every_coordinate = np.concatenate([every_tension, passive])
+        whole_tip = whole_model.tip_pose(every_coordinate)
         difference = (whole_tip - tip)[:3, 3]
         error = float(np.linalg.norm(difference))
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
-        size = (
-            f"by {1e3 * error:.2g} mm" if np.isfinite(error) else "by more than its strain allows"
-        )
+        if np.isfinite(error):
+            size = f"by {1e3 * error:.2g} mm"
+        else:
+            size = "by more than its strain allows"
         text = (
             f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no"
             f" coordinate: at rest its tip is off {size}"
@@ -230,12 +245,18 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         with erring_actuators():  # a word of the command is enough
             equilibrium = static_equilibrium(model, u, guess)
         # tensions of the springs: k (command - shortening), within what drives can hold
-        shortening = path.length - model.tendon_lengths(equilibrium.q)
+        lengths = model.tendon_lengths(equilibrium.q)
+        shortening = path.length - lengths
         stretch = command_values - shortening
-        spring_tension = np.clip(path.stiffness * stretch, 0.0, path.strength)
-        largest = np.abs(spring_tension).max() + np.abs(u).max()
-        same = SAME_TENSION * (largest + model.length * path.stiffness)
-        is_same = np.abs(spring_tension - u) <= same
+        pull = path.stiffness * stretch
+        spring_tension = np.clip(pull, 0.0, path.strength)
+        spring_size = np.abs(spring_tension).max()
+        command_size = np.abs(u).max()
+        largest = spring_size + command_size
+        per_length = model.length * path.stiffness
+        same = SAME_TENSION * (largest + per_length)
+        difference = np.abs(spring_tension - u)
+        is_same = difference <= same
         if not equilibrium.converged or is_same.all():
             iterations = equilibrium.iterations + iteration
             return dataclasses.replace(equilibrium, iterations=iterations), u

@@ -87,7 +87,8 @@ def step_control(model: Model, duration: float) -> Control:
         duration: [s].
     """
     integrator = model.scene.integrator
-    at_least = duration / integrator.step * (1.0 - ROUND_OFF)
+    steps = duration / integrator.step
+    at_least = steps * (1.0 - ROUND_OFF)
     step = duration / np.ceil(at_least)
     if integrator.tolerance is None:
         tolerance = UNSTABLE * model.length
@@ -151,15 +152,21 @@ def command_table(
     if callable(command):
         count = samples * per_sample
         index = np.arange(count, dtype=np.float64)
-        middles: Array = start + step * (index + 0.5)
+        from_start = step * (index + 0.5)
+        middles: Array = start + from_start
         rows = _sample(command, middles, tendons)
         if count > 1:
-            beside = _sample(command, middles + BESIDE_MIDDLE * step, tendons)
+            beside_middles = middles + BESIDE_MIDDLE * step
+            beside = _sample(command, beside_middles, tendons)
             _warn_of_changes_within_steps(rows, beside, middles, step)
         return rows.reshape(samples, per_sample, tendons)
     # rows that are not alike are refused below, by name
-    kind = None if isinstance(command, np.ndarray) else object
-    if np.asarray(command, dtype=kind).ndim == 1:
+    if isinstance(command, np.ndarray):
+        kind = None
+    else:
+        kind = object
+    array = np.asarray(command, dtype=kind)
+    if array.ndim == 1:
         constant = checked_array("command", command, (tendons,))
         return np.tile(constant, (samples, per_sample, 1))
     table = checked_array("command", command, (samples, tendons))
@@ -178,7 +185,8 @@ def _warn_of_changes_within_steps(rows: Array, beside: Array, middles: Array, st
     change = np.abs(beside - rows)
     from_step_to_step = BESIDE_MIDDLE * np.gradient(rows, axis=0)
     # neither constant over the step nor on the line through its neighbours
-    off_line = np.abs(beside - rows - from_step_to_step)
+    deviation = beside - rows - from_step_to_step
+    off_line = np.abs(deviation)
     missed = np.minimum(change, off_line).max(axis=1)
     largest_range = np.ptp(rows, axis=0).max()
     if missed.max() > UNRESOLVED * largest_range:

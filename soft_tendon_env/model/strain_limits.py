@@ -38,7 +38,10 @@ def nearest_limit(
     strain = arm.strain
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
-    part = reached * q if reached else q
+    if reached:
+        part = reached * q
+    else:
+        part = q
     tau = strain.law.tensions(part)
     chord_size, give = _chords_and_give(arm, grid, xi)
     has_chord = chord_size > 0.0
@@ -76,7 +79,8 @@ def _chords_and_give(arm: Arm, grid: Grid, xi: Array) -> tuple[Array, Array]:
     y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
     k_x, k_y, k_z, p_x, p_y, p_z = np.moveaxis(strain, -1, 0)
     # t_c (22)
-    chord_x = p_x + k_y * z - k_z * y
+    first_terms = p_x + k_y * z
+    chord_x = first_terms - k_z * y
     chord_y = p_y - k_x * z + y_prime
     chord_z = p_z + k_x * y + z_prime
     chord = np.stack([chord_x, chord_y, chord_z])

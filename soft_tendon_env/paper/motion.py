@@ -56,9 +56,13 @@ class ClosedLoop:
     def rate(self, t: float, x: np.ndarray) -> np.ndarray:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
-        force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
+        tension = self.law(t, q, q_dot, terms)
+        actuation = terms.actuation @ tension
+        force = actuation + terms.external_force
         loss = terms.damping @ q_dot
-        q_ddot = np.linalg.solve(terms.mass, force - terms.bias - loss - terms.elastic_force)
+        without_springs = force - terms.bias - loss
+        unbalanced = without_springs - terms.elastic_force
+        q_ddot = np.linalg.solve(terms.mass, unbalanced)
         return np.concatenate([q_dot, q_ddot])
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
@@ -70,7 +74,8 @@ class ClosedLoop:
         rate = self.rate(t, x)
         columns = []
         for step in APART * np.eye(x.size):
-            change = self.rate(t, x + step) - rate
+            rate_ahead = self.rate(t, x + step)
+            change = rate_ahead - rate
             columns.append(change / APART)
         return np.stack(columns, axis=1)
 
@@ -82,7 +87,9 @@ def integrate(
 ) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
     n = loop.model.coordinate_count
-    times = SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
+    period_count = round(duration / SAMPLE_PERIOD)
+    numbers = np.arange(period_count + 1)
+    times = SAMPLE_PERIOD * numbers
     say(f"{label}: {duration:g} s")
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
@@ -107,9 +114,12 @@ def integrate(
     tension = []
     for t, x in zip(solution.t, states, strict=True):
         q, q_dot = np.split(x, 2)
-        tip.append(loop.model.tip_pose(q)[:3, 3])
+        pose = loop.model.tip_pose(q)
+        position = pose[:3, 3]
+        tip.append(position)
         terms = loop.model.terms(q, q_dot)
-        tension.append(loop.law(t, q, q_dot, terms))
+        command = loop.law(t, q, q_dot, terms)
+        tension.append(command)
     return Motion(
         solution.t,
         states[:, :n],
@@ -127,15 +137,20 @@ def below_for_good(
 
     It is infinite if the error is not below at the end.
     """
-    first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
-    return float(time[first]) if first < time.size else float("inf")
+    beyond = np.flatnonzero(error >= threshold)
+    first = beyond.max(initial=-1) + 1
+    if first < time.size:
+        return float(time[first])
+    return float("inf")
 
 
 def when(time: float) -> str:
     """Words for a result of `below_for_good`."""
     if time == 0.0:
         return "always"
-    return "never for good" if np.isinf(time) else f"from {time:.2f} s"
+    if np.isinf(time):
+        return "never for good"
+    return f"from {time:.2f} s"
 
 
 def track(
@@ -165,19 +180,24 @@ def track(
         StaticFeedforward(model, limits, PERIOD, aim),
         TipTracking(model, limits, PERIOD, aim, **GAINS),
     )
-    say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
+    title = f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms"
+    say(title)
     q = []
     tip = []
     tension = []
     policy = ControllerPolicy(controller, env)
     for step in play_steps(policy, env, [0]):
         # the next step overwrites what the environment has now
-        q.append(episodes.arms.rows.q[0].copy())
-        tip.append(episodes.arms.reading.tip_pose[0, :3, 3].copy())
+        coordinates = episodes.arms.rows.q[0].copy()
+        q.append(coordinates)
+        row_position = episodes.arms.reading.tip_pose[0, :3, 3]
+        position = row_position.copy()
+        tip.append(position)
         tension.append(episodes.tension[0].copy())
         if step.ended.any():
             break
-    time = PERIOD * np.arange(len(q))
+    numbers = np.arange(len(q))
+    time = PERIOD * numbers
     return Motion(
         time,
         np.stack(q),

@@ -38,15 +38,21 @@ class Result(NamedTuple):
     @property
     def tables(self) -> str:
         """Table of claims, and the further ones."""
-        return "\n\n".join([claims_table(self.claims), *self.more])
+        table = claims_table(self.claims)
+        parts = [table, *self.more]
+        return "\n\n".join(parts)
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
     """Table of claims, as text that is Markdown as well."""
     rows = []
     for claim in claims:
-        verdict = "yes" if claim.holds else "**NO, missed**"
-        rows.append((claim.figure, claim.paper, claim.measured, verdict))
+        if claim.holds:
+            verdict = "yes"
+        else:
+            verdict = "**NO, missed**"
+        row = (claim.figure, claim.paper, claim.measured, verdict)
+        rows.append(row)
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 
 
@@ -57,10 +63,13 @@ def draw_arms(
     colour: str,
 ) -> None:
     """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
-    samples = np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)
+    last = len(motion) - 1
+    even = np.linspace(0, last, SNAPSHOTS)
+    samples = even.astype(int)
     opacities = np.linspace(PALEST, 1.0, SNAPSHOTS)
     for opacity, q in zip(opacities, motion[samples], strict=True):
-        backbone = model.backbone(q)[:, :3, 3]
+        poses = model.backbone(q)
+        backbone = poses[:, :3, 3]
         axes.plot(
             *backbone.T,
             color=colour,
@@ -75,7 +84,8 @@ def box(axes: Any, title: str, **paths: np.ndarray) -> None:
 
     Axes have projection="3d".
     """
-    for (name, path), colour in zip(paths.items(), (ACTUAL, DESIRED), strict=False):
+    curves = zip(paths.items(), (ACTUAL, DESIRED), strict=False)
+    for (name, path), colour in curves:
         axes.plot(
             *path.T,
             color=colour,
@@ -105,7 +115,8 @@ def draw_tensions(
     title: str,
 ) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
-    names = [f"{number + 1}" for number in range(tension.shape[1])]
+    tendon_count = tension.shape[1]
+    names = [f"{number + 1}" for number in range(tendon_count)]
     axes.plot(time, tension, linewidth=1.0, label=names)
     axes.legend(frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)

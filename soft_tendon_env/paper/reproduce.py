@@ -24,16 +24,19 @@ def reproduce(seconds: float, out: Path) -> None:
 
     Raises OSError.
     """
-    results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
+    figures = (validation, shape, tip)
+    results = {module: module.reproduce(seconds, out) for module in figures}
     claims = list[Claim]()
     numbers = dict[str, Any]()
     for result in results.values():
         print(f"\n{result.tables}")
         claims += result.claims
         numbers |= result.numbers
-    missed = sum(not claim.holds for claim in claims)
+    misses = (not claim.holds for claim in claims)
+    missed = sum(misses)
     print(f"\n{missed} of {len(claims)} claims missed")
-    content = {"claims": [claim._asdict() for claim in claims], **numbers}
+    claim_tables = [claim._asdict() for claim in claims]
+    content = {"claims": claim_tables, **numbers}
     write_json(out / "numbers.json", content)
     write_markdown(out / "paper.md", document(results))
 
@@ -42,6 +45,8 @@ def document(results: Mapping[ModuleType, Result]) -> str:
     """Report of all figures in Markdown: a section for each, with its tables."""
     sections = list[str]()
     for module, result in results.items():
-        title, _, text = (module.__doc__ or "").partition("\n\n")
-        sections += [f"## {title.rstrip('.')}", text.strip(), result.tables]
+        documentation = module.__doc__ or ""
+        title, _, text = documentation.partition("\n\n")
+        heading = f"## {title.rstrip('.')}"
+        sections += [heading, text.strip(), result.tables]
     return "\n\n".join(sections)

@@ -42,7 +42,8 @@ PARTS = (0.1, 0.01)  # of the largest error of feedforward, below which errors a
 
 def target(t: float) -> ShapeTarget:
     """Tensions that hold the wanted shape at time t [s], and their rates."""
-    tension, rate = COURSE(np.array([t]))
+    times = np.array([t])
+    tension, rate = COURSE(times)
     return ShapeTarget(tension[0], rate[0])
 
 
@@ -53,7 +54,8 @@ def law_of(model: ste.Model, gains: Gains) -> Law:
 
 def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
     """q_bar (m, n)."""
-    return np.array([model.rest_coordinates(target(t).tension) for t in time])
+    equilibria = [model.rest_coordinates(target(t).tension) for t in time]
+    return np.array(equilibria)
 
 
 def reproduce(seconds: float, folder: Path) -> Result:
@@ -65,9 +67,11 @@ def reproduce(seconds: float, folder: Path) -> Result:
     for name, model in models.items():
         for law, gains in LAWS.items():
             loop = ClosedLoop(model, law_of(model, gains))
-            motion = integrate(loop, duration, f"Figure 3, {name}, {law}")
+            title = f"Figure 3, {name}, {law}"
+            motion = integrate(loop, duration, title)
             motions[name, law] = motion
-            error = wanted_shapes(model, motion.time) - motion.q
+            target_shapes = wanted_shapes(model, motion.time)
+            error = target_shapes - motion.q
             errors[name, law] = np.linalg.norm(error, axis=1)
     draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
@@ -109,7 +113,9 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     keys = [below(part) for part in PARTS]
     parts = []
     for part, key in zip(PARTS, keys, strict=True):
-        parts.append(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})")
+        time_back = when(back[key])
+        time_ahead = when(ahead[key])
+        parts.append(f"{100 * part:g} % {time_back} ({time_ahead})")
     times = ", ".join(parts)
     sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
     text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
@@ -131,7 +137,8 @@ def draw_laws(
         2, 2, figsize=(13, 8), constrained_layout=True
     )
     time = motions["paper", "feedback"].time
-    tension = np.array([target(t).tension for t in time])
+    tensions = [target(t).tension for t in time]
+    tension = np.array(tensions)
     draw_tensions(wanted, time, tension, "(a) wanted shape, as the tensions that hold it")
     courses = {}
     # the first sample, at rest, has no error: a logarithmic axis has no place for it
@@ -139,7 +146,8 @@ def draw_laws(
         times = motions[name, law].time
         courses[f"{MODELS[name]}, {law}"] = (times[1:], values[1:])
     draw_errors(error, courses, "shape error", "(b) shape error")
-    for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
+    rows = ((full, "paper", "c"), (under, "paper_16dof", "d"))
+    for axes, name, letter in rows:
         title = f"({letter}) tensions with feedback, {MODELS[name]}"
         draw_tensions(
             axes,
@@ -160,7 +168,8 @@ def draw_shapes(
     for place, ((name, law), motion) in enumerate(motions.items(), 1):
         model = models[name]
         wanted = wanted_shapes(model, motion.time)
-        tip = np.array([model.tip_pose(q)[:3, 3] for q in wanted])
+        tips = [model.tip_pose(q)[:3, 3] for q in wanted]
+        tip = np.array(tips)
         axes = figure.add_subplot(2, 2, place, projection="3d")
         draw_arms(axes, model, wanted, DESIRED)
         draw_arms(axes, model, motion.q, ACTUAL)

@@ -85,7 +85,9 @@ INVERSES: Mapping[LeftInverse, str] = {
 
 def target(t: float) -> TipPoseTarget:
     """Pose, twist and acceleration of the target at time t [s]."""
-    samples = COURSE.sample(t + APART * np.array([-1.0, 0.0, 1.0]))
+    directions = np.array([-1.0, 0.0, 1.0])
+    offsets = APART * directions
+    samples = COURSE.sample(t + offsets)
     before, twist, after = samples.tip_twist
     acceleration = (after - before) / (2.0 * APART)
     return TipPoseTarget(samples.tip_pose[1], twist, acceleration)
@@ -103,8 +105,12 @@ def reproduce(seconds: float, folder: Path) -> Result:
     motions = dict[str, Motion]()
     # the paper's law, continuous in time
     for name, (scene, passive, inverse) in DESIGNS.items():
-        changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
-        models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
+        if passive == "none":
+            changes = {}
+        else:
+            changes = {"strain.passive_coordinates": passive}
+        changed = ste.load_scene(scene).replace(changes)
+        models[name] = ste.build_model(changed, "scene")
         loop = ClosedLoop(models[name], law_of(inverse))
         motions[name] = integrate(loop, duration, f"Figures 5 and 6, {name}")
     # what the package makes of it at a control period
@@ -122,33 +128,44 @@ def reproduce(seconds: float, folder: Path) -> Result:
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
     rows = []
     for name, (scene, passive, inverse) in DESIGNS.items():
-        rows.append((scene, passive, INVERSES[inverse], outcome(numbers[name])))
+        result = outcome(numbers[name])
+        row = (scene, passive, INVERSES[inverse], result)
+        rows.append(row)
     table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), rows)
     return Result(claims(numbers), {"tip_error": numbers}, (table,))
 
 
 def tip_error(motion: Motion) -> np.ndarray:
     """Distance (m,) [m] of the tip from the target."""
-    return np.linalg.norm(target_path(motion) - motion.tip, axis=1)
+    distance = target_path(motion) - motion.tip
+    return np.linalg.norm(distance, axis=1)
 
 
 def target_path(motion: Motion) -> np.ndarray:
     """Positions (m, 3) [m] of the target at the times of a motion."""
-    return np.asarray(COURSE.sample(motion.time).tip_pose[:, :3, 3])
+    course = COURSE.sample(motion.time)
+    positions = course.tip_pose[:, :3, 3]
+    return np.asarray(positions)
 
 
 def summary(motion: Motion, duration: float) -> dict[str, float]:
     """Numbers of a motion; fewer where it breaks down before its end."""
     error = tip_error(motion)
-    numbers = {"until_s": float(motion.time[-1]), "start_mm": 1e3 * float(error[0])}
+    last_time = float(motion.time[-1])
+    first_error = 1e3 * float(error[0])
+    numbers = {"until_s": last_time, "start_mm": first_error}
     if numbers["until_s"] < duration - SMOOTH:
         return numbers
     # the second turn, or the second half of a shorter motion
-    late = motion.time >= min(CIRCLE.period, 0.5 * duration)
+    first_turn = min(CIRCLE.period, 0.5 * duration)
+    late = motion.time >= first_turn
     smooth = motion.time >= SMOOTH
-    first = np.abs(motion.tension[~smooth])
+    rough = motion.tension[~smooth]
+    first = np.abs(rough)
     then = np.abs(motion.tension[smooth])
-    change = np.abs(np.diff(motion.tension[smooth], axis=0))
+    tension = motion.tension[smooth]
+    changes = np.diff(tension, axis=0)
+    change = np.abs(changes)
     return numbers | {
         "below_1_mm_from_s": below_for_good(motion.time, error, VERY_SMALL),
         "late_rms_mm": 1e3 * root_mean_square(error[late]),
@@ -164,7 +181,8 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
     # (c) errors
     claims = []
     for name, figure in SHOWN.items():
-        claims.append(staying_below(f"{figure}(c)", name, numbers[name]))
+        claim = staying_below(f"{figure}(c)", name, numbers[name])
+        claims.append(claim)
     # (b) tensions
     for name in (FULL, UNDER):
         first = numbers[name]["largest_tension_first_N"]
@@ -174,14 +192,16 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
             f"up to {first:.0f} N before {SMOOTH:g} s, then up to {then:.1f} N, changing by at most"
             f" {change:.2g} N in 5 ms"
         )
-        is_smooth = then < CALM * first and change < CALM * then
+        is_calm = then < CALM * first
+        is_smooth = is_calm and change < CALM * then
         saying = f"strengths high at first, then smooth, {name}"
         claims.append(Claim(f"{SHOWN[name]}(b)", saying, text, is_smooth))
     # both figures
     full = numbers[FULL]
     under = numbers[UNDER]
     better = full["late_rms_mm"] <= under["late_rms_mm"]
-    text = f"{outcome(full)} against {outcome(under).removeprefix('later ')}"
+    later = outcome(under).removeprefix("later ")
+    text = f"{outcome(full)} against {later}"
     claims.append(Claim("5, 6", "slightly better when fully actuated", text, better))
     return claims
 
@@ -197,7 +217,10 @@ def staying_below(
     """
     since = numbers.get("below_1_mm_from_s", np.inf)
     holds = bool(np.isfinite(since))
-    steady = "" if holds or "late_rms_mm" not in numbers else "steady-state error: "
+    if holds or "late_rms_mm" not in numbers:
+        steady = ""
+    else:
+        steady = "steady-state error: "
     saying = f"tip error stays below {1e3 * VERY_SMALL:g} mm, {name}"
     return Claim(
         figure,
@@ -224,9 +247,12 @@ def draw(
     motion = motions[name]
     figure = plt.figure(figsize=(16, 8), constrained_layout=True)
     grid = figure.add_gridspec(2, 3)
-    arms = figure.add_subplot(grid[:, 0], projection="3d")
-    tensions = figure.add_subplot(grid[0, 1:])
-    errors = figure.add_subplot(grid[1, 1:])
+    left_column = grid[:, 0]
+    arms = figure.add_subplot(left_column, projection="3d")
+    upper_right = grid[0, 1:]
+    tensions = figure.add_subplot(upper_right)
+    lower_right = grid[1, 1:]
+    errors = figure.add_subplot(lower_right)
     draw_arms(arms, model, motion.q, ACTUAL)
     box(
         arms,
@@ -235,11 +261,15 @@ def draw(
         wanted=target_path(motion),
     )
     draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
-    largest = np.abs(motion.tension[motion.time >= SMOOTH]).max()
+    is_smooth = motion.time >= SMOOTH
+    sizes = np.abs(motion.tension[is_smooth])
+    largest = sizes.max()
     tensions.set_ylim(-1.5 * largest, 1.5 * largest)  # cuts off what is high at first
     courses = {}
-    for label in (FULL, UNDER, PRINTED, SAMPLED[name]):
-        courses[f"(39), {label}"] = (motions[label].time, 1e3 * tip_error(motions[label]))
+    labels = (FULL, UNDER, PRINTED, SAMPLED[name])
+    for label in labels:
+        error = tip_error(motions[label])
+        courses[f"(39), {label}"] = (motions[label].time, 1e3 * error)
     draw_errors(errors, courses, "tip error [mm]", "(c) distance of the tip from the target")
     errors.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
     save_figure(figure, path)

@@ -44,8 +44,13 @@ FULL = "paper_48dof"
 
 def tension(t: float) -> np.ndarray:
     """Tensions (10,) [N] at time t [s]."""
-    smooth = AMPLITUDE * np.sin(np.pi * FREQUENCY * min(t, HELD)) ** 2
-    return smooth + STEP_TENSION if t >= STEP else smooth
+    time = min(t, HELD)
+    angle = np.pi * FREQUENCY * time
+    sine = np.sin(angle)
+    smooth = AMPLITUDE * sine**2
+    if t >= STEP:
+        return smooth + STEP_TENSION
+    return smooth
 
 
 def reproduce(seconds: float, folder: Path) -> Result:
@@ -55,7 +60,8 @@ def reproduce(seconds: float, folder: Path) -> Result:
         for name in (*REDUCED, FULL)
     }
     duration = min(seconds, DURATION)
-    say(f"Figure 2: {duration:g} s of {', '.join(models)}")
+    title = f"Figure 2: {duration:g} s of {', '.join(models)}"
+    say(title)
     motions = {
         name: ste.simulate(model, tension, duration, SAMPLE_PERIOD)
         for name, model in models.items()
@@ -63,11 +69,13 @@ def reproduce(seconds: float, folder: Path) -> Result:
     mismatch = {}
     for name in REDUCED:
         poses = motions[name].tip_pose - motions[FULL].tip_pose
-        mismatch[name] = np.linalg.norm(poses[:, :3, 3], axis=1)
+        positions = poses[:, :3, 3]
+        mismatch[name] = np.linalg.norm(positions, axis=1)
     draw(models["paper"], motions, mismatch, folder / "figure_2.png")
     time = motions[FULL].time
     numbers = {name: summary(time, 1e3 * error) for name, error in mismatch.items()}
-    return Result(claims(numbers, models[FULL].length), {"tip_mismatch_mm": numbers})
+    list_of_claims = claims(numbers, models[FULL].length)
+    return Result(list_of_claims, {"tip_mismatch_mm": numbers})
 
 
 def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
@@ -81,10 +89,12 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
         "end": float(error[-1]),
     }
     # a shorter motion says nothing of the step
-    if time[-1] < STEP + AFTER_STEP:
+    last = time[-1]
+    if last < STEP + AFTER_STEP:
         return numbers
     before = time < STEP
-    around = (time >= STEP) & (time <= STEP + AFTER_STEP)
+    is_soon = time <= STEP + AFTER_STEP
+    around = (time >= STEP) & is_soon
     return numbers | {
         "largest_before_step": float(error[before].max()),
         "largest_around_step": float(error[around].max()),
@@ -147,7 +157,8 @@ def draw(
     grid = figure.add_gridspec(2, 3)
     reduced = motions["paper"]
     time = motions[FULL].time
-    tensions = np.array([tension(t) for t in time])
+    tensions_of_times = [tension(t) for t in time]
+    tensions = np.array(tensions_of_times)
     draw_tensions(
         figure.add_subplot(grid[0, 0]),
         time,
@@ -161,11 +172,14 @@ def draw(
         reduced.q,
         title,
     )
-    arms = figure.add_subplot(grid[0, 2], projection="3d")
+    right = grid[0, 2]
+    arms = figure.add_subplot(right, projection="3d")
     draw_arms(arms, model, reduced.q, ACTUAL)
-    box(arms, "(d) shapes of the fully actuated system", actual=reduced.tip_pose[:, :3, 3])
+    tip_path = reduced.tip_pose[:, :3, 3]
+    box(arms, "(d) shapes of the fully actuated system", actual=tip_path)
     tips = figure.add_subplot(grid[1, 0])
-    for name, style in zip((FULL, *REDUCED), ("-", "--", ":"), strict=True):
+    names = (FULL, *REDUCED)
+    for name, style in zip(names, ("-", "--", ":"), strict=True):
         # the same colours for x, y, z of every model
         position = motions[name].tip_pose[:, :3, 3]
         tips.plot(

@@ -60,7 +60,10 @@ class LiveRows:
         self._recorders = dict[int, RowRecorder]()
         self._due = -np.inf  # [s] of the clock, when the next step is to be shown
         for row in range(min(episodes.size, ROWS)):
-            name = "arm" if episodes.size == 1 else f"row_{row}"
+            if episodes.size == 1:
+                name = "arm"
+            else:
+                name = f"row_{row}"
             self._viewer.add_arm(name, episodes.model)
             self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, PICTURE_PERIOD)
 
@@ -106,7 +109,8 @@ def open_viewer(port: int) -> None:
 
     No Ctrl-C reaches it. Raises gymnasium.error.Error.
     """
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
+    is_linux = sys.platform.startswith("linux")
+    if is_linux and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: use"
             ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'
@@ -131,5 +135,6 @@ def open_viewer(port: int) -> None:
     while not is_open(port) and process.poll() is None and time.monotonic() < end:
         time.sleep(LOOKS_EVERY)
     time.sleep(SETTLES)
-    if process.poll() is not None or not is_open(port):
+    has_ended = process.poll() is not None
+    if has_ended or not is_open(port):
         raise Error("the Rerun viewer did not open; `rerun` in a terminal says why")

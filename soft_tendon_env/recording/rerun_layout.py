@@ -57,7 +57,8 @@ class DrawnArm:
         is_new = False
         for kind, names in series.items():
             before = self.series.get(kind, [])
-            every = list(dict.fromkeys([*before, *names]))
+            in_order = [*before, *names]
+            every = list(dict.fromkeys(in_order))
             if every != before:
                 self.series[kind] = every
                 is_new = True
@@ -77,7 +78,10 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
     styles = dict[str, rr.SeriesLines]()
     alone = len(arms) == 1
     for name, arm in arms.items():
-        colors = None if alone else [arm.style.colour]
+        if alone:
+            colors = None
+        else:
+            colors = [arm.style.colour]
         for kind, series in arm.series.items():
             if kind in ("tension", "action"):
                 styles[f"{kind}/{part(name)}"] = rr.SeriesLines(names=series)
@@ -88,7 +92,10 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
                     label = name
                 else:
                     entity = f"{kind}/{part(name)}/{part(scalar)}"
-                    label = scalar if alone else f"{name} {scalar}"
+                    if alone:
+                        label = scalar
+                    else:
+                        label = f"{name} {scalar}"
                 styles[entity] = rr.SeriesLines(names=[label], colors=colors)
     return styles
 
@@ -107,7 +114,8 @@ def layout(
     axis = None
     state = None
     if live:
-        recent = rr.TimeRange(start=now(seconds=-RECENT), end=now(seconds=AHEAD))
+        begin = now(seconds=-RECENT)
+        recent = rr.TimeRange(start=begin, end=now(seconds=AHEAD))
         axis = rrb.TimeAxis(view_range=recent)
         state = rrb.components.PlayState.Following
     tabs = rrb.Tabs(
@@ -116,7 +124,8 @@ def layout(
         active_tab=0,
     )
     plots = rrb.Horizontal(*_errors(arms, axis), tabs)
-    body = rrb.Vertical(_scenery(arms, trail), plots, row_shares=[3, 2])
+    scenery = _scenery(arms, trail)
+    body = rrb.Vertical(scenery, plots, row_shares=[3, 2])
     time = rrb.TimePanel(state="collapsed", timeline="sim_time", play_state=state)
     return rrb.Blueprint(body, time, collapse_panels=True)
 
@@ -124,14 +133,21 @@ def layout(
 def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     """The arms in space, from where `render` sees one, on a floor below all of them."""
     first = next(iter(arms.values())).model
-    places = np.array([arm.place for arm in arms.values()])
+    every_place = [arm.place for arm in arms.values()]
+    places = np.array(every_place)
     position, target, up = camera(first, places, ASPECT)
     lower, upper, vertical, upright = view_box(first.scene)
     # the floor lies below all arms, wherever they are drawn
-    floor = (lower if upright else upper)[vertical] * up[vertical]
-    height = min(place @ up for place in places) + floor
+    if upright:
+        corner = lower
+    else:
+        corner = upper
+    floor = corner[vertical] * up[vertical]
+    heights = (place @ up for place in places)
+    height = min(heights) + floor
     now = rrb.TimeRangeBoundary.cursor_relative
-    recent = rrb.VisibleTimeRange("sim_time", start=now(seconds=-trail), end=now())
+    begin = now(seconds=-trail)
+    recent = rrb.VisibleTimeRange("sim_time", start=begin, end=now())
     # of tips and targets the view shows the last seconds, of all else the present
     trails = dict[Any, Any]()
     for name in arms:
@@ -152,7 +168,10 @@ def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
 
 def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
     """A plot per error, in its unit, with a line per arm."""
-    legend = LEGEND if len(arms) > 1 else NO_LEGEND
+    if len(arms) > 1:
+        legend = LEGEND
+    else:
+        legend = NO_LEGEND
     length = next(iter(arms.values())).model.length
     plots = Views()
     for name in _names(arms, "error"):
@@ -160,10 +179,15 @@ def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
         title = unit.heading
         span = None
         if unit.symbol in SHOWN:
-            most = SHOWN[unit.symbol] * (length if unit.symbol == "mm" else 1.0)
+            if unit.symbol == "mm":
+                unit_length = length
+            else:
+                unit_length = 1.0
+            most = SHOWN[unit.symbol] * unit_length
             title = f"{unit.heading}, up to {most:.3g}"
             span = (0.0, most)
-        plots.append(_plot(f"/plot/{part(name)}", title, axis, legend, span))
+        origin = f"/plot/{part(name)}"
+        plots.append(_plot(origin, title, axis, legend, span))
     return plots
 
 
@@ -176,7 +200,10 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
         "tension": ("tensions [N]", (float(limits.min()), float(limits.max()))),
         "action": ("actions", (-1.0, 1.0)),
     }
-    legend = LEGEND if len(arms) == 1 else NO_LEGEND
+    if len(arms) == 1:
+        legend = LEGEND
+    else:
+        legend = NO_LEGEND
     columns = min(MOST_COLUMNS, len(arms))
     grids = Views()
     for kind, (title, span) in kinds.items():
@@ -191,7 +218,8 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
                 )
                 for arm in arms
             ]
-            grids.append(rrb.Grid(*plots, name=title, grid_columns=columns))
+            grid = rrb.Grid(*plots, name=title, grid_columns=columns)
+            grids.append(grid)
     return grids
 
 
@@ -202,14 +230,19 @@ def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> Views:
         shown = []
         for arm, known in arms.items():
             for name in known.series.get(kind, []):
-                shown.append(f"/{kind}/{part(arm)}/{part(name)}")
+                entity = f"/{kind}/{part(arm)}/{part(name)}"
+                shown.append(entity)
         if shown:
-            legend = LEGEND if len(shown) > 1 else NO_LEGEND
+            if len(shown) > 1:
+                legend = LEGEND
+            else:
+                legend = NO_LEGEND
             view = rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend)
             views.append(view)
     views.append(rrb.TextLogView(origin="/episodes", name="episodes"))
     first = next(iter(arms))
-    views.append(rrb.TextDocumentView(origin=f"/scene/{part(first)}", name="scene"))
+    origin = f"/scene/{part(first)}"
+    views.append(rrb.TextDocumentView(origin=origin, name="scene"))
     return views
 
 
@@ -224,7 +257,10 @@ def _plot(
 
     `values`: the least and the greatest that it opens with, None: all.
     """
-    vertical = None if values is None else rrb.ScalarAxis(range=values)
+    if values is None:
+        vertical = None
+    else:
+        vertical = rrb.ScalarAxis(range=values)
     return rrb.TimeSeriesView(
         origin=origin, name=name, axis_x=axis, axis_y=vertical, plot_legend=legend
     )

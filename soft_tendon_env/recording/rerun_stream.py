@@ -113,8 +113,10 @@ class RerunStream:
         if place is None:
             place = shapes.side_by_side(model, len(self._arms))
         position = np.array(list(place), dtype=float)
-        style = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, style, position, shapes.drawing_stations(model, STATIONS))
+        styles = [other.style for other in self._arms.values()]
+        style = palette.style(arm, styles)
+        stations = shapes.drawing_stations(model, STATIONS)
+        new = DrawnArm(model, style, position, stations)
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
         # compiles, if need be, before an episode waits for it
         shapes.backbones(model, straight[None], new.station)
@@ -126,7 +128,8 @@ class RerunStream:
 
         It is that of the arm which is furthest.
         """
-        latest = max(((arm.time, arm.step) for arm in self._arms.values()), default=(0, 0))
+        moments = ((arm.time, arm.step) for arm in self._arms.values())
+        latest = max(moments, default=(0, 0))
         for arm in self._arms.values():
             arm.time, arm.step = latest
 
@@ -146,7 +149,8 @@ class RerunStream:
         if arm not in self._arms:
             self.add_arm(arm, rollout.model)
         known = self._arms[arm]
-        if rollout.model is not known.model and rollout.model.scene != known.model.scene:
+        is_other = rollout.model is not known.model
+        if is_other and rollout.model.scene != known.model.scene:
             raise ValueError(
                 f"arm {arm!r} has another scene, {known.model.scene.name!r}: give this one a name"
                 " of its own"
@@ -200,12 +204,14 @@ class RerunStream:
         solid = rr.components.FillMode.Solid
         *_, vertical, upright = shapes.view_box(scene)
         depth, radius = shapes.mount_size(scene)
-        along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+        quarter_turn = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+        along_x = rr.Quaternion(xyzw=quarter_turn)
         behind = [-depth / 2, 0.0, 0.0]
         label = shapes.label_place(new.model)
         start = new.station[:-1]
         end = new.station[1:]
-        radii, _ = rod_radius(scene, 0.5 * (end + start))
+        middle = 0.5 * (end + start)
+        radii, _ = rod_radius(scene, middle)
         colors = (*new.style.colour, TRANSPARENCY)
         # what moves is sent with the samples; here is how it looks
         parts: dict[str, rr.AsComponents] = {
@@ -233,8 +239,12 @@ class RerunStream:
             ),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
         }
-        up = "UP" if upright else "DOWN"
-        axes = getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{up}")
+        if upright:
+            up = "UP"
+        else:
+            up = "DOWN"
+        coordinates = f"RIGHT_HAND_{'XYZ'[vertical]}_{up}"
+        axes = getattr(rr.ViewCoordinates, coordinates)
         self._send_static("world", axes)
         discs = disc_rows(scene)
         if discs.size:
@@ -244,7 +254,8 @@ class RerunStream:
         for name, what in parts.items():
             self._send_static(f"world/{part(arm)}{name}", what)
         text = json.dumps(scene_to_dict(scene), indent=2)
-        self._send_static(f"scene/{part(arm)}", rr.TextDocument(text))
+        entity = f"scene/{part(arm)}"
+        self._send_static(entity, rr.TextDocument(text))
 
     def _send_arm(
         self,
@@ -254,14 +265,16 @@ class RerunStream:
         times: list[rr.TimeColumn],
     ) -> None:
         model = rollout.model
-        base = shapes.base_poses(model, _moments(known, rollout), rollout.scene)
+        moments = _moments(known, rollout)
+        base = shapes.base_poses(model, moments, rollout.scene)
         if (base != np.eye(4)).any():
             self._send(f"{root}/mount", times, _poses(base))
         # the rod, as cylinders between its stations
         frames = shapes.backbones(model, rollout.strain, known.station, base)
         position = shapes.positions(frames)
         centers, quaternions = shapes.cylinders(position)
-        self._send(f"{root}/body", times, _cylinders(centers, quaternions))
+        columns = _cylinders(centers, quaternions)
+        self._send(f"{root}/body", times, columns)
         self._send(f"{root}/backbone", times, _lines(position))
         discs = disc_rows(model.scene)
         if discs.size:
@@ -281,7 +294,8 @@ class RerunStream:
             strips=_strips(curves), colors=colors.reshape(-1, 3).astype(np.uint8)
         )
         per_sample = [len(curves)] * rollout.samples
-        self._send(f"{root}/tendons", times, strips.partition(per_sample))
+        columns = strips.partition(per_sample)
+        self._send(f"{root}/tendons", times, columns)
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
         # the tip, and the way that it came
         tip = shapes.positions(rollout.tip_pose)
@@ -301,8 +315,10 @@ class RerunStream:
     ) -> None:
         if rollout.target_pose is not None:
             if known.episode == 0 and known.target is None:
-                self._send_target_frame(f"{root}/target", rod_length(rollout.model.scene))
-            self._send(f"{root}/target", times, _poses(rollout.target_pose))
+                length = rod_length(rollout.model.scene)
+                self._send_target_frame(f"{root}/target", length)
+            poses = _poses(rollout.target_pose)
+            self._send(f"{root}/target", times, poses)
             target = shapes.positions(rollout.target_pose)
             self._send(
                 f"{root}/target_trail",
@@ -311,11 +327,13 @@ class RerunStream:
             )
             known.target = target[-1:]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
-            self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
+            lines = _lines(rollout.target_backbone)
+            self._send(f"{root}/target_backbone", times, lines)
 
     def _send_target_frame(self, entity: str, length: float) -> None:
         """Log how a target's pose looks, on an arm of this length [m]."""
-        point = rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR)
+        origin = [[0.0, 0.0, 0.0]]
+        point = rr.Points3D(origin, radii=TARGET_SIZE, colors=TARGET_COLOR)
         self._send_static(entity, point)
         lines = list(length * AXES)
         axes = rr.LineStrips3D(lines, radii=TARGET_WIDTH, colors=TARGET_COLOR)
@@ -342,14 +360,19 @@ class RerunStream:
             first = _times(known, 1, rollout.period)
             for number, obstacle in enumerate(obstacles):
                 corners = shapes.surface(obstacle, 0.0, (lower, upper))
-                look = _seen_through(corners) if obstacle.is_endless else _mesh(corners)
+                if obstacle.is_endless:
+                    look = _seen_through(corners)
+                else:
+                    look = _mesh(corners)
                 self._send(f"{root}/solids/{number}", first, look)
         # surfaces are sent where they are at time 0, and then how they have moved since
         moments = _moments(known, rollout).tolist()
         for number, obstacle in enumerate(obstacles):
             if obstacle.moves:
-                poses = np.array([obstacle.pose(time) for time in moments])
-                from_first = poses @ np.linalg.inv(obstacle.pose(0.0))
+                obstacle_poses = [obstacle.pose(time) for time in moments]
+                poses = np.array(obstacle_poses)
+                to_first = np.linalg.inv(obstacle.pose(0.0))
+                from_first = poses @ to_first
                 self._send(
                     f"{root}/solids/{number}",
                     times,
@@ -392,7 +415,8 @@ class RerunStream:
                 )
         series = dict[str, list[str]]()
         for kind, values in rows.items():
-            series[kind] = [f"{kind} {number}" for number in range(values.shape[1])]
+            series_count = values.shape[1]
+            series[kind] = [f"{kind} {number}" for number in range(series_count)]
         for name in rollout.scalars:
             series.setdefault(_kind(name), []).append(name)
         # a layout takes space: not one for each arm that appears
@@ -403,14 +427,17 @@ class RerunStream:
         """Sends the names and colours of all lines in plots, and the layout of the viewer."""
         for entity, style in line_styles(self._arms).items():
             self._send_static(entity, style)
-        self._open_recording().send_blueprint(layout(self._arms, TRAIL, live=self.live))
+        blueprint = layout(self._arms, TRAIL, live=self.live)
+        self._open_recording().send_blueprint(blueprint)
 
 
 def _kind(scalar: str) -> str:
     """The group of plots that a scalar belongs to."""
     if scalar.startswith("reward"):
         return "reward"
-    return "error" if scalar.endswith("error") else "other"
+    if scalar.endswith("error"):
+        return "error"
+    return "other"
 
 
 def _nanoseconds(seconds: float) -> int:
@@ -440,8 +467,12 @@ def _steps(position: Array, before: Array | None) -> Array:
     The view shows those of the last seconds together. before (1, 3): the last of the samples
     before, None: there are none.
     """
-    first = position[:1] if before is None else before
-    start = np.concatenate([first, position[:-1]])
+    if before is None:
+        first = position[:1]
+    else:
+        first = before
+    starts = [first, position[:-1]]
+    start = np.concatenate(starts)
     return np.stack([start, position], axis=1)
 
 
@@ -453,7 +484,8 @@ def _lines(points: Array) -> rr.ComponentColumnList:
 def _poses(pose: Array) -> rr.ComponentColumnList:
     """A transform per pose (samples, 4, 4)."""
     rotation = pose[:, :3, :3]
-    return rr.Transform3D.columns(translation=shapes.positions(pose), mat3x3=rotation)
+    translation = shapes.positions(pose)
+    return rr.Transform3D.columns(translation=translation, mat3x3=rotation)
 
 
 def _cylinders(centers: Array, quaternions: Array) -> rr.ComponentColumnList:
@@ -467,11 +499,16 @@ def _cylinders(centers: Array, quaternions: Array) -> rr.ComponentColumnList:
 
 def _mesh(corners: Array) -> list[rr.ComponentColumn]:
     """Quadrilaterals (n, 4, 3) as a mesh, at one time."""
-    first = 4 * np.arange(len(corners))[:, None]  # number of a quadrilateral's first corner
-    halves = [first + [0, 1, 2], first + [0, 2, 3]]
+    numbers = np.arange(len(corners))
+    corner_places = numbers[:, None]
+    first = 4 * corner_places  # number of a quadrilateral's first corner
+    lower = first + [0, 1, 2]
+    upper = first + [0, 2, 3]
+    halves = [lower, upper]
     triangles = np.concatenate(halves)
     directions = np.repeat(normals(corners), 4, axis=0)
-    vertices = rr.Mesh3D.columns(vertex_positions=corners.reshape(-1, 3), vertex_normals=directions)
+    vertices_in_rows = corners.reshape(-1, 3)
+    vertices = rr.Mesh3D.columns(vertex_positions=vertices_in_rows, vertex_normals=directions)
     faces = rr.Mesh3D.columns(triangle_indices=triangles)
     return [
         *vertices.partition([4 * len(corners)]),
@@ -482,14 +519,17 @@ def _mesh(corners: Array) -> list[rr.ComponentColumn]:
 
 def _seen_through(corners: Array) -> list[rr.ComponentColumn]:
     """Quadrilaterals (n, 4, 3) as lines, at one time."""
-    lines = rr.LineStrips3D.columns(strips=corners.astype(np.float32))
+    strips = corners.astype(np.float32)
+    lines = rr.LineStrips3D.columns(strips=strips)
     look = rr.LineStrips3D.columns(radii=[THIN_WIDTH], colors=[SOLID_COLOR])
-    return [*lines.partition([len(corners)]), *look]
+    strip_lengths = [len(corners)]
+    return [*lines.partition(strip_lengths), *look]
 
 
 def _moments(known: DrawnArm, rollout: Rollout) -> Array:
     """Times (samples,) [s] of a rollout's samples since its episode began."""
-    numbers = known.shown + np.arange(rollout.samples)
+    numbers_of_samples = np.arange(rollout.samples)
+    numbers = known.shown + numbers_of_samples
     return np.asarray(numbers * rollout.period)
 
 
@@ -501,8 +541,10 @@ def _strips(curves: list[Array]) -> pyarrow.Array:
     kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
     samples = len(curves[0])
     points = np.concatenate(curves, axis=1, dtype=np.float32)
-    counts = np.tile([curve.shape[1] for curve in curves], samples)
-    ends = np.cumsum([0, *counts], dtype=np.int32)
+    points_per_curve = [curve.shape[1] for curve in curves]
+    counts = np.tile(points_per_curve, samples)
+    borders = [0, *counts]
+    ends = np.cumsum(borders, dtype=np.int32)
     numbers = pyarrow.array(points.ravel())
     vectors = pyarrow.FixedSizeListArray.from_arrays(numbers, type=kind.value_type)
     return pyarrow.ListArray.from_arrays(ends, vectors, type=kind)

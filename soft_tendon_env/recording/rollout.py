@@ -74,9 +74,12 @@ class RolloutBuffer:
             episodes.target_backbone,
         )
         sample = [values[row].copy() for values in values_of_rows]
-        scalars = {name: float(values[row]) for name, values in episodes.info().items()}
-        action = np.array(episodes.observed.action[row], dtype=float)
-        scalars["reward"] = float(episodes.reward[row])
+        numbers = episodes.info().items()
+        scalars = {name: float(values[row]) for name, values in numbers}
+        row_action = episodes.observed.action[row]
+        action = np.array(row_action, dtype=float)
+        reward = episodes.reward[row]
+        scalars["reward"] = float(reward)
         if episodes.step_count[row] == 0:  # neither has led there
             action[:] = np.nan
             scalars["reward"] = np.nan
@@ -104,7 +107,8 @@ class RolloutBuffer:
         )
         scalars = {}
         for name in self._scalars[0]:
-            scalars[name] = np.array([record[name] for record in self._scalars])
+            values = [record[name] for record in self._scalars]
+            scalars[name] = np.array(values)
         return Rollout(
             model,
             self._episodes.period,
@@ -146,4 +150,8 @@ def collect(
         observation, _, terminated, truncated, _ = env.step(policy(observation))
         buffer.take()
         ended = terminated or truncated
-    return buffer.rollout("" if seed is None else f"seed {seed}")
+    if seed is None:
+        title = ""
+    else:
+        title = f"seed {seed}"
+    return buffer.rollout(title)

@@ -54,7 +54,10 @@ class RowRecorder:
         self.finish()
         self._episode += 1
         chosen = self._episodes.options.target
-        target = self._episodes.task.target if chosen is None else chosen.type
+        if chosen is None:
+            target = self._episodes.task.target
+        else:
+            target = chosen.type
         self._title = f"episode {self._episode}, target {target}"
         if seed is not None:
             self._title += f", seed {seed}"
@@ -125,7 +128,10 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         self._closes = isinstance(file, str | Path)
         self._file = _open(file)
         if place is not None:
-            position = None if place == "beside" else place
+            if place == "beside":
+                position = None
+            else:
+                position = place
             self._file.add_arm(name, episodes.model, position)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
 
@@ -206,7 +212,8 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         super().__init__(env)
         unknown = [row for row in rows if not 0 <= row < env.num_envs]
         if unknown:
-            raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
+            last = env.num_envs - 1
+            raise ValueError(f"rows should be from 0 to {last}, not {unknown}")
         self._episodes = episodes_of(env)
         self._file = _open(path)
         self._recorders = dict[int, RowRecorder]()
@@ -231,7 +238,8 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         mask = (options or {}).get("reset_mask")
         seeds = seed
         if seed is None or isinstance(seed, int):  # as Gymnasium counts on
-            seeds = [None if seed is None else seed + row for row in range(self.num_envs)]
+            rows = range(self.num_envs)
+            seeds = [None if seed is None else seed + row for row in rows]
         for row, recorder in self._recorders.items():
             if mask is None or mask[row]:
                 recorder.begin(seeds[row])
@@ -274,4 +282,6 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
 def _open(file: "str | Path | RerunFile") -> "RerunFile":
     from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
 
-    return RerunFile(file) if isinstance(file, str | Path) else file
+    if isinstance(file, str | Path):
+        return RerunFile(file)
+    return file

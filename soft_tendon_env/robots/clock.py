@@ -25,7 +25,9 @@ class Clock:
 
     def now(self) -> float:
         """The time [s]."""
-        return perf_counter() if self.real else max(self._times.values())
+        if self.real:
+            return perf_counter()
+        return max(self._times.values())
 
     def wait_until(self, time: float) -> None:
         """Waits until a time [s]; returns at once where it is past."""
@@ -74,7 +76,8 @@ class Pacer:
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
         self.count += 1
-        deadline = self._first + self.period * self.count
+        elapsed = self.period * self.count
+        deadline = self._first + elapsed
         if self.clock.now() > deadline:
             self._overruns += 1
         self.clock.wait_until(deadline)
@@ -86,7 +89,8 @@ class Pacer:
     def timing(self) -> Timing:
         """Statistics until now; zeros before the first period is over."""
         lateness = self._lateness or [0.0]
-        p50, p99, worst = np.percentile(lateness, [50, 99, 100]).tolist()
+        percentiles = np.percentile(lateness, [50, 99, 100])
+        p50, p99, worst = percentiles.tolist()
         return Timing(
             periods=self.count,
             overruns=self._overruns,

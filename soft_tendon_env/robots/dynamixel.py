@@ -83,21 +83,27 @@ class DynamixelRobot:
             self.senses = (*self.senses, "tip_pose")
         self._check_ids()
         count = len(self.ids)
-        radius = self.radius if np.ndim(self.radius) else np.full(count, self.radius)
+        if np.ndim(self.radius):
+            radius = self.radius
+        else:
+            radius = np.full(count, self.radius)
         self._radius = checked_array("radius", radius, (count,))
         constant = checked_number(
             "torque_constant", self.torque_constant, 1e-9, "a positive number of N m / A"
         )
-        if not self._radius.all() or not WATCHDOG_UNIT <= self.watchdog <= MOST_WATCHDOG:
+        has_radii = self._radius.all()
+        if not has_radii or not WATCHDOG_UNIT <= self.watchdog <= MOST_WATCHDOG:
             raise ValueError(
                 f"radius should not be 0, and watchdog from {WATCHDOG_UNIT} to {MOST_WATCHDOG:g} s"
             )
-        self._tension_unit = self.current_unit * constant / self._radius  # [N] of a step of current
+        torque_unit = self.current_unit * constant
+        self._tension_unit = torque_unit / self._radius  # [N] of a step of current
         self._most = list[int]()  # steps of current that the motors allow
         self._port = sdk.PortHandler(self.port)
         self._packets = sdk.PacketHandler(2.0)
         self._success = sdk.COMM_SUCCESS
-        if not (self._port.openPort() and self._port.setBaudRate(BAUD)):
+        is_open = self._port.openPort()
+        if not (is_open and self._port.setBaudRate(BAUD)):
             raise ConnectionError(f"{self.port} cannot be opened at {BAUD} bits/s")
         self._sender = sdk.GroupSyncWrite(self._port, self._packets, *GOAL)
         self._reader = sdk.GroupSyncRead(self._port, self._packets, *PRESENT)
@@ -107,7 +113,8 @@ class DynamixelRobot:
             self._set(motor, TORQUE_ENABLE, 0)
             self._set(motor, OPERATING_MODE, CURRENT_CONTROL)
             limit = partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT)
-            self._most.append(self._ask(f"motor {motor}", limit))
+            most = self._ask(f"motor {motor}", limit)
+            self._most.append(most)
         _, _, self._zero = self._read_present()
         for motor in self.ids:
             self._set(motor, TORQUE_ENABLE, 1)
@@ -178,18 +185,24 @@ class DynamixelRobot:
             TypeError: for what is no array of numbers.
             ValueError: for another shape.
         """
-        tension = checked_array("command", command, (len(self.ids),))
+        shape = (len(self.ids),)
+        tension = checked_array("command", command, shape)
         steps = tension / self._tension_unit
-        whole = np.trunc(steps + ROUND_OFF * np.sign(steps))
+        direction = np.sign(steps)
+        rounded = steps + ROUND_OFF * direction
+        whole = np.trunc(rounded)
         most = np.array(self._most)
         ticks = np.clip(whole, -most, most)
-        if perf_counter() - self._heard > 0.5 * self.watchdog:
+        silence = perf_counter() - self._heard
+        if silence > 0.5 * self.watchdog:
             # a motor that has stopped for the silence goes on
             self._set(EVERYBODY, BUS_WATCHDOG, 0)
-            self._set(EVERYBODY, BUS_WATCHDOG, round(self.watchdog / WATCHDOG_UNIT))
+            units = round(self.watchdog / WATCHDOG_UNIT)
+            self._set(EVERYBODY, BUS_WATCHDOG, units)
         self._sender.clearParam()
         for motor, goal in zip(self.ids, ticks, strict=True):
-            self._sender.addParam(motor, struct.pack(GOAL_FORMAT, int(goal)))
+            packed = struct.pack(GOAL_FORMAT, int(goal))
+            self._sender.addParam(motor, packed)
         # once: the next period sends anew
         self._ask("the motors", lambda: (None, self._sender.txPacket(), 0), tries=1)
         self._heard = perf_counter()
@@ -244,10 +257,12 @@ class DynamixelRobot:
                 if not isinstance(lost, Exception):
                     raise
                 raise ConnectionError(f"{self.port} is lost: {lost}") from lost
-            if result == self._success and not error:
+            succeeded = result == self._success
+            if succeeded and not error:
                 return value
         if result == self._success:
             reason = self._packets.getRxPacketError(error)
         else:
             reason = self._packets.getTxRxResult(result)
-        raise ConnectionError(f"{who} on {self.port}: {reason}")
+        message = f"{who} on {self.port}: {reason}"
+        raise ConnectionError(message)

@@ -98,7 +98,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         ).episodes
         reason = misfit(robot, episodes)
         if reason:
-            problem = Problem(("robot",), f"is {type(robot).__name__}, {reason}")
+            message = f"is {type(robot).__name__}, {reason}"
+            problem = Problem(("robot",), message)
             raise ConfigurationError([problem], "environment")
         fastest = np.inf
         if rate is not None:
@@ -109,7 +110,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         )
         model = episodes.model
         actions = episodes.actuation.actions
-        limits = np.stack([actions.least, actions.greatest], axis=1)
+        columns = [actions.least, actions.greatest]
+        limits = np.stack(columns, axis=1)
         sensors = episodes.sensors.size
         patience = checked_count("patience", patience, 1)
         bounds = _bounds(episodes)
@@ -185,7 +187,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             observation, reward, terminated, truncated, info = self.env.step(action)
         except RobotStopped as stopped:
             observation, info = self._last
-            return observation, 0.0, False, True, {**info, "stopped": str(stopped)}
+            last_info = {**info, "stopped": str(stopped)}
+            return observation, 0.0, False, True, last_info
         self._last = observation, info
         return observation, float(reward), terminated, truncated, info
 
@@ -253,8 +256,11 @@ class MeasuredArm(Arms):
         self._command = episodes.start_command
         self._actuation = episodes.actuation
         # the pretension is not there before the rate has led to it
-        way = float(np.abs(self._command - robot.slack).max())
-        self._rise = max(settle, way / robot.rate)
+        differences = self._command - robot.slack
+        distances = np.abs(differences)
+        way = float(distances.max())
+        seconds = way / robot.rate
+        self._rise = max(settle, seconds)
         # [s], at least half a swing, which stands still where it turns
         self._window = max(WINDOW, half_swing(episodes))
         self._is_there = settle == 0.0  # whether the robot rests under the first command
@@ -277,12 +283,16 @@ class MeasuredArm(Arms):
             self.pacer = Pacer(self.robot.clock, self.pacer.period)
         self._is_there = False
         if not self._has_zeros:
-            for name in {"tendon_length", "strain"} & {*self.robot.senses}:
+            names = {"tendon_length", "strain"} & {*self.robot.senses}
+            for name in names:
                 # the simulated arm is at rest under the same command
-                measured = np.mean([getattr(reading, name) for reading in readings], axis=0)
-                self.zero[name] = getattr(self.reading, name)[0] - measured
+                values_by_reading = [getattr(reading, name) for reading in readings]
+                measured = np.mean(values_by_reading, axis=0)
+                value = getattr(self.reading, name)[0]
+                self.zero[name] = value - measured
         # of the last two the earlier one is the log's row before time 0; there may be one alone
-        self._take(readings[-2:][0])
+        last = readings[-2:][0]
+        self._take(last)
         if self._log is not None:
             self._log.begin(self.pacer.period, self._time, self.reading, self._command)
         self._take(readings[-1])
@@ -306,19 +316,23 @@ class MeasuredArm(Arms):
             try:
                 self._log.append(time, self._time, self.reading, asked, sent)
             except OSError as error:
-                self.robot.fail(f"the log {self._log.path} cannot be written: {describe(error)}")
+                message = f"the log {self._log.path} cannot be written: {describe(error)}"
+                self.robot.fail(message)
         command[:] = sent
         self._actuation.command[0] = sent
         super().step(command, members, durations, tape)  # one that begins, whatever was asked
         self.outcome.status[:] = OK  # a robot does not diverge
-        self._take(self.robot.read(self.pacer.wait()))
+        measured = self.robot.read(self.pacer.wait())
+        self._take(measured)
 
     def _take(self, measured: Measurement) -> None:
         """Make a measurement the reading, with the zeros of the arm at rest."""
         self._time = measured.time
         self.reading.tension[:] = np.nan  # unless it is measured
         for name in self.robot.senses:
-            getattr(self.reading, name)[0] = getattr(measured, name) + self.zero.get(name, 0.0)
+            zero = self.zero.get(name, 0.0)
+            value = getattr(measured, name)
+            getattr(self.reading, name)[0] = value + zero
 
     def _wait_for_rest(self) -> list[Measurement]:
         """Last readings of the arm at rest under the first command.
@@ -328,26 +342,33 @@ class MeasuredArm(Arms):
         period = self.pacer.period
         slack = self.robot.slack
         # in periods
-        rise = max(round(self._rise / period), 1)
-        window = max(round(self._window / period), READINGS)
+        periods_of_rise = round(self._rise / period)
+        rise = max(periods_of_rise, 1)
+        periods = round(self._window / period)
+        window = max(periods, READINGS)
         between_looks = max(window // LOOKS, 1)
         last = deque[tuple[int, Measurement]](maxlen=window)  # new readings, by their period
         was_still = False
         for k in itertools.count(1 - rise):  # period 0 is the first at the whole command
-            share = min((k + rise) / rise, 1.0)
-            self.robot.write(slack + share * (self._command - slack))
+            part = (k + rise) / rise
+            share = min(part, 1.0)
+            way = self._command - slack
+            command = slack + share * way
+            self.robot.write(command)
             self.pacer.wait()
             measured = self.robot.read()
             if k > 0 and (not last or measured.time_of_pose != last[-1][1].time_of_pose):
                 last.append((k, measured))
-            if len(last) < window or k % between_looks:
+            is_short = len(last) < window
+            if is_short or k % between_looks:
                 continue
             speed = self._speed(last)
             is_still = speed <= self._still
             if is_still and was_still:
                 break
             was_still = is_still
-            if period * k >= WAIT and not is_still:
+            is_late = period * k >= WAIT
+            if is_late and not is_still:
                 self.robot.fail(
                     f"the arm does not come to rest: its tip moves at {speed:.3g} m/s,"
                     f" {period * k:g} s after the first command; at rest it is at most"
@@ -360,9 +381,11 @@ class MeasuredArm(Arms):
         first, _ = readings[0]
         last, _ = readings[-1]
         poses = [reading.tip_pose for _, reading in readings if reading.tip_pose is not None]
-        positions = np.array([pose[:3, 3] for pose in poses])
+        tips = [pose[:3, 3] for pose in poses]
+        positions = np.array(tips)
         steps = len(readings) - 1
-        between = self.pacer.period * (last - first) / steps  # [s]
+        elapsed = self.pacer.period * (last - first)
+        between = elapsed / steps  # [s]
         return speed_of(positions, between)
 
 
@@ -380,13 +403,17 @@ def speed_of(position: Array, period: float) -> float:
         The speed [m/s].
     """
     count = len(position)
-    amplitude = scipy.fft.dct(position, axis=0, norm="ortho")[1:]  # without the mean
+    spectrum = scipy.fft.dct(position, axis=0, norm="ortho")
+    amplitude = spectrum[1:]  # without the mean
     power = amplitude**2 / count
-    is_motion = power > STANDS_OUT * np.median(power, axis=0)
+    typical = np.median(power, axis=0)
+    is_motion = power > STANDS_OUT * typical
     motion = np.sum(power, axis=1, where=is_motion)
     order = np.arange(1, count)
-    rate = np.pi * order / (count * period)  # [rad/s] of the modes
-    square = np.sum(rate**2 * motion)
+    angle = np.pi * order
+    rate = angle / (count * period)  # [rad/s] of the modes
+    products = rate**2 * motion
+    square = np.sum(products)
     return float(np.sqrt(square))
 
 
@@ -412,7 +439,8 @@ def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
         env: of the simulated arm.
         seed: of the episode.
     """
-    for _ in itertools.islice(play_steps(policy, env, [seed]), REHEARSED):
+    steps = play_steps(policy, env, [seed])
+    for _ in itertools.islice(steps, REHEARSED):
         pass
 
 
@@ -445,9 +473,12 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     errors = list[list[float]]()  # of every period, by the names of the episodes' errors
     try:
         _check_length(env, seconds, steps)
-        for k, step in enumerate(play_steps(policy, env, [seed])):
+        played = play_steps(policy, env, [seed])
+        for k, step in enumerate(played):
             if robot.stopped is None:
-                errors.append([float(values[0]) for values in episodes.errors.values()])
+                values_of_rows = episodes.errors.values()
+                last_errors = [float(values[0]) for values in values_of_rows]
+                errors.append(last_errors)
             if k == steps:
                 robot.stop(FINISHED)
                 break
@@ -462,7 +493,9 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     finally:
         timing = arm.pacer.timing
         env.close()
-    by_name = np.array(errors).reshape(-1, len(episodes.errors)).T
+    by_episode = np.array(errors)
+    error_count = len(episodes.errors)
+    by_name = by_episode.reshape(-1, error_count).T
     stop = robot.stop(FINISHED)
     return Report(
         errors=dict(zip(episodes.errors, by_name, strict=True)),

@@ -29,7 +29,8 @@ class Freshness:
     @property
     def age(self) -> float:
         """Time [s] since the slowest sensor gave something new."""
-        return self._clock.now() - min(self._came, self._pose_came)
+        oldest = min(self._came, self._pose_came)
+        return self._clock.now() - oldest
 
     @property
     def age_of_pose(self) -> float:
@@ -55,8 +56,14 @@ class Freshness:
         if self.newest is None:
             self.newest = measured
             return
-        motors = measured if is_new else self.newest
-        tracker = measured if takes_pose else self.newest
+        if is_new:
+            motors = measured
+        else:
+            motors = self.newest
+        if takes_pose:
+            tracker = measured
+        else:
+            tracker = self.newest
         self.newest = motors._replace(
             tip_pose=tracker.tip_pose, tip_twist=tracker.tip_twist, tip_time=tracker.tip_time
         )

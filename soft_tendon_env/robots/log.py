@@ -37,7 +37,8 @@ def check_log(path: Path) -> None:
         )
     if path.exists():
         others = (path.with_stem(f"{path.stem}_{k}") for k in itertools.count(2))
-        free = next(other for other in others if not other.exists())
+        unused = (other for other in others if not other.exists())
+        free = next(unused)
         raise FileExistsError(
             f"the log {path} is there already, and no log is overwritten: give another name, such"
             f" as {free}"
@@ -71,8 +72,10 @@ class RobotLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 (until `close`)
         self._writer = csv.writer(self._file, lineterminator="\n")
-        measured = [column for name in ("sent", "asked", *senses) for column in columns[name]]
-        self._writer.writerow(["hold", "time", "measured_time", *measured])
+        kinds = ("sent", "asked", *senses)
+        measured = [column for name in kinds for column in columns[name]]
+        header = ["hold", "time", "measured_time", *measured]
+        self._writer.writerow(header)
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
         """Begins another motion, at time 0, from rest under a command (n_a,).
@@ -94,7 +97,8 @@ class RobotLog:
         """
         self._motions += len(self._waiting)
         row = self._row(time, measured_time, reading, asked, sent)
-        self._writer.writerows([*self._waiting, row])
+        rows = [*self._waiting, row]
+        self._writer.writerows(rows)
         self._waiting = []
         self._file.flush()
 
@@ -106,9 +110,11 @@ class RobotLog:
         for name in self._senses:
             value = getattr(reading, name)[0]
             if name == "tip_pose":
-                rotation = Rotation.from_matrix(value[:3, :3])
+                matrix = value[:3, :3]
+                rotation = Rotation.from_matrix(matrix)
                 quaternion = rotation.as_quat(canonical=True, scalar_first=True)
-                value = np.concatenate([value[:3, 3], quaternion])
+                position = value[:3, 3]
+                value = np.concatenate([position, quaternion])
             numbers.append(value.ravel())
         values = np.concatenate(numbers).tolist()
         return [self._hold, round(time, 9), measured_time, *values]

@@ -51,13 +51,15 @@ def _missing_senses(robot: Robot, episodes: Episodes) -> str:
     missing = [field for field in needed if field not in robot.senses]
     if not missing:
         return ""
-    named = ", ".join(f"{field} ({needed[field]})" for field in missing)
+    reasons = (f"{field} ({needed[field]})" for field in missing)
+    named = ", ".join(reasons)
     if "tip_pose" in missing:
         return f"without {named}: every run needs a tracker of the tip's pose"
     if needed.get("tip_twist") == "the option tip_speed_limit" and "tip_twist" in missing:
         return f"without {named}: leave that option out"
     left = [name for name in groups if FIELDS.get(name) not in missing]
-    listed = ",".join(f"'{name}'" for name in left)
+    quoted = (f"'{name}'" for name in left)
+    listed = ",".join(quoted)
     text = f'without {named}, which is observed: take it out, by --set "observation=[{listed}]"'
     if set(COORDINATES) & set(missing):
         text += (

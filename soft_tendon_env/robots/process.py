@@ -93,11 +93,13 @@ class RobotProcess:
         self._requests = self._process.stdin
         answers: Any = self._process.stdout  # raw, which a thread of its own reads
         reader = io.BufferedReader(answers)
-        threading.Thread(target=self._listen, args=(reader,), daemon=True).start()
+        listener = threading.Thread(target=self._listen, args=(reader,), daemon=True)
+        listener.start()
         try:
             # first where modules are found: what makes the driver may be in one of them
             self._ask("look_in", sys.path, longest=None)
-            make_driver = pickle.dumps(partial(make, *arguments, **options))
+            driver = partial(make, *arguments, **options)
+            make_driver = pickle.dumps(driver)
             facts: Facts = self._ask("make", make_driver, longest=None)
             if facts.is_stepped:
                 raise SteppedTime("a driver with a clock of its own needs no process")
@@ -181,7 +183,8 @@ class RobotProcess:
         answers = SimpleQueue[tuple[bool, Any]]()
         self._waiting[number] = answers
         try:
-            self._requests.write(pickle.dumps((number, name, arguments)))
+            request = pickle.dumps((number, name, arguments))
+            self._requests.write(request)
             is_value, value = answers.get(timeout=longest)
         except Empty:
             raise TimeoutError(f"the driver's process gives no answer to {name}") from None
@@ -248,7 +251,8 @@ class WatchedDriver:
         is_slack = np.array_equal(command, self._slack)
         if not is_slack:
             self._refuse()
-        sent: Array | None = self._turns.take(partial(self._send, command), TRYING)
+        send = partial(self._send, command)
+        sent: Array | None = self._turns.take(send, TRYING)
         self._called = self._clock.now()
         return sent
 
@@ -256,7 +260,8 @@ class WatchedDriver:
         """Lets the tendons go where the program was silent for too long."""
         silence = self._clock.now() - self._called
         is_slack = np.array_equal(self._sent, self._slack)
-        if silence > self.patience and not is_slack:
+        is_silent = silence > self.patience
+        if is_silent and not is_slack:
             self.let_go(
                 f"no call for {1e3 * silence:.0f} ms: patience is {1e3 * self.patience:g} ms"
             )
@@ -290,7 +295,8 @@ class WatchedDriver:
 
     def _send_slack(self, command: Array) -> None:
         """Sends a command on the way to slack, also while another call hangs."""
-        self._turns.take(partial(self._send, command), HANGING)
+        send = partial(self._send, command)
+        self._turns.take(send, HANGING)
 
     def _refuse(self) -> None:
         """Raises RobotLetGo after a stop."""
@@ -315,7 +321,8 @@ def serve() -> None:
                     value = getattr(driver, name)(*arguments)
                 answer = pickle.dumps((number, True, value))
             except Exception as error:
-                answer = pickle.dumps((number, False, _portable(error)))
+                message = (number, False, _portable(error))
+                answer = pickle.dumps(message)
             answers.write(answer)
             if name == "close":
                 driver = None  # there is no second time
@@ -339,20 +346,23 @@ def _made(pickled: bytes) -> tuple[WatchedDriver | None, Facts]:
     robot = pickle.loads(pickled)()
     check_robot(robot)
     is_stepped = hasattr(robot, "clock")
-    facts = Facts(robot.command_unit, tuple(robot.senses), is_stepped)
+    senses = tuple(robot.senses)
+    facts = Facts(robot.command_unit, senses, is_stepped)
     if is_stepped:
         robot.close()
         return None, facts
     driver = WatchedDriver(robot, Clock())
     HOLDERS.add(driver)
-    threading.Thread(target=_watch, args=(driver,), daemon=True).start()
+    watcher = threading.Thread(target=_watch, args=(driver,), daemon=True)
+    watcher.start()
     return driver, facts
 
 
 def _watch(driver: WatchedDriver) -> None:
     """Watchdog: looks at a driver for as long as the process lives."""
     while True:
-        time.sleep(min(LOOKS * driver.patience, LONGEST_LOOK))
+        pause = min(LOOKS * driver.patience, LONGEST_LOOK)
+        time.sleep(pause)
         driver.look()
 
 

@@ -42,7 +42,9 @@ class Measurement(NamedTuple):
     @property
     def time_of_pose(self) -> float:
         """Time [s] at which the pose was measured."""
-        return self.time if self.tip_time is None else self.tip_time
+        if self.tip_time is None:
+            return self.time
+        return self.tip_time
 
 
 class Robot(Protocol):
@@ -97,8 +99,9 @@ def check_robot(robot: Any) -> None:
 
 def read_fields(robot: Robot, sensors: int) -> tuple[str, ...]:
     """Fields of Measurement that are read of a robot: without strain sensors no strains."""
-    unread = () if sensors else ("strain", "strain_rate")
-    return tuple(name for name in robot.senses if name not in unread)
+    if sensors:
+        return tuple(robot.senses)
+    return tuple(name for name in robot.senses if name not in ("strain", "strain_rate"))
 
 
 def check_measurement(
@@ -134,7 +137,8 @@ def check_measurement(
     arrays = dict[str, Array]()
     for name in senses:
         shape = shapes.get(name, (tendons,))
-        arrays[name] = checked_array(f"measurement.{name}", getattr(measured, name), shape)
+        value = getattr(measured, name)
+        arrays[name] = checked_array(f"measurement.{name}", value, shape)
     if "tip_pose" in arrays:
         _check_pose(arrays["tip_pose"])
     return Measurement(time, tip_time=tip_time, **arrays)

@@ -106,9 +106,13 @@ class SafeRobot:
         self._arm = arm
         # no tension, or all that can be let out
         is_tension = robot.command_unit == "N"
-        self.slack = np.zeros(len(limits)) if is_tension else limits[:, 0].copy()
+        if is_tension:
+            self.slack = np.zeros(len(limits))
+        else:
+            self.slack = limits[:, 0].copy()
         self.senses = read_fields(robot, sensors)
-        self.clock: Clock = getattr(robot, "clock", None) or Clock()
+        own_clock = getattr(robot, "clock", None)
+        self.clock: Clock = own_clock or Clock()
         self._period = period
         self._patience = patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
@@ -123,7 +127,8 @@ class SafeRobot:
         self._orders = SimpleQueue[tuple[str, threading.Event]]()
         self._newest_order = threading.Event()
         self._newest_order.set()  # nothing was ordered
-        threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
+        watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        watchdog.start()
         atexit.register(self.stop, "the interpreter ended")
         HOLDERS.add(self)
 
@@ -144,7 +149,9 @@ class SafeRobot:
         watch = getattr(self.robot, "watch", None)
         if watch is not None:
             try:
-                self._turns.take(partial(watch, self.slack.copy(), self._patience), TRYING)
+                slack = self.slack.copy()
+                guard = partial(watch, slack, self._patience)
+                self._turns.take(guard, TRYING)
             except Exception as error:
                 self.fail(f"the robot's own watchdog failed: {first_line(error)}", error)
 
@@ -165,7 +172,8 @@ class SafeRobot:
         """
         self._refuse()
         if late > self._patience:
-            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
+            cause = f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}"
+            self.fail(cause)
         try:
             reading = self._turns.take(self.robot.read, TRYING)
             measured = check_measurement(reading, self.senses, self.slack.size, self._sensors)
@@ -183,7 +191,8 @@ class SafeRobot:
 
     def _check_reach(self, pose: Array) -> None:
         """Raises ValueError for a tip that is further from the base than the arm reaches."""
-        from_base = pose[:3, 3] - self._arm.base
+        position = pose[:3, 3]
+        from_base = position - self._arm.base
         distance = float(np.linalg.norm(from_base))
         reach = STRETCH * self._arm.length
         if distance > reach:
@@ -200,10 +209,14 @@ class SafeRobot:
         newest = self._readings.newest
         if newest is None or newest.tip_pose is None:
             return False
-        distance = float(np.linalg.norm(pose[:3, 3] - newest.tip_pose[:3, 3]))
+        newest_position = newest.tip_pose[:3, 3]
+        difference = pose[:3, 3] - newest_position
+        distance = float(np.linalg.norm(difference))
         # after a late period the next one is short, and the pose as old as ever
         duration = max(self._readings.age_of_pose, self._period)
-        farthest = NOISY * self._arm.length + self._arm.top_speed * duration
+        by_noise = NOISY * self._arm.length
+        by_motion = self._arm.top_speed * duration
+        farthest = by_noise + by_motion
         if distance <= farthest:
             self._jumps = 0
             return False
@@ -234,23 +247,35 @@ class SafeRobot:
         least, greatest = self._limits.T
         # time that has passed, so that a late period and the short ones after it change no more
         # than the rate; at most a period, so that a pause leads to no jump
-        elapsed = min(self.clock.now() - self._sent_at, self._period)
+        since_sent = self.clock.now() - self._sent_at
+        elapsed = min(since_sent, self._period)
         is_limited = np.isfinite(self.rate)
-        most = self.rate * elapsed if is_limited else np.inf
+        if is_limited:
+            most = self.rate * elapsed
+        else:
+            most = np.inf
         try:
             asked = checked_array("command", command, self.slack.shape)
             # from slack, which may lie beneath the limits, it rises evenly
-            within = np.clip(asked, np.minimum(least, self._sent), greatest)
-            next_command = np.clip(within, self._sent - most, self._sent + most)
+            lowest = np.minimum(least, self._sent)
+            within = np.clip(asked, lowest, greatest)
+            lower = self._sent - most
+            upper = self._sent + most
+            next_command = np.clip(within, lower, upper)
             answer = self._send(next_command)
             self._sent_at = self.clock.now()
-            sent = None if answer is None else self._checked_answer(answer)
+            if answer is None:
+                sent = None
+            else:
+                sent = self._checked_answer(answer)
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
         if self.stopped is not None:  # while the call hung
             send_on_the_way(self._send_slack, self.slack, self.slack, self.stopped)
         self._refuse()
-        return self._sent.copy() if sent is None else sent
+        if sent is None:
+            return self._sent.copy()
+        return sent
 
     def _checked_answer(self, answer: Any) -> Array:
         """Command (n_a,) that a robot says it sent.
@@ -260,7 +285,9 @@ class SafeRobot:
         sent = checked_array("what write returns", answer, self.slack.shape)
         least, greatest = self._limits.T
         margin = ROUNDING * (greatest - least)
-        is_above = sent >= np.minimum(least, self.slack) - margin
+        lower = np.minimum(least, self.slack)
+        floor = lower - margin
+        is_above = sent >= floor
         is_below = sent <= greatest + margin
         if not (is_above & is_below).all():
             raise ValueError(
@@ -320,10 +347,14 @@ class SafeRobot:
         """
         while not self._closed:
             try:
-                cause, done = self._orders.get(timeout=LOOKS * self._period)
+                timeout = LOOKS * self._period
+                cause, done = self._orders.get(timeout=timeout)
             except Empty:
                 # where time stands still, the loop itself looks as it reads
-                cause = self._too_old() if self.clock.real else ""
+                if self.clock.real:
+                    cause = self._too_old()
+                else:
+                    cause = ""
                 if cause:
                     self._go_slack(Stop(cause))
                 continue

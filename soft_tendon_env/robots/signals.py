@@ -38,7 +38,8 @@ def ending_signals() -> list[int]:
     left_out = set()
     for name in NOT_TAKEN:
         left_out.add(getattr(signal, name, None))  # no system has all
-    return sorted(number for number in signal.valid_signals() if number not in left_out)
+    numbers = (number for number in signal.valid_signals() if number not in left_out)
+    return sorted(numbers)
 
 
 def name_of(number: int) -> str:
@@ -68,7 +69,8 @@ class Holders:
         for number in ending_signals():
             handler = signal.getsignal(number)
             # others are ignored, as under nohup, or somebody handles them
-            if handler is signal.SIG_DFL or handler is signal.default_int_handler:
+            is_default = handler is signal.SIG_DFL
+            if is_default or handler is signal.default_int_handler:
                 self._before[number] = signal.signal(number, self._take)
 
     def remove(self, arm: Holder) -> None:
@@ -96,7 +98,8 @@ class Holders:
             self._restore()
             signal.raise_signal(number)
             return
-        if any(arm.is_letting_go for arm in self._arms):
+        is_any_letting_go = any(arm.is_letting_go for arm in self._arms)
+        if is_any_letting_go:
             return  # a second Ctrl-C does not interrupt what lets the tendons go
         self._interrupt(f"interrupted by {name_of(number)}")
 

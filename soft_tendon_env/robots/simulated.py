@@ -57,9 +57,11 @@ class SimulatedRobot:
             raise ConfigurationError(problems, "SimulatedRobot")
         # a target costs nothing, and nobody sees it
         target = {"type": "hold", "pose": np.eye(4).tolist()}
-        parsed = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
+        values = {"sensors": SENSORS, **options, "target": target}
+        parsed = Options.parse(values, "SimulatedRobot")
         # the delay is taken here, where commands come as often as they like
-        delay = getattr(given_scene(parsed.scene).effects.actuators, "delay", 0.0)
+        scene = given_scene(parsed.scene)
+        delay = getattr(scene.effects.actuators, "delay", 0.0)
         if delay:
             undelayed = {"scene": parsed.scene, "effects.actuators.delay": 0.0}
             parsed = parsed.model_copy(update={"scene": undelayed})
@@ -67,7 +69,10 @@ class SimulatedRobot:
         self._episodes = episodes
         self._arms = episodes.arms
         self._actuation = episodes.actuation
-        self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
+        if episodes.model.command_unit == "m":
+            self.command_unit: Unit = "m"
+        else:
+            self.command_unit = "N"
         self.clock = Clock(real_time)
         first = episodes.start_command
         drawn = episodes.options.randomize
@@ -80,10 +85,14 @@ class SimulatedRobot:
         )
         self._readings = np.zeros(1, dtype=np.int64)
         # these two compile, so that no reading waits for that
-        self._arms.step(first[None, None], ROW)
+        commands = first[None, None]
+        self._arms.step(commands, ROW)
         self._sensors.measured(self._arms.reading, self._readings, ROW)
-        episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency = delay + self._actuation.delay(0)
+        checked_seed = checked_count("seed", seed, 0)
+        generators = [np.random.default_rng(checked_seed)]
+        episodes.begin(ROW, generators)
+        own_delay = self._actuation.delay(0)
+        self._latency = delay + own_delay
         self._acting = self._actuation.acting(first, 0)
         self._coming = deque[tuple[float, Array]]()  # commands by the time when they arrive [s]
         self._time = np.inf  # [s] of the arm, once it moves
@@ -102,7 +111,9 @@ class SimulatedRobot:
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
         fields = {name: getattr(noisy, name)[0].copy() for name in noisy._fields}
-        return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
+        twist = self._arms.reading.tip_twist[0]
+        tip_twist = twist.copy()
+        return Measurement(time, tip_twist=tip_twist, **fields)
 
     def write(self, command: Array) -> Array:
         """Sends a command that will arrive after the latency.
@@ -120,7 +131,8 @@ class SimulatedRobot:
         """
         sent = checked_array("command", command, self._acting.shape)
         arrival = self._go_on() + self._latency
-        self._coming.append((arrival, self._actuation.acting(sent, 0)))
+        order = (arrival, self._actuation.acting(sent, 0))
+        self._coming.append(order)
         return sent
 
     def close(self) -> None:
@@ -134,13 +146,20 @@ class SimulatedRobot:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 _, self._acting = self._coming.popleft()
             # in steps of a control period at most, to the next command
-            next_arrival = self._coming[0][0] if self._coming else now
-            until = min(now, time + self._episodes.period, next_arrival)
+            if self._coming:
+                next_arrival = self._coming[0][0]
+            else:
+                next_arrival = now
+            period_end = time + self._episodes.period
+            until = min(now, period_end, next_arrival)
             duration = until - time
             if duration <= EARLY:
                 break
-            self._arms.step(self._acting[None, None], ROW, np.array([[duration]]))
-            if self._arms.outcome.status[0] != OK:
+            commands = self._acting[None, None]
+            durations = np.array([[duration]])
+            self._arms.step(commands, ROW, durations)
+            code = self._arms.outcome.status[0]
+            if code != OK:
                 raise SimulationDiverged(
                     self._episodes.state(0),
                     self._episodes.cause(0),

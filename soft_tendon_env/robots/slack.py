@@ -46,7 +46,11 @@ class Turns:
 
     def take(self, call: Callable[[], Any], longest: float) -> Any:
         """Result of a call, which waits at most `longest` [s] for the one that goes on."""
-        is_free = self._lock.acquire(timeout=0.0 if self._hangs else longest)
+        if self._hangs:
+            timeout = 0.0
+        else:
+            timeout = longest
+        is_free = self._lock.acquire(timeout=timeout)
         self._hangs = not is_free
         try:
             return call()
@@ -74,16 +78,21 @@ def let_go(
     began = clock.now()
     give_up = perf_counter() + TRYING  # also where the clock stands still
     while not stop.slack and clock.now() - began < TRYING and perf_counter() < give_up:
-        steps_due = int((clock.now() - began) / step)
+        elapsed = clock.now() - began
+        steps_due = int(elapsed / step)
         k = max(k + 1, steps_due)
         share = min(k / RAMP_STEPS, 1.0)
-        command = (1.0 - share) * first + share * slack
+        old_part = (1.0 - share) * first
+        command = old_part + share * slack
         send_on_the_way(send, command, slack, stop)
         stop.seconds = clock.now() - began
         if not stop.slack:
             # a robot that does not take it is told less often
             is_ramp = k < 2 * RAMP_STEPS
-            next_time = began + k * step if is_ramp else clock.now() + RAMP
+            if is_ramp:
+                next_time = began + k * step
+            else:
+                next_time = clock.now() + RAMP
             clock.wait_until(next_time)
 
 
@@ -91,7 +100,8 @@ def send_on_the_way(send: Callable[[Array], Any], command: Array, slack: Array, 
     """Sends a command on the way to slack; what comes of it stands in the stop."""
     try:
         send(command)
-        stop.slack = bool((command == slack).all())
+        is_slack = (command == slack).all()
+        stop.slack = bool(is_slack)
     except BaseException as error:
         # also those that are no Exception: there is nobody to raise them to
         stop.failures.append(first_line(error))

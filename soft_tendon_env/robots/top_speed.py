@@ -21,7 +21,8 @@ ROW = np.zeros(1, dtype=np.int64)
 
 def half_swing(episodes: Episodes) -> float:
     """Time [s] of half a period of the slowest vibration of the arm."""
-    return float(np.pi / (RESOLVED * linear_rate(episodes.model)))
+    rate = linear_rate(episodes.model)
+    return float(np.pi / (RESOLVED * rate))
 
 
 def top_speed(episodes: Episodes) -> float:
@@ -37,21 +38,29 @@ def top_speed(episodes: Episodes) -> float:
         The speed [m/s], MARGIN times the simulated one; infinite where the simulation fails.
     """
     swing = half_swing(episodes) / episodes.period  # in control periods
-    periods = math.ceil(swing) if swing < MOST_PERIODS else MOST_PERIODS
+    if swing < MOST_PERIODS:
+        periods = math.ceil(swing)
+    else:
+        periods = MOST_PERIODS
     rest = episodes.start_command
     strongest = episodes.actuation.actions.greatest
     fastest = 0.0
     for pulls in _alike(episodes):
-        episodes.arms.place(ROW, episodes.starts.q[None], episodes.start_tension)
+        start = episodes.starts.q[None]
+        episodes.arms.place(ROW, start, episodes.start_tension)
         pulled = np.where(pulls, strongest, rest)
         for command in (pulled, rest):
             for _ in range(periods):
-                episodes.arms.step(command[None, None], ROW)
-                if episodes.arms.outcome.status[0] != OK:
+                commands = command[None, None]
+                episodes.arms.step(commands, ROW)
+                code = episodes.arms.outcome.status[0]
+                if code != OK:
                     return np.inf
                 velocity = episodes.arms.reading.tip_twist[0, 3:]
-                fastest = max(fastest, float(np.linalg.norm(velocity)))
-    episodes.arms.place(ROW, episodes.starts.q[None], episodes.start_tension)
+                speed = float(np.linalg.norm(velocity))
+                fastest = max(fastest, speed)
+    start_again = episodes.starts.q[None]
+    episodes.arms.place(ROW, start_again, episodes.start_tension)
     return MARGIN * fastest
 
 
@@ -60,5 +69,6 @@ def _alike(episodes: Episodes) -> Array:
     model = episodes.model
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
-    compliance = terms.actuation.T @ np.linalg.solve(terms.stiffness, terms.actuation)
+    flexibility = np.linalg.solve(terms.stiffness, terms.actuation)
+    compliance = terms.actuation.T @ flexibility
     return np.unique(compliance > 0.0, axis=0)

@@ -53,7 +53,9 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     values = read_toml(path)
     strain = values.get("strain")
     # wrong types are for the check
-    passive = strain.get("passive") if isinstance(strain, dict) else None
+    passive = None
+    if isinstance(strain, dict):
+        passive = strain.get("passive")
     if isinstance(passive, dict):
         file = passive.get("file")
         if isinstance(file, str):

@@ -54,7 +54,9 @@ class Parameter(NamedTuple):
     @property
     def value(self) -> float:
         """The value in the scene, in the unit of the keys; 1 for a factor."""
-        return 1.0 if self.is_factor else self.values[0]
+        if self.is_factor:
+            return 1.0
+        return self.values[0]
 
     def changes(self, value: float) -> dict[str, float]:
         """Returns the changes of the scene that give the parameter a value.
@@ -103,7 +105,8 @@ class Range(NamedTuple):
         key = self.keys[0]
         least = self.changes(self.least)[key]
         greatest = self.changes(self.greatest)[key]
-        number = numbers.get(key, self.values[0])
+        usual = self.values[0]
+        number = numbers.get(key, usual)
         width = greatest - least
         return (number - least) / width
 
@@ -129,7 +132,8 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
         ConfigurationError: for keys of anything else, with those that there are.
     """
     entries = scene_entries(scene)
-    return tuple(_parameter(name, entries) for name in names)
+    parameters = (_parameter(name, entries) for name in names)
+    return tuple(parameters)
 
 
 def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
@@ -146,7 +150,8 @@ def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
         ConfigurationError: for keys and values that are not allowed.
     """
     effects = {key.split(".")[1] for key in changes if key.startswith("effects.")}
-    lacking_effects = effects - scene.effects.chosen().keys()
+    known = scene.effects.chosen().keys()
+    lacking_effects = effects - known
     tables = dict[str, Any]()
     for name, table in _idle_effects(lacking_effects).items():
         tables[f"effects.{name}"] = table
@@ -193,7 +198,10 @@ def ranges_of(scene: Scene, table: Mapping[str, Any]) -> tuple[Range, ...]:
     for name, value in table.items():
         for key, written in _by_entry(name, value, entries):
             _, keys, values, _ = _parameter(key, entries)
-            relative = written if _is_relative(written) else {"value": written}
+            if _is_relative(written):
+                relative = written
+            else:
+                relative = {"value": written}
             ((kind, interval),) = relative.items()
             least, greatest = _interval(key, interval)
             numbers_range = Range(
@@ -219,7 +227,8 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
     """
     children = _matching(f"{name}.*", entries)
     # the last parts of the keys of a vector's entries are 0, 1, ...
-    places = sorted({key.rpartition(".")[2] for key in children})
+    last_parts = {key.rpartition(".")[2] for key in children}
+    places = sorted(last_parts)
     is_vector = bool(places) and places[-1].isdecimal()
     if not is_vector:
         return [(name, value)]
@@ -260,7 +269,9 @@ def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if not is_branch:
         yield key.removeprefix("."), node
         return
-    children = node.items() if isinstance(node, dict) else enumerate(node)
+    children: Iterable[tuple[Any, Any]] = enumerate(node)
+    if isinstance(node, dict):
+        children = node.items()
     for name, value in children:
         yield from _leaves(value, f"{key}.{name}")
 
@@ -306,7 +317,8 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
     for key, value in entries.items():
         if isinstance(value, float) and _array_of(key) in arrays:
             sizes.append(abs(value))
-    values = tuple(entries[key] for key in keys)
+    numbers = (entries[key] for key in keys)
+    values = tuple(numbers)
     return Parameter(
         name,
         keys=tuple(keys),
@@ -322,7 +334,8 @@ def _array_of(key: str) -> str:
 
 def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     """Reason why a name stands for no parameter, for a message."""
-    for key in (name, f"{name}.0".replace(".*", "")):
+    first_entry = f"{name}.0".replace(".*", "")
+    for key in (name, first_entry):
         if key in entries:
             misfit = _misfit(key, entries[key])
             if misfit:
@@ -330,7 +343,8 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     if name.startswith("effects."):
         effect = name.removeprefix("effects.").partition(".")[0]
         table = f"effects.{effect}."
-        has_effect = any(f"{key}.".startswith(table) for key in entries)
+        is_of_table = (f"{key}.".startswith(table) for key in entries)
+        has_effect = any(is_of_table)
         if effect in EFFECTS and not has_effect:
             return f"is no number yet: the scene has no [effects.{effect}]: add it"
     children = _matching(f"{name}.*", entries)
@@ -363,13 +377,17 @@ def _interval(key: str, value: Any) -> tuple[float, float]:
 
     Raises ConfigurationError.
     """
-    pair = value if isinstance(value, list | tuple) else (value, value)
+    if isinstance(value, list | tuple):
+        pair = value
+    else:
+        pair = (value, value)
     are_numbers = all(map(_is_number, pair))
     if len(pair) == 2 and are_numbers:
         least, greatest = pair
         if least <= greatest:
             return float(least), float(greatest)
-    _fail(key, f"has {shown(value)}: it should be {NUMBER}")
+    message = f"has {shown(value)}: it should be {NUMBER}"
+    _fail(key, message)
 
 
 def _is_number(value: Any) -> bool:

@@ -60,8 +60,12 @@ class PassiveFields:
     @cached_property
     def digest(self) -> str:
         """16 hex digits of the numbers that they are made of."""
-        numbers = json.dumps([self.borders.tolist(), self.coefficients.tolist()])
-        return hashlib.sha256(numbers.encode()).hexdigest()[:16]
+        borders = self.borders.tolist()
+        coefficients = self.coefficients.tolist()
+        arrays = [borders, coefficients]
+        numbers = json.dumps(arrays)
+        digest = hashlib.sha256(numbers.encode())
+        return digest.hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
         """Returns the fewest fields whose errors are within a tolerance.
@@ -93,12 +97,14 @@ class PassiveFields:
         """
         coefficients = self.coefficients[:count]
         order = coefficients.shape[-1] - 1
-        values = np.zeros((len(coefficients), *points.shape, 6))
+        shape = (len(coefficients), *points.shape, 6)
+        values = np.zeros(shape)
         for piece, (start, end) in enumerate(itertools.pairwise(self.borders)):
             is_inside = (points > start) & (points < end)
             # from -1 to 1 over the piece
             from_start = points - start
-            scaled = 2 * from_start / (end - start) - 1
+            doubled_share = 2 * from_start / (end - start)
+            scaled = doubled_share - 1
             polynomials = legendre.legvander(scaled, order)
             basis = polynomials * is_inside[..., None]
             of_piece = coefficients[:, piece]
@@ -114,7 +120,9 @@ class PassiveFields:
         Returns:
             True if segments and tendons have the same geometry.
         """
-        return _geometry(self.arm) == _geometry(arm_of(scene))
+        own = _geometry(self.arm)
+        expected = _geometry(arm_of(scene))
+        return own == expected
 
     def is_of(self, scene: Scene) -> bool:
         """Tells whether the fields were made for an arm of this material and these limits.
@@ -128,7 +136,8 @@ class PassiveFields:
         limits = [tendon.tension_limits for tendon in scene.tendons]
         low, high = np.transpose(limits)
         least, greatest = self.tension_limits.T
-        is_within = np.all((low >= least) & (high <= greatest))
+        is_inside = (low >= least) & (high <= greatest)
+        is_within = np.all(is_inside)
         return bool(is_within) and self.arm == arm_of(scene)
 
     def misfit(self, scene: Scene) -> str:
@@ -150,7 +159,8 @@ class PassiveFields:
                 if not is_alike:
                     return f"{name} of {made_for:g} in segment {i}, not {value:g}"
         low, high = self.tension_limits.T
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+        tension_limits = [tendon.tension_limits for tendon in scene.tendons]
+        limits = np.array(tension_limits)
         least, greatest = limits.T
         margin = (ALIKE - 1.0) * (high - low)
         is_above = least >= low - margin
@@ -227,7 +237,8 @@ def read_fields(path: Path) -> PassiveFields:
         pieces = fields.borders.size - 1
         shape = (count, pieces, 6, SNAPSHOT_ORDER + 1)
         is_finite = np.isfinite(coefficients).all()
-        if coefficients.shape != shape or not is_finite:
+        is_other = coefficients.shape != shape
+        if is_other or not is_finite:
             raise ValueError(
                 f"its coefficients should be finite and of shape {shape}, not {coefficients.shape}"
             )
@@ -329,9 +340,13 @@ def fields_of(scene: Scene) -> PassiveFields:
         raise _passive_error("file", text)
     count = len(fields.coefficients)
     if passive.fields > count:
-        raise _passive_error("fields", f"is {passive.fields}: there are {count} of this arm")
+        message = f"is {passive.fields}: there are {count} of this arm"
+        raise _passive_error("fields", message)
     # those that are named by their digest were chosen as they are
-    misfit = fields.misfit(scene) if passive.digest is None else ""
+    if passive.digest is None:
+        misfit = fields.misfit(scene)
+    else:
+        misfit = ""
     if misfit:
         text = (
             f"the passive fields of {scene.name!r} were made for {misfit}: fidelity='standard'"
@@ -351,7 +366,8 @@ def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
             return _read_once(Path(passive.file))
         fields = find_fields(scene, passive.digest)
     except (OSError, ValueError) as error:
-        raise _passive_error("file", f"is {passive.file!r}: {error}") from None
+        message = f"is {passive.file!r}: {error}"
+        raise _passive_error("file", message) from None
     if fields is None:
         text = "names passive fields that this arm has not: `soft-tendon fields SCENE` makes them"
         raise _passive_error("file", text)
@@ -360,4 +376,5 @@ def _named_fields(scene: Scene, passive: Snapshots) -> PassiveFields:
 
 def _passive_error(key: str, text: str) -> ConfigurationError:
     """Error about a key of the table `strain.passive`."""
-    return ConfigurationError([Problem(("strain", "passive", key), text)])
+    problem = Problem(("strain", "passive", key), text)
+    return ConfigurationError([problem])

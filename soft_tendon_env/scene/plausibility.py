@@ -146,14 +146,18 @@ def scales_of(scene: Scene) -> ArmScales:
     bending, viscous_bending, stretch, line_mass = along_rod(scene, places, _rod_numbers)
     radius, _ = rod_radius(scene, places)
     disc_mass = disc_rows(scene)[:, 1]
-    mass = float(line_mass.mean() * length + disc_mass.sum())
+    rod_mass = line_mass.mean() * length
+    mass = float(rod_mass + disc_mass.sum())
     stiffness = float(np.median(bending))
     mean_line_mass = mass / length
-    rate = FIRST_MODE * math.sqrt(stiffness / (mean_line_mass * length**4))
+    inertia = mean_line_mass * length**4
+    rate = FIRST_MODE * math.sqrt(stiffness / inertia)
     # of Kelvin and Voigt's damping: half the angular frequency times the retardation time
     retardation_times = viscous_bending / bending
-    damping_ratio = float(0.5 * rate * np.max(retardation_times))
-    moduli = stretch / (np.pi * radius**2)
+    longest_time = np.max(retardation_times)
+    damping_ratio = float(0.5 * rate * longest_time)
+    area = np.pi * radius**2
+    moduli = stretch / area
     limits = [abs(limit) for tendon in scene.tendons for limit in tendon.tension_limits]
     return ArmScales(
         length,
@@ -169,7 +173,8 @@ def scales_of(scene: Scene) -> ArmScales:
 
 def _middles_of_parts(start: float, end: float) -> Array:
     """Middles (PLACES,) [m] of equal parts between two arc lengths [m]."""
-    shares = (np.arange(PLACES) + 0.5) / PLACES
+    numbers = np.arange(PLACES) + 0.5
+    shares = numbers / PLACES
     return start + (end - start) * shares
 
 
@@ -257,9 +262,11 @@ def _of_segment(segment: Segment, key: str, arm: ArmScales) -> Iterator[Quantity
     torsion, *bends = segment.curvature
     curvature = math.hypot(*bends)
     curvature_key = f"{key}.curvature"
-    yield Quantity("bow", curvature_key, curvature, curvature * arm.radius)
+    bow = curvature * arm.radius
+    yield Quantity("bow", curvature_key, curvature, bow)
     total = math.hypot(torsion, curvature)
-    turns = total * segment.length / (2.0 * math.pi)
+    turned_angle = total * segment.length
+    turns = turned_angle / (2.0 * math.pi)
     yield Quantity("coil", curvature_key, total, turns)
     if segment.discs is not None:
         yield from _of_discs(segment.discs, f"{key}.discs", arm)
@@ -269,8 +276,10 @@ def _of_discs(discs: Discs, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Mass and thickness of spacer discs."""
     width = 2.0 * discs.radius
     thickness = discs.thickness or width
-    volume = math.pi * discs.radius**2 * thickness
-    yield Quantity("disc density", f"{key}.mass", discs.mass, discs.mass / volume)
+    square_radius = discs.radius**2
+    volume = math.pi * square_radius * thickness
+    disc_density = discs.mass / volume
+    yield Quantity("disc density", f"{key}.mass", discs.mass, disc_density)
     share = 0.0
     if discs.thickness:
         share = discs.thickness / arm.length
@@ -279,7 +288,8 @@ def _of_discs(discs: Discs, key: str, arm: ArmScales) -> Iterator[Quantity]:
 
 def _of_stiffness(section: Stiffness, length: float, key: str) -> Iterator[Quantity]:
     """Numbers of a section that are stiffnesses, beside each other and its radius."""
-    places = length * np.array([0.0, 0.5, 1.0])
+    shares = np.array([0.0, 0.5, 1.0])
+    places = length * shares
     radii, _ = section.outer_radius(places, length)
     radius = float(np.median(radii))
     for stiffness in section.bending:
@@ -310,7 +320,8 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
         name = f"{key}.routing.angular_rate"
         rate = routing.angular_rate
         slope = rate * routing.radius
-        turns = rate * (end - start) / (2.0 * math.pi)
+        turned_angle = rate * (end - start)
+        turns = turned_angle / (2.0 * math.pi)
         yield Quantity("helix slope", name, rate, slope)
         yield Quantity("helix turns", name, rate, turns)
         yield from _of_angles(f"{key}.routing.phase", (routing.phase,))
@@ -319,7 +330,8 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
     # tendons of backbones run through discs, which a scene need not have, and those of soft
     # bodies inside of them
     has_discs = bool(disc_rows(scene).size)
-    is_thick = arm.radius > SLENDER * arm.length
+    slender_radius = SLENDER * arm.length
+    is_thick = arm.radius > slender_radius
     is_soft = arm.modulus < SOFT and is_thick
     if is_soft and not has_discs:
         places = _middles_of_parts(start, end)
@@ -328,16 +340,19 @@ def _of_tendon(scene: Scene, tendon: Tendon, key: str, arm: ArmScales) -> Iterat
         distance = np.linalg.norm(offsets, axis=1)
         farthest = float(distance.max())
         shares = distance / radius
-        yield Quantity("outside", f"{key}.routing", farthest, float(shares.max()))
+        largest_share = float(shares.max())
+        yield Quantity("outside", f"{key}.routing", farthest, largest_share)
 
 
 def _of_angles(key: str, angles: tuple[float, ...]) -> Iterator[Quantity]:
     """Angles in degrees: 1 where the size of one is a usual part of a turn in radians."""
     usual = np.array(RADIANS + MORE_RADIANS)
     for angle in angles:
-        difference = np.abs(abs(angle) - usual)
+        from_usual = abs(angle) - usual
+        difference = np.abs(from_usual)
         is_usual = difference <= SAME_ANGLE * usual
-        yield Quantity("radians", key, angle, float(is_usual.any()))
+        is_any_usual = float(is_usual.any())
+        yield Quantity("radians", key, angle, is_any_usual)
 
 
 def _of_loads(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -362,9 +377,11 @@ def _of_tip_load(load: TipLoad, arm: ArmScales) -> Iterator[Quantity]:
     """Payload, force and moment at the tip."""
     key = "effects.tip_load"
     mass = load.mass
-    yield Quantity("payload", f"{key}.mass", mass, mass / arm.mass)
+    mass_share = mass / arm.mass
+    yield Quantity("payload", f"{key}.mass", mass, mass_share)
     weight = GRAVITY * mass
-    yield Quantity("sag", f"{key}.mass", mass, _sag(weight, arm))
+    sag = _sag(weight, arm)
+    yield Quantity("sag", f"{key}.mass", mass, sag)
     yield from _of_wrench(load.force, load.moment, key, arm)
     inertia = max(load.inertia)
     heavier = max(arm.mass, mass)
@@ -375,7 +392,8 @@ def _of_tip_load(load: TipLoad, arm: ArmScales) -> Iterator[Quantity]:
 def _of_wrench(force: Triple, moment: Triple, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Force [N] and moment [N m] on the arm."""
     force_size = math.hypot(*force)
-    yield Quantity("sag", f"{key}.force", force_size, _sag(force_size, arm))
+    sag = _sag(force_size, arm)
+    yield Quantity("sag", f"{key}.force", force_size, sag)
     moment_size = math.hypot(*moment)
     bent = moment_size * arm.length / arm.bending  # [rad] by M l / (E I)
     yield Quantity("sag", f"{key}.moment", moment_size, bent)
@@ -390,7 +408,8 @@ def _sag(force: float, arm: ArmScales) -> float:
     if force < HEAVY * own_weight:
         return 0.0
     # F l^2 / (2 E I)
-    return force * arm.length**2 / (2.0 * arm.bending)
+    doubled_bending = 2.0 * arm.bending
+    return force * arm.length**2 / doubled_bending
 
 
 def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
@@ -399,7 +418,8 @@ def _of_signal(signal: Any, key: str, arm: ArmScales) -> Iterator[Quantity]:
     frequency = getattr(signal, "frequency", 0.0)
     phase = getattr(signal, "phase", 0.0)
     rate = 2.0 * math.pi * frequency
-    yield Quantity("frequency", f"{key}.frequency", frequency, rate / arm.rate)
+    rate_share = rate / arm.rate
+    yield Quantity("frequency", f"{key}.frequency", frequency, rate_share)
     yield from _of_angles(f"{key}.phase", (phase,))
 
 
@@ -413,8 +433,10 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     acceleration = math.hypot(*motion.acceleration)
     yield Quantity("motion of the base", f"{key}.acceleration", acceleration, acceleration)
     amplitude = math.hypot(*motion.amplitude)
-    yield Quantity("motion of the base", f"{key}.amplitude", amplitude, rate**2 * amplitude)
-    yield Quantity("swing", f"{key}.amplitude", amplitude, amplitude / arm.length)
+    acceleration_size = rate**2 * amplitude
+    yield Quantity("motion of the base", f"{key}.amplitude", amplitude, acceleration_size)
+    amplitude_share = amplitude / arm.length
+    yield Quantity("swing", f"{key}.amplitude", amplitude, amplitude_share)
     velocity = math.hypot(*motion.velocity)
     yield Quantity("current", f"{key}.velocity", velocity, velocity)
     turning = motion.angular_velocity
@@ -422,7 +444,8 @@ def _of_base_motion(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
     yield Quantity("motion of the base", f"{key}.angular_velocity", turning, centripetal)
     swing = motion.angular_amplitude
     yield Quantity("turn", f"{key}.angular_amplitude", swing, swing)
-    yield Quantity("frequency", f"{key}.frequency", motion.frequency, rate / arm.rate)
+    rate_share = rate / arm.rate
+    yield Quantity("frequency", f"{key}.frequency", motion.frequency, rate_share)
 
 
 def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
@@ -441,7 +464,8 @@ def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
             sizes = map(abs, getattr(elasticity, name))
             greatest = max(sizes, default=0.0)
             share = greatest / arm.length
-            yield Quantity("displacement", f"{key}.{name}", greatest, share)
+            option = f"{key}.{name}"
+            yield Quantity("displacement", option, greatest, share)
     friction = effects.tendon_friction
     if friction is not None:
         key = "effects.tendon_friction"
@@ -456,10 +480,12 @@ def _of_actuators(actuators: Actuators, arm: ArmScales) -> Iterator[Quantity]:
     key = "effects.actuators"
     for name in ("time_constant", "delay"):
         value = getattr(actuators, name)
-        yield Quantity("lag", f"{key}.{name}", value, value)
+        option = f"{key}.{name}"
+        yield Quantity("lag", option, value, value)
     limit = actuators.rate_limit
     if limit is not None and arm.pull:
-        yield Quantity("rate limit", f"{key}.rate_limit", limit, limit / arm.pull)
+        limit_share = limit / arm.pull
+        yield Quantity("rate limit", f"{key}.rate_limit", limit, limit_share)
 
 
 def _stiffness_at_tendons(scene: Scene, arm: ArmScales) -> float:
@@ -501,12 +527,15 @@ def _of_surroundings(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
 
 def _of_obstacle(obstacle: Any, distance: float, key: str, arm: ArmScales) -> Iterator[Quantity]:
     """Place, size and motion of an obstacle at a distance [m] from the base."""
-    yield Quantity("distance", f"{key}.position", distance, distance / arm.length)
+    distance_share = distance / arm.length
+    yield Quantity("distance", f"{key}.position", distance, distance_share)
     # each kind has some of these
     for name in ("radius", "length", "size"):
         value = getattr(obstacle, name, 0.0)
         size = float(np.max(value))
-        yield Quantity("obstacle", f"{key}.{name}", size, size / arm.length)
+        size_share = size / arm.length
+        option = f"{key}.{name}"
+        yield Quantity("obstacle", option, size, size_share)
     speed = math.hypot(*obstacle.velocity)
     yield Quantity("current", f"{key}.velocity", speed, speed)
     yield from _of_signal(obstacle, key, arm)

@@ -98,8 +98,10 @@ class LinearTaper(Taper):
     tip: Length  # at its end [m]
 
     def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        slope = (self.tip - self.base) / segment_length
-        return self.base + slope * arc_length, np.full_like(arc_length, slope)
+        change = self.tip - self.base
+        slope = change / segment_length
+        size = self.base + slope * arc_length
+        return size, np.full_like(arc_length, slope)
 
 
 @register("taper", "table")
@@ -128,7 +130,8 @@ class TaperTable(Taper):
 
     def misfit(self, segment_length: float) -> str | None:
         first, *_, last = self.arc_length
-        ends_there = abs(last - segment_length) <= ROUND_OFF * segment_length
+        distance = abs(last - segment_length)
+        ends_there = distance <= ROUND_OFF * segment_length
         if first == 0.0 and ends_there:
             return None
         return (
@@ -139,7 +142,9 @@ class TaperTable(Taper):
 
 def _kind_of_size(value: Any) -> Any:
     """Tag of a size: whether it is a taper or a number."""
-    return "taper" if isinstance(value, Taper) else "number"
+    if isinstance(value, Taper):
+        return "taper"
+    return "number"
 
 
 Size = Annotated[
@@ -203,7 +208,9 @@ class StraightRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        offset = np.tile(np.array(self.offset), (len(arc_length), 1))
+        yz = np.array(self.offset)
+        repeats = (len(arc_length), 1)
+        offset = np.tile(yz, repeats)
         return offset, np.zeros_like(offset)
 
 
@@ -222,12 +229,15 @@ class ConvergingRouting(TendonRouting):
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
         start, end = ends
-        way = np.array(self.end_offset) - self.start_offset
+        end_offset = np.array(self.end_offset)
+        way = end_offset - self.start_offset
         slope = way / (end - start)
         from_start = arc_length - start
-        offset = self.start_offset + np.outer(from_start, slope)
+        change = np.outer(from_start, slope)
+        offset = self.start_offset + change
         # the same at all arc lengths
-        slopes = np.tile(slope, (len(arc_length), 1))
+        repeats = (len(arc_length), 1)
+        slopes = np.tile(slope, repeats)
         return offset, slopes
 
 
@@ -255,7 +265,8 @@ class SurfaceRouting(TendonRouting):
     ) -> tuple[Array, Array]:
         y = np.cos(self.direction)
         z = np.sin(self.direction)
-        way = self.fraction * np.array([y, z])
+        yz = np.array([y, z])
+        way = self.fraction * yz
         offset = np.outer(radius, way)
         slope = np.outer(radius_slope, way)
         return offset, slope
@@ -277,11 +288,14 @@ class HelixRouting(TendonRouting):
     def offset_and_slope(
         self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends
     ) -> tuple[Array, Array]:
-        angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
+        phase = np.deg2rad(self.phase)
+        turned = self.angular_rate * arc_length
+        angle = phase + turned
         y = self.radius * np.cos(angle)
         z = self.radius * np.sin(angle)
         offset = np.stack([y, z], axis=-1)
-        tangent = np.stack([-z, y], axis=-1)
+        across = [-z, y]
+        tangent = np.stack(across, axis=-1)
         slope = self.angular_rate * tangent
         return offset, slope
 
@@ -315,7 +329,8 @@ class TableRouting(TendonRouting):
         # here: it takes longer to import than all else that most scenes need
         from scipy.interpolate import CubicSpline
 
-        points = np.column_stack([self.y, self.z])
+        columns = [self.y, self.z]
+        points = np.column_stack(columns)
         curve = CubicSpline(self.arc_length, points)
         offset = curve(arc_length)
         slope = curve(arc_length, 1)
@@ -325,7 +340,8 @@ class TableRouting(TendonRouting):
         first, *_, last = self.arc_length
         slack = ROUND_OFF * (last - first)
         start, end = ends
-        is_covered = first - slack <= start and end <= last + slack
+        begins_before = first - slack <= start
+        is_covered = begins_before and end <= last + slack
         if is_covered:
             return None
         return (

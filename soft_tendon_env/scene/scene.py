@@ -87,11 +87,13 @@ class Base(Configuration):
         """Pose (4, 4) of the base: [[R, position], [0, 0, 0, 1]]."""
         # quaternion (a, b, c, d) of the further turn: cos and sin of half of the angle
         turn = np.radians(self.rotation)
-        angle = math.radians(math.hypot(*self.rotation))
+        rotation_degrees = math.hypot(*self.rotation)
+        angle = math.radians(rotation_degrees)
         half = 0.5 * angle
         a = math.cos(half)
         # sin(angle / 2) / angle, also where the angle is 0
-        share = 0.5 * np.sinc(half / np.pi)
+        sinc = np.sinc(half / np.pi)
+        share = 0.5 * sinc
         b, c, d = share * turn
         left_product = np.array(
             [
@@ -109,7 +111,8 @@ class Base(Configuration):
         identity = np.eye(3)
         skew = np.cross(identity, v)
         pose = np.eye(4)
-        pose[:3, :3] += 2.0 * (w * skew + skew @ skew)
+        half_change = w * skew + skew @ skew
+        pose[:3, :3] += 2.0 * half_change
         pose[:3, 3] = self.position
         return pose
 
@@ -156,7 +159,10 @@ class Segment(Configuration):
         # a section that is wrong is missing here: its own error is enough
         is_section_known = "section" in info.data
         if not takes_its_place and value is None and is_section_known:
-            or_section = ", or a section" if is_radius else ""
+            if is_radius:
+                or_section = ", or a section"
+            else:
+                or_section = ""
             raise ConfigurationError([Problem((), f"is missing: it is required{or_section}")])
         return value
 
@@ -168,7 +174,8 @@ class Segment(Configuration):
             place = ("section",)
         problems = []
         for key, text in self.shape.misfits(self.length):
-            problems.append(Problem((*place, *key), text))
+            whole_key = (*place, *key)
+            problems.append(Problem(whole_key, text))
         if self.discs is not None and not problems:
             problems = self._disc_problems(self.discs)
         if problems:
@@ -177,7 +184,8 @@ class Segment(Configuration):
 
     def _disc_problems(self, discs: Discs) -> list[Problem]:
         """Problem of discs that are beyond the segment, or inside of the rod."""
-        places = discs.rows(self.length)[:, 0]
+        rows = discs.rows(self.length)
+        places = rows[:, 0]
         last = places.max()
         end = self.length * (1 + SAME_PLACE)
         if last > end:
@@ -346,7 +354,10 @@ class Scene(Configuration):
 
 def _count(name: str, parts: Sequence[Any]) -> str:
     """Number of parts, with their name in singular or plural."""
-    ending = "" if len(parts) == 1 else "s"
+    if len(parts) == 1:
+        ending = ""
+    else:
+        ending = "s"
     return f"{len(parts)} {name}{ending}"
 
 
@@ -377,7 +388,8 @@ def rod_length(scene: Scene) -> float:
 
 def segment_borders(scene: Scene) -> Array:
     """Arc lengths [m] where segments begin, and the tip: (segments + 1,)."""
-    return np.cumsum([0.0, *(segment.length for segment in scene.segments)])
+    lengths = (segment.length for segment in scene.segments)
+    return np.cumsum([0.0, *lengths])
 
 
 def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
@@ -391,7 +403,11 @@ def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
 
 def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
     """First and last arc length [m] of a tendon."""
-    return tendon.start, rod_length(scene) if tendon.end is None else tendon.end
+    if tendon.end is None:
+        end = rod_length(scene)
+    else:
+        end = tendon.end
+    return tendon.start, end
 
 
 def breakpoints(scene: Scene) -> Array:
@@ -437,7 +453,8 @@ def along_rod(
         parts.append((is_inside, own_values))
     _, first_values = parts[0]
     count = len(first_values)
-    together = np.empty((count, *arc_length.shape))
+    shape = (count, *arc_length.shape)
+    together = np.empty(shape)
     for is_inside, part in parts:
         together[:, is_inside] = part
     return together
@@ -523,7 +540,8 @@ def extrapolation_columns(scene: Scene) -> int:
     for segment in scene.segments:
         # at the segment's start: Kelvin and Voigt's times are the same all along a segment, but of
         # torsion and shear others than of bending
-        elasticity, viscosity, _ = segment.screw_matrices(start)[..., 0]
+        matrices = segment.screw_matrices(start)
+        elasticity, viscosity, _ = matrices[..., 0]
         retardation = viscosity[free] / elasticity[free]
         shortest = float(retardation.min())
         ratios.append(0.5 * omega * shortest)
@@ -570,7 +588,8 @@ def _tendon_misfits(scene: Scene, tendon: Tendon, i: int) -> Iterator[Problem]:
         yield Problem((*key, "end"), text)
         return
     # no point of the rod might lie between ends that are closer, see breakpoints()
-    if min(end, length) - start <= SHORTEST * length:
+    piece_length = min(end, length) - start
+    if piece_length <= SHORTEST * length:
         text = (
             f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's"
             f" length, {length:g}"
@@ -589,7 +608,10 @@ def _base_misfits(scene: Scene) -> Iterator[Problem]:
     most = FARTHEST_BASE * rod_length(scene)
     if distance > most:
         # a position in mm is a thousand times too large
-        hint = "; is it in mm?" if distance < 1e3 * most else ""
+        if distance < 1e3 * most:
+            hint = "; is it in mm?"
+        else:
+            hint = ""
         text = (
             f"is {shown(position)}: coordinates should be within ±{most:g} m, {FARTHEST_BASE:g}"
             f" lengths of the rod{hint}"
@@ -601,10 +623,12 @@ def _effect_misfits(scene: Scene, segment: Segment, i: int) -> Iterator[Problem]
     """Problems of segment i with the effects."""
     law = scene.effects.nonlinear_elasticity
     if law is not None and law.bending is not None:
-        elasticity = segment.screw_matrices(segment.length * PLACES)[0]
+        places = segment.length * PLACES
+        elasticity = segment.screw_matrices(places)[0]
         about_y, about_z = elasticity[1:3]
         difference = np.abs(about_y - about_z)
-        if difference.max() > ALIKE * about_y.max():
+        slack = ALIKE * about_y.max()
+        if difference.max() > slack:
             text = (
                 "has one e0 for both curvatures: it needs sections that bend alike about y and z,"
                 f" and that of segments[{i}] does not"

@@ -92,7 +92,8 @@ class Section(Configuration):
         Returns:
             Sizes [m] and derivatives [-], each (sizes, m).
         """
-        values = np.zeros((len(self.sizes), arc_length.size))
+        shape = (len(self.sizes), arc_length.size)
+        values = np.zeros(shape)
         slopes = np.zeros_like(values)
         for i, name in enumerate(self.sizes):
             size = getattr(self, name)
@@ -114,7 +115,8 @@ class Section(Configuration):
         # between the points of a table a size has no other extremes
         tapers = self.tapers().values()
         tables = [getattr(taper, "arc_length", ()) for taper in tapers]
-        places = np.concatenate([length * PLACES, *tables])
+        parts = [length * PLACES, *tables]
+        places = np.concatenate(parts)
         values, _ = self.at(places, length)
         return values
 
@@ -214,11 +216,14 @@ class Solid(Section):
         sizes, _ = self.at(arc_length, length)
         A, Iy, Iz, J = self.integrals(sizes)
         kA = self.shear_correction * A
-        moduli = np.array([G, E, E, E, G, G])
+        moduli_of_strains = [G, E, E, E, G, G]
+        moduli = np.array(moduli_of_strains)
         # what a modulus is multiplied by, and a density
-        resisting = np.stack([J, Iy, Iz, A, kA, kA])
+        resisting_rows = [J, Iy, Iz, A, kA, kA]
+        resisting = np.stack(resisting_rows)
         polar = Iy + Iz
-        moving = np.stack([polar, Iy, Iz, A, A, A])
+        moving_rows = [polar, Iy, Iz, A, A, A]
+        moving = np.stack(moving_rows)
         elasticity = moduli[:, None] * resisting
         viscosity = eta * (VISCOUS * resisting)
         inertia = rho * moving
@@ -254,7 +259,8 @@ class Tube(Solid):
             return
         outer, inner = self.sizes_along(length)
         wall = outer - inner
-        if (inner > (1.0 - THINNEST) * outer).any():
+        thickest = (1.0 - THINNEST) * outer
+        if (inner > thickest).any():
             i = int(np.argmin(wall))
             text = (
                 f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by"
@@ -292,12 +298,15 @@ class Rectangle(Flat):
         short, long = np.sort(sizes, axis=0)
         ratio = short / long
         # sum of tanh(n pi long / (2 short)) / n^5 over odd n, as what it lacks to that of 1 / n^5
-        argument = 0.5 * np.pi * ODD / ratio
-        lacking = (1.0 - np.tanh(argument)) / ODD**5
+        scaled_orders = 0.5 * np.pi * ODD
+        argument = scaled_orders / ratio
+        remainder = 1.0 - np.tanh(argument)
+        lacking = remainder / ODD**5
         series = SUM_OF_ODD - lacking.sum(axis=0)
         # of a thin rectangle the shape factor is 1/3
         factor_of_series = 64.0 / np.pi**5
-        shape_factor = 1.0 / 3.0 - factor_of_series * ratio * series
+        correction = factor_of_series * ratio * series
+        shape_factor = 1.0 / 3.0 - correction
         J = long * short**3 * shape_factor
         return A, Iy, Iz, J
 
@@ -335,7 +344,8 @@ class Rectangle(Flat):
 
     def outline(self, circle: Array) -> Array:
         """Returns points of the square that the outline is in parts of half its widths."""
-        return np.clip(np.sqrt(2.0) * circle, -1.0, 1.0)
+        scaled = np.sqrt(2.0) * circle
+        return np.clip(scaled, -1.0, 1.0)
 
 
 @register("section", "ellipse")
@@ -371,8 +381,11 @@ class Ellipse(Flat):
         width, height = sizes
         a, b = 0.5 * sizes
         # S. Ramanujan 1914: pi (3 (a + b) - sqrt((3 a + b) (a + 3 b)))
-        mixed = (3 * a + b) * (a + 3 * b)
-        difference = 3 * (a + b) - np.sqrt(mixed)
+        first_factor = 3 * a + b
+        second_factor = a + 3 * b
+        mixed = first_factor * second_factor
+        sum_term = 3 * (a + b)
+        difference = sum_term - np.sqrt(mixed)
         perimeter = np.pi * difference
         area = np.pi * a * b
         return np.stack([width, height, perimeter, area])
@@ -383,9 +396,12 @@ class Ellipse(Flat):
         a, b = 0.5 * values
         a_slope, b_slope = 0.5 * slopes
         # 1 / r^2 = (cos / a)^2 + (sin / b)^2
-        along_y = np.cos(angle) ** 2 / a**2
-        along_z = np.sin(angle) ** 2 / b**2
-        radius = 1.0 / np.sqrt(along_y + along_z)
+        cosine = np.cos(angle)
+        along_y = cosine**2 / a**2
+        sine = np.sin(angle)
+        along_z = sine**2 / b**2
+        reciprocal = np.sqrt(along_y + along_z)
+        radius = 1.0 / reciprocal
         # r' = r^3 ((cos / a)^2 a' / a + (sin / b)^2 b' / b)
         of_a = along_y * a_slope / a
         of_b = along_z * b_slope / b
@@ -395,7 +411,9 @@ class Ellipse(Flat):
 
 def _both(value: Any) -> Any:
     """A pair, also of one number for both."""
-    return value if isinstance(value, list | tuple) else (value, value)
+    if isinstance(value, list | tuple):
+        return value
+    return (value, value)
 
 
 @register("section", "stiffness")
@@ -436,8 +454,10 @@ class Stiffness(Section):
             # of a solid circle: r^2 / 2 about the axis, r^2 / 4 about the others
             radius, _ = self.outer_radius(arc_length, length)
             shares = [0.5 * mass, 0.25 * mass, 0.25 * mass]
-            rotary = np.outer(shares, ones) * radius**2
-        moving = np.outer([mass, mass, mass], ones)
+            unit_rotary = np.outer(shares, ones)
+            rotary = unit_rotary * radius**2
+        masses = [mass, mass, mass]
+        moving = np.outer(masses, ones)
         inertia = np.concatenate([rotary, moving])
         return np.stack([elasticity, viscosity, inertia])
 
@@ -496,5 +516,6 @@ class Discs(Configuration):
             places = np.array(self.places)
         thickness = self.thickness or 0.0
         disc = [self.mass, self.radius, thickness]
-        discs = np.tile(disc, (places.size, 1))
+        repeats = (places.size, 1)
+        discs = np.tile(disc, repeats)
         return np.column_stack([places, discs])

@@ -87,7 +87,10 @@ def mode_fields(modes: tuple[Modes, ...], points: Array, borders: Array) -> Arra
     pieces = list(pairwise(borders))
     fields = list[Array]()
     for group in modes:
-        spans = whole_rod if group.span == "rod" else pieces
+        if group.span == "rod":
+            spans = whole_rod
+        else:
+            spans = pieces
         for a, b in spans:
             polynomials = _legendre_polynomials(points, a, b, group.order)
             for strain in group.strains:
@@ -113,7 +116,8 @@ def _legendre_polynomials(points: Array, a: float, b: float, order: int) -> Arra
     is_inside = is_behind_start & is_before_end
     polynomials = legendre.legvander(on_unit, order)
     values = polynomials * is_inside[..., None]
-    return np.asarray(np.moveaxis(values, -1, 0))
+    fields = np.moveaxis(values, -1, 0)
+    return np.asarray(fields)
 
 
 class Snapshots(Configuration):
@@ -220,8 +224,10 @@ class StaticsBased(RodStrain):
         cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo
     ) -> tuple[Modes, ...] | Snapshots:
         existing = info.data.get("strains", STRAINS)
-        groups = () if isinstance(passive, Snapshots) else passive
-        strains = [strain for modes in groups for strain in modes.strains]
+        strains = list[str]()
+        if not isinstance(passive, Snapshots):
+            for modes in passive:
+                strains.extend(modes.strains)
         rigid = [strain for strain in strains if strain not in existing]
         if rigid:
             raise ValueError(
@@ -259,7 +265,8 @@ class ExplicitStrain(ExplicitBasis):
     def _independent(cls, modes: tuple[Modes, ...]) -> tuple[Modes, ...]:
         # a strain's constant over the rod is the sum of its constants over the pieces: two groups
         # always overlap
-        _check_each_once(tuple(strain for group in modes for strain in group.strains))
+        strains_of_modes = (strain for group in modes for strain in group.strains)
+        _check_each_once(tuple(strains_of_modes))
         return modes
 
 

@@ -89,7 +89,9 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
         return abs(math.log10(converted / usual))
 
     nearest = min(factors, key=decades_off)
-    return f": is it {nearest}?" if nearest else ""
+    if nearest:
+        return f": is it {nearest}?"
+    return ""
 
 
 def _stiffness(segment: Segment, places: Array) -> Array:
@@ -107,8 +109,10 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
     length = rod_length(scene)
     if not SHORTEST_ROD <= length <= LONGEST_ROD:
-        yield f"the rod is {length:g} m long{_ask(length, USUAL_LENGTH, UNITS)}"
-    distance = max(map(abs, scene.base.position))
+        question = _ask(length, USUAL_LENGTH, UNITS)
+        yield f"the rod is {length:g} m long{question}"
+    distances = map(abs, scene.base.position)
+    distance = max(distances)
     if distance > FAR_BASE * length:
         yield (
             f"base.position is up to {distance:g} m from the origin of an arm of {length:g}"
@@ -124,7 +128,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
             yield text
             return
         bent = max(bent, path.bent())
-    if 0.0 < bent < LEAST_BENT and LONG_ROD < length <= LONGEST_ROD:
+    is_hardly_bent = 0.0 < bent < LEAST_BENT
+    if is_hardly_bent and LONG_ROD < length <= LONGEST_ROD:
         yield (
             f"tensions within their limits bend the rod by at most {bent:.2g} rad: are lengths"
             " in mm?"
@@ -140,12 +145,19 @@ def _unlikely_material(segment: Segment, i: int, length: float) -> Iterator[str]
     is_metal = density > METAL
     is_plausible = SOFTEST <= E <= STIFFEST
     if not is_plausible or (is_metal and E < IN_MPA):
-        reason = f", and its density, {density:g} kg/m^3, that of a metal" if is_metal else ""
-        usual = USUAL_METAL_MODULUS if is_metal else USUAL_MODULUS
+        if is_metal:
+            reason = f", and its density, {density:g} kg/m^3, that of a metal"
+        else:
+            reason = ""
+        if is_metal:
+            usual = USUAL_METAL_MODULUS
+        else:
+            usual = USUAL_MODULUS
         question = _ask(E, usual, MODULI)
         yield f"segments[{i}].young_modulus is {E:g} Pa{reason}{question}"
     # the strain at the base of a standing rod
-    compression = GRAVITY * density * length / E
+    weight = GRAVITY * density * length
+    compression = weight / E
     if not LIGHTEST <= density <= HEAVIEST:
         question = _ask(density, USUAL_DENSITY, DENSITIES)
         yield f"segments[{i}].density is {density:g} kg/m^3{question}"
@@ -172,7 +184,9 @@ class _Path(NamedTuple):
         """Path of a scene's tendon."""
         start, end = tendon_ends(scene, tendon)
         length = end - start
-        places = start + length * (np.arange(PLACES) + 0.5) / PLACES
+        shares = np.arange(PLACES) + 0.5
+        from_start = length * shares / PLACES
+        places = start + from_start
         offset, _ = tendon_offset(scene, tendon, places)
         radius, _ = rod_radius(scene, places)
         bending, stretch = along_rod(scene, places, _stiffness)
@@ -193,14 +207,16 @@ class _Path(NamedTuple):
 
     def strain(self) -> float:
         """Strain that this tension makes: bending at the surface, and compression."""
-        of_bending = self.offset * self.radius / self.bending
+        moment = self.offset * self.radius
+        of_bending = moment / self.bending
         of_compression = 1.0 / self.stretch
         strain = self.pull * (of_bending + of_compression)
         return float(np.median(strain))
 
     def bent(self) -> float:
         """Angle [rad] by which this tension bends the rod."""
-        curvature = self.pull * self.offset / self.bending
+        moment = self.pull * self.offset
+        curvature = moment / self.bending
         return float(curvature.mean() * self.length)
 
 
@@ -224,7 +240,8 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
     """Place or limits of tendon i that no arm has, in words; empty where there are none."""
     length = path.rod_length
     farthest = path.offset.max()
-    plausible = max(FAR_OFF * length, path.radius.max())
+    greatest_radius = path.radius.max()
+    plausible = max(FAR_OFF * length, greatest_radius)
     if farthest > plausible:
         question = _ask(farthest, SLENDER * length, UNITS)
         return (
@@ -233,8 +250,12 @@ def _unlikely_tendon(path: _Path, i: int) -> str:
     area = np.pi * path.radius**2  # of a solid circle
     modulus = path.stretch / area
     strain = path.strain()
-    greatest = STRAINED if modulus.min() < SOFT else STIFF_STRAINED
-    is_usual = path.tendon.tension_limits == Tendon.model_fields["tension_limits"].default
+    if modulus.min() < SOFT:
+        greatest = STRAINED
+    else:
+        greatest = STIFF_STRAINED
+    limits_field = Tendon.model_fields["tension_limits"]
+    is_usual = path.tendon.tension_limits == limits_field.default
     if strain > greatest and not is_usual:
         return (
             f"tendons[{i}].tension_limits are up to {path.pull:g} N, which strain the rod by"

@@ -38,7 +38,10 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    load = _matlab_arrays if path.suffix.lower() == ".mat" else _numpy_arrays
+    if path.suffix.lower() == ".mat":
+        load = _matlab_arrays
+    else:
+        load = _numpy_arrays
     arrays = {name: array for name, array in load(path).items() if array.dtype.kind in KINDS}
     row_count = _row_count(arrays)
     if row_count == 0:
@@ -48,7 +51,8 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
         columns |= _columns(name, array, row_count)
     texts = list[list[str]]()
     for column in columns.values():
-        texts.append([_text(value) for value in column.tolist()])
+        column_texts = [_text(value) for value in column.tolist()]
+        texts.append(column_texts)
     rows = list[tuple[str, list[str]]]()
     for i, cells in enumerate(zip(*texts, strict=True)):
         where = f"{path}, row {i + 1}"
@@ -63,12 +67,15 @@ def _row_count(arrays: Mapping[str, NDArray[Any]]) -> int:
         lengths = {*array.shape} - {1}
         times.update(lengths)
     most = max(times.values(), default=0)
-    return max((length for length in times if times[length] == most), default=0)
+    most_frequent = (length for length in times if times[length] == most)
+    return max(most_frequent, default=0)
 
 
 def _text(value: Any) -> str:
     """A number or text of an array as a cell, without a loss of digits."""
-    return value.strip() if isinstance(value, str) else repr(value)
+    if isinstance(value, str):
+        return value.strip()
+    return repr(value)
 
 
 def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArray[Any]]:
@@ -77,11 +84,13 @@ def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArra
     if row_count not in squeezed.shape:
         return {}
     # MATLAB has rows of samples as often as columns
-    by_row = np.moveaxis(squeezed, squeezed.shape.index(row_count), 0)
+    row_axis = squeezed.shape.index(row_count)
+    by_row = np.moveaxis(squeezed, row_axis, 0)
     if by_row.ndim == 1:
         return {name: by_row}
     columns = dict[str, NDArray[Any]]()
-    for index in itertools.product(*map(range, by_row.shape[1:])):
+    ranges = map(range, by_row.shape[1:])
+    for index in itertools.product(*ranges):
         place: tuple[Any, ...] = (slice(None), *index)
         column = by_row[place]
         numbers = [str(i) for i in index]
@@ -89,7 +98,8 @@ def _columns(name: str, array: NDArray[Any], row_count: int) -> dict[str, NDArra
         columns[own_name] = column
         if by_row.shape[-1] == 3:
             axis = "xyz"[index[-1]]
-            name_by_axis = "_".join([name, *numbers[:-1], axis])
+            parts = [name, *numbers[:-1], axis]
+            name_by_axis = "_".join(parts)
             columns[name_by_axis] = column
     return columns
 
@@ -111,12 +121,14 @@ def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
     from scipy.io import loadmat
 
     start = path.read_bytes()[:520]
-    if HDF5 in (start[:4], start[512:516]):
+    starts = (start[:4], start[512:516])
+    if HDF5 in starts:
         raise ValueError(f"{path} is a .mat file of version 7.3: save it with save(..., '-v7')")
     try:
         variables = loadmat(path, simplify_cells=True)
     except Exception as error:  # of many kinds, by what the bytes seem to be
-        raise ValueError(f"{path} cannot be read as .mat: {type(error).__name__}") from error
+        message = f"{path} cannot be read as .mat: {type(error).__name__}"
+        raise ValueError(message) from error
     return _flat(variables, "")
 
 
@@ -131,6 +143,10 @@ def _flat(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
         else:
             array = np.asarray(value)
             # a cell array of names has objects
-            is_text = array.dtype == object and all(isinstance(cell, str) for cell in array.flat)
-            arrays[prefix + name] = array.astype(str) if is_text else array
+            has_objects = array.dtype == object
+            is_text = has_objects and all(isinstance(cell, str) for cell in array.flat)
+            if is_text:
+                arrays[prefix + name] = array.astype(str)
+            else:
+                arrays[prefix + name] = array
     return arrays

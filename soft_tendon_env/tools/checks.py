@@ -33,7 +33,8 @@ def checked_array(
         raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {array.shape}")
     is_finite = np.isfinite(array)
     if not is_finite.all():
-        place = tuple(int(i) for i in np.argwhere(~is_finite)[0])
+        first = np.argwhere(~is_finite)[0]
+        place = tuple(int(i) for i in first)
         raise ValueError(f"{name} should be finite, but {name}{list(place)} is {array[place]}")
     return np.array(array, dtype=np.float64, order="C")
 
@@ -50,7 +51,8 @@ def _has_shape(sizes: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
 
 
 def _shown_shape(shape: tuple[int | None, ...]) -> str:
-    return str(tuple("any" if size is None else size for size in shape)).replace("'", "")
+    sizes = tuple("any" if size is None else size for size in shape)
+    return str(sizes).replace("'", "")
 
 
 def checked_number(name: str, value: float, least: float, allowed: str) -> float:
@@ -59,7 +61,8 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
     Raises TypeError or ValueError.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
+        message = f"{name} should be {allowed}, not {type(value).__name__}"
+        raise TypeError(message)
     if not (np.isfinite(value) and value >= least):
         raise ValueError(f"{name} should be {allowed}, not {value}")
     return float(value)
@@ -70,7 +73,8 @@ def checked_count(name: str, value: int, least: int) -> int:
 
     Raises TypeError or ValueError.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+    is_bool = isinstance(value, bool)
+    if is_bool or not isinstance(value, int | np.integer):
         raise TypeError(
             f"{name} should be a whole number of at least {least}, not {type(value).__name__}"
         )
@@ -91,4 +95,6 @@ def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
 
 def shown_numbers(values: NDArray[np.float64]) -> str:
     """An array (m,) as text for an error message, in one line: [500, 0, 0.1235]."""
-    return f"[{', '.join(f'{value:.4g}' for value in values)}]"
+    texts = (f"{value:.4g}" for value in values)
+    listed = ", ".join(texts)
+    return f"[{listed}]"

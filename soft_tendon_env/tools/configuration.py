@@ -132,7 +132,9 @@ class Configuration(BaseModel):
 def _freeze(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | os.PathLike):
         value = plain(value)
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(value)
+    return value
 
 
 def plain(value: Any) -> Any:
@@ -157,14 +159,23 @@ def dotted(key: Key) -> str:
     """`("tendons", 3, "end")` -> `"tendons[3].end"`."""
     text = ""
     for part in key:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            text += f".{part}"
     return text.removeprefix(".")
 
 
 def shown(value: Any) -> str:
     """A value as text for an error message: arrays in brackets, long ones cut."""
-    text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 80 else text[:76] + " ..."
+    if isinstance(value, tuple):
+        plain_value = list(value)
+    else:
+        plain_value = value
+    text = repr(plain_value)
+    if len(text) <= 80:
+        return text
+    return text[:76] + " ..."
 
 
 def not_among(name: str, valid: Iterable[str]) -> str:
@@ -172,7 +183,9 @@ def not_among(name: str, valid: Iterable[str]) -> str:
     valid = sorted(valid)
     every_name = f"valid: {', '.join(valid)}"
     close = difflib.get_close_matches(name, valid, n=1)
-    return f"did you mean {close[0]!r}? {every_name}" if close else every_name
+    if close:
+        return f"did you mean {close[0]!r}? {every_name}"
+    return every_name
 
 
 def not_registered(name: str, valid: Iterable[str]) -> str:
@@ -239,7 +252,8 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
                 " 'quadrature.intervals'"
             )
         with_dots = POSITION.sub(r".\1", path)
-        parts = [part.strip('"') for part in DOT.split(with_dots)]
+        keys = DOT.split(with_dots)
+        parts = [part.strip('"') for part in keys]
         _set(table, parts, value, "")
 
 
@@ -253,7 +267,8 @@ def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
             continue
         if isinstance(node, dict):
             node.setdefault(place, {})
-        _set(node[place], below, value, f"{where}.{place}")
+        place_of_part = f"{where}.{place}"
+        _set(node[place], below, value, place_of_part)
 
 
 def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
@@ -264,7 +279,10 @@ def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
     problem = None
     places: Sequence[Any] = ()
     if isinstance(node, dict):
-        places = [*node] if part == "*" else [part]
+        if part == "*":
+            places = [*node]
+        else:
+            places = [part]
     elif isinstance(node, list):
         every_place = range(len(node))
         if part == "*":
@@ -272,14 +290,16 @@ def _places(node: Any, part: str, where: str, path: str) -> Sequence[Any]:
         elif part in map(str, every_place):
             places = [int(part)]
         else:
-            problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(node) - 1}"
+            last = len(node) - 1
+            problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {last}"
     else:
         problem = f"{where[1:]} is {shown(node)}, not a table"
 
     if problem is None and not places:
         problem = f"{where[1:]} is empty"
     if problem is not None:
-        raise ConfigurationError([Problem((path[1:],), f"cannot be set: {problem}")])
+        cause = Problem((path[1:],), f"cannot be set: {problem}")
+        raise ConfigurationError([cause])
     return places
 
 
@@ -298,7 +318,8 @@ def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
         if key in values:
             raise ValueError(f"--set has {key}, which is given twice")
         try:
-            values[key] = tomllib.loads(f"value = {text}")["value"]
+            parsed = tomllib.loads(f"value = {text}")
+            values[key] = parsed["value"]
             _check_depth(values[key])
         except tomllib.TOMLDecodeError:  # a text without quotes
             values[key] = text
@@ -326,8 +347,10 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
             return []  # a default that depends on other keys, of which some are wrong
         case "extra_forbidden":
             name = str(key[-1])
-            valid = table.elsewhere.get(name) or not_among(name, table.model_fields)
-            return [Problem(key, f"is an unknown key (given {shown(value)}): {valid}")]
+            advice = table.elsewhere.get(name)
+            valid = advice or not_among(name, table.model_fields)
+            message = f"is an unknown key (given {shown(value)}): {valid}"
+            return [Problem(key, message)]
         case "missing":
             return [Problem(key, "is missing: it is required")]
         case "union_tag_not_found":
@@ -335,12 +358,14 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
         case "union_tag_invalid":
             tag = context["tag"]
             types = re.findall(r"'(\w+)'", context["expected_tags"])
-            return [Problem((*key, "type"), f"is {tag!r}: {not_among(tag, types)}")]
+            message = f"is {tag!r}: {not_among(tag, types)}"
+            return [Problem((*key, "type"), message)]
         case "too_short" if len(value) > context["actual_length"]:
             return []  # pydantic counts the valid items only; the others are reported by themselves
         case "model_type" | "model_attributes_type":
             return [Problem(key, f"is {shown(value)}: it should be a table")]
-    return [Problem(key, f"is {shown(value)}: it {_allowed(error)}")]
+    message = f"is {shown(value)}: it {_allowed(error)}"
+    return [Problem(key, message)]
 
 
 def _key_of(table: type[Configuration], location: Key) -> Key:
@@ -351,7 +376,8 @@ def _key_of(table: type[Configuration], location: Key) -> Key:
         field = table.model_fields.get(str(location[0]))
         if field is not None and get_origin(field.annotation) is dict:
             name_count = 2
-    positions = tuple(part for part in location[name_count:] if isinstance(part, int))
+    rest = location[name_count:]
+    positions = tuple(part for part in rest if isinstance(part, int))
     return location[:name_count] + positions
 
 
@@ -360,7 +386,8 @@ def _allowed(error: ErrorDetails) -> str:
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
-    is_number_with_unit = re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", str(error["input"])) is not None
+    text = str(error["input"])
+    is_number_with_unit = re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", text) is not None
     if error["type"].startswith("float") and is_number_with_unit:
         message += ", in SI units and without their symbol"
     # The words of TOML in place of Python's.

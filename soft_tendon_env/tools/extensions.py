@@ -35,7 +35,10 @@ def load_extensions() -> None:
         try:
             entry_point.load()
         except Exception as error:  # whatever their module raises, the others are loaded
-            package = entry_point.dist.name if entry_point.dist is not None else "a package"
+            if entry_point.dist is not None:
+                package = entry_point.dist.name
+            else:
+                package = "a package"
             warnings.warn(
                 f"{package} is left out: its entry point {entry_point.name!r} of the group"
                 f" {GROUP!r}, {entry_point.value}, cannot be loaded: {first_line(error)}",

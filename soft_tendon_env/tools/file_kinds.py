@@ -43,7 +43,8 @@ def check_is_text(path: Path) -> None:
     for beginning, name in BEGINNINGS.items():
         if start.lstrip().startswith(beginning):
             kind = name
-    if start[1:2] == bytes([C3D]) and start[0] < 32:
+    mark = bytes([C3D])
+    if start[1:2] == mark and start[0] < 32:
         kind = "a C3D file of motion capture"
     # blocks that never came to the disk are zeros at the end of a text
     if not kind and b"\0" in start.rstrip(b"\0"):

@@ -32,7 +32,8 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 
     Raises OSError.
     """
-    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+    exists = os.path.exists(path)
+    if exists and not (os.path.isfile(path) or os.path.isdir(path)):
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 
@@ -44,9 +45,8 @@ def read_text(path: Path, errors: str = "strict") -> str:
     """
     try:
         content = read_bytes(path)
-        errors = (
-            "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
-        )
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            errors = "strict"
         return content.decode("utf-8-sig", errors).replace("\r\n", "\n")
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
@@ -102,7 +102,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     That appears whole or not at all. Raises OSError.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    name = f".{path.name}.{os.getpid()}.tmp"
+    temporary = path.with_name(name)
     try:
         yield temporary
         os.replace(temporary, path)
@@ -146,7 +147,8 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
 
     Raises ValueError, FileNotFoundError.
     """
-    for path, expected in ((folder / name, expected) for name, expected in files.items()):
+    paths = ((folder / name, expected) for name, expected in files.items())
+    for path, expected in paths:
         if not path.is_file():
             raise FileNotFoundError(
                 f"{folder} should have {path.name}, which {source} was written with"
@@ -163,7 +165,9 @@ def shipped_folder(inside: str, beside: str) -> Path:
 
     It is `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone.
     """
-    return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
+    if (PACKAGE / inside).is_dir():
+        return PACKAGE / inside
+    return PACKAGE.parent / beside
 
 
 CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations that ship
@@ -184,7 +188,8 @@ def cache_parents() -> list[Path]:
     is_own = (
         not temporary.exists() or temporary.stat().st_uid == user
     )  # else somebody has put it there, with code that numba would run
-    return [Path(folder).absolute() for folder in named if folder] + [temporary] * is_own
+    folders = [Path(folder).absolute() for folder in named if folder]
+    return folders + [temporary] * is_own
 
 
 def data_folders(name: str) -> list[Path]:

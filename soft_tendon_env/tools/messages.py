@@ -35,18 +35,25 @@ def describe(error: BaseException) -> str:
         names = ", ".join(
             str(name) for name in (error.filename, error.filename2) if name is not None
         )
-        return f"{names}: {error.strerror}" if names else error.strerror
+        if names:
+            return f"{names}: {error.strerror}"
+        return error.strerror
     if isinstance(error, MemoryError):
-        return (
-            f"there is too little memory: {error}" if str(error) else "there is too little memory"
-        )
-    return ". ".join([str(error) or type(error).__name__, *getattr(error, "__notes__", [])])
+        if str(error):
+            return f"there is too little memory: {error}"
+        return "there is too little memory"
+    text = str(error) or type(error).__name__
+    notes = getattr(error, "__notes__", [])
+    return ". ".join([text, *notes])
 
 
 def first_line(error: BaseException) -> str:
     """The type and the first line of an error of another library, at most 160 characters of it."""
     text = describe(error).strip().splitlines()
-    return f"{type(error).__name__}, {text[0][:160]}" if text else type(error).__name__
+    if text:
+        first = text[0][:160]
+        return f"{type(error).__name__}, {first}"
+    return type(error).__name__
 
 
 def say(line: str) -> None:

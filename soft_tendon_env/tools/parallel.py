@@ -90,7 +90,8 @@ def run_all(
 def _script() -> Path | None:
     """The script that this process was started with; None: a module (`python -m`), or no file."""
     main = sys.modules["__main__"]
-    if getattr(main, "__spec__", None) is not None or not hasattr(main, "__file__"):
+    has_spec = getattr(main, "__spec__", None) is not None
+    if has_spec or not hasattr(main, "__file__"):
         return None
     return Path(str(main.__file__)).absolute()
 
@@ -152,11 +153,13 @@ def _on_cluster(
 
         task = ray.remote(num_cpus=1)(_run)
         waiting = iter(jobs)
-        running = [task.remote(*job) for job in itertools.islice(waiting, workers)]
+        first = itertools.islice(waiting, workers)
+        running = [task.remote(*job) for job in first]
         while running:
             # One ends, the next begins: as many run as there are workers.
             (ready,), running = ray.wait(running)
-            running += [task.remote(*job) for job in itertools.islice(waiting, 1)]
+            next_jobs = itertools.islice(waiting, 1)
+            running += [task.remote(*job) for job in next_jobs]
             try:
                 place_and_result = ray.get(ready)
             except ray.exceptions.RayTaskError as error:
@@ -185,7 +188,8 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
-            socket.create_connection((host, int(port)), timeout=CONNECTING).close()
+            connection = socket.create_connection((host, int(port)), timeout=CONNECTING)
+            connection.close()
         ray.init(address or "local", **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(

@@ -105,7 +105,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             TypeError: the thing or a detail is of the wrong type, or unknown.
         """
         if not isinstance(name, str) or not name:
-            raise TypeError(f"the name of a {self.kind} should be a text, not {shown(name)}")
+            message = f"the name of a {self.kind} should be a text, not {shown(name)}"
+            raise TypeError(message)
         owner = self._modules.get(name, module)
         if owner != module:
             raise ValueError(
@@ -131,8 +132,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                     f"register({self.kind!r}, ...) has no argument {key!r}: {not_among(key, valid)}"
                 )
         for parameter in own:
-            if parameter.default is parameter.empty and parameter.name not in details:
-                raise TypeError(f"register({self.kind!r}, ...) needs {parameter.name}=...")
+            is_required = parameter.default is parameter.empty
+            if is_required and parameter.name not in details:
+                message = f"register({self.kind!r}, ...) needs {parameter.name}=..."
+                raise TypeError(message)
 
 
 Table = TypeVar("Table", bound=Configuration)
@@ -169,7 +172,8 @@ class TableRegistry(Registry[type[Table]]):
             raise ConfigurationError([Problem(("type",), "is missing: it is required")])
         name = value["type"]
         if not isinstance(name, str) or name not in self:
-            text = f"is {shown(name)}: {not_registered(str(name), self)}"
+            hint = not_registered(str(name), self)
+            text = f"is {shown(name)}: {hint}"
             raise ConfigurationError([Problem(("type",), text)])
         return self[name](**value)
 
@@ -186,8 +190,10 @@ def check_class(kind: str, name: str, thing: Any, *bases: type) -> None:
     Raises:
         TypeError: it is no subclass of a base, or lacks methods that the base leaves open.
     """
-    if not isinstance(thing, type) or not issubclass(thing, bases):
-        valid = " or ".join(f"{base.__module__}.{base.__qualname__}" for base in bases)
+    is_class = isinstance(thing, type)
+    if not is_class or not issubclass(thing, bases):
+        names = (f"{base.__module__}.{base.__qualname__}" for base in bases)
+        valid = " or ".join(names)
         raise TypeError(f"the {kind} {name!r} should be a subclass of {valid}, not {shown(thing)}")
     if inspect.isabstract(thing):
         open_methods: frozenset[str] = getattr(thing, "__abstractmethods__", frozenset())
@@ -218,7 +224,8 @@ def register(kind: str, name: str, thing: Any = None, **details: Any) -> Any:
         TypeError: the thing or a detail is of a wrong type.
     """
     if kind not in KINDS:
-        raise ValueError(f"kind is {kind!r}: {not_among(str(kind), KINDS)}")
+        hint = not_among(str(kind), KINDS)
+        raise ValueError(f"kind is {kind!r}: {hint}")
     importlib.import_module(KINDS[kind])
     registry = _registries[kind]
     module = sys._getframe(1).f_globals.get("__name__", "")

@@ -45,14 +45,23 @@ def column_names(header: Sequence[str], above: Sequence[Sequence[str]]) -> list[
     named = [line for line in by_nearness if NAME in [cell.casefold() for cell in line[:2]]]
     # of a rigid body, Position and Rotation are the nearest line, beneath that of the names
     candidates = [[line] for line in named or by_nearness]
-    candidates += [[line, by_nearness[0]] for line in named or by_nearness[1:]]
+    pairs = [[line, by_nearness[0]] for line in named or by_nearness[1:]]
+    candidates += pairs
     for chosen in candidates:
         names = list[str]()
         for i, name in enumerate(header):
-            parts = [line[i] for line in chosen] if is_repeated[i] else []
+            if is_repeated[i]:
+                parts = [line[i] for line in chosen]
+            else:
+                parts = []
             # without a label of its own a column is none of a name
-            label = " ".join(part for part in parts if part.casefold() != POSITION)
-            names.append(f"{label} {name}" if all(parts) and label else name)
+            words = (part for part in parts if part.casefold() != POSITION)
+            label = " ".join(words)
+            if all(parts) and label:
+                label_and_name = f"{label} {name}"
+            else:
+                label_and_name = name
+            names.append(label_and_name)
         repeated_names = [names[i] for i, repeated in enumerate(is_repeated) if repeated]
         is_labelled = all(name not in header for name in repeated_names)
         if is_labelled and len({*repeated_names}) == len(repeated_names):
@@ -65,7 +74,11 @@ def _numbered(header: Sequence[str], is_repeated: Sequence[bool]) -> list[str]:
     times = Counter[str]()
     names = list[str]()
     for name, repeated in zip(header, is_repeated, strict=True):
-        names.append(f"{name}.{times[name]}" if repeated else name)
+        if repeated:
+            numbered = f"{name}.{times[name]}"
+        else:
+            numbered = name
+        names.append(numbered)
         times[name] += 1
     return names
 
@@ -74,7 +87,10 @@ def _filled(line: Sequence[str], is_repeated: Sequence[bool]) -> list[str]:
     """Cells of a line over the columns: an empty one over a repeated column is the one before."""
     filled = list[str]()
     for i, repeated in enumerate(is_repeated):
-        cell = line[i] if i < len(line) else ""
+        if i < len(line):
+            cell = line[i]
+        else:
+            cell = ""
         if repeated and not cell and filled:
             cell = filled[-1]
         filled.append(cell)

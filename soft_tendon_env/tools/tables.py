@@ -57,7 +57,8 @@ class Table(NamedTuple):
         """
         columns = list(columns)
         places = [self.header.index(name) for name, _ in columns]
-        values = np.empty((len(self.rows), len(columns)))
+        shape = (len(self.rows), len(columns))
+        values = np.empty(shape)
         for i, (where, cells) in enumerate(self.rows):
             for j, (name, factor) in enumerate(columns):
                 text = cells[places[j]]
@@ -77,7 +78,10 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
         with contextlib.suppress(ValueError):  # it stays NaN, which is refused below
             value = float(text.replace(",", ".")) * factor
     if not math.isfinite(value):
-        shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+        if len(text) <= SHOWN:
+            shown = text
+        else:
+            shown = f"{text[:SHOWN]}..."
         raise ValueError(
             f"{where}: {name} is {shown!r}: it should be a finite number, or empty where there is"
             " none"
@@ -98,7 +102,8 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     check_is_text(path)
     text = read_text(path, "replace")  # bytes that are no text are no numbers
     lines = _whole_lines(path, text)
-    place, separator, header = _header(lines, {name.casefold() for name in names})
+    folded = {name.casefold() for name in names}
+    place, separator, header = _header(lines, folded)
     where = f"{path}, line {place + 1}"
     if len(header) > 1:
         where += f" (separated by {separator!r})"
@@ -121,14 +126,16 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
         if not any(cells[len(header) :]):
             cells = cells[: len(header)]
         if not rows and _is_line_of_units(cells):
-            units = dict(zip(header, map(unit_of, cells), strict=False))
+            pairs = zip(header, map(unit_of, cells), strict=False)
+            units = dict(pairs)
             continue
         if len(cells) != len(header):
             raise ValueError(
                 f"{where_row}: there are {len(cells)} cells, the header has {len(header)}: {where}"
             )
         rows.append((where_row, cells))
-    return Table(where, header, rows, {name: unit for name, unit in units.items() if unit})
+    known_units = {name: unit for name, unit in units.items() if unit}
+    return Table(where, header, rows, known_units)
 
 
 def _units_above(above: Sequence[str], separator: str, header: Sequence[str]) -> dict[str, str]:
@@ -140,7 +147,8 @@ def _units_above(above: Sequence[str], separator: str, header: Sequence[str]) ->
 
 def _is_line_of_units(cells: Sequence[str]) -> bool:
     """Whether the cells of a row have units and no number, as beneath the header of Nexus."""
-    return any(unit_of(cell) for cell in cells) and not any(_is_number(cell) for cell in cells)
+    has_units = any(unit_of(cell) for cell in cells)
+    return has_units and not any(_is_number(cell) for cell in cells)
 
 
 def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
@@ -148,10 +156,13 @@ def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
 
     An empty line is before it, and its sample rate alone in the one after.
     """
-    if not 0 < i < len(lines) - 1 or any(_cells(lines[i - 1], separator)):
+    last_row = len(lines) - 1
+    if not 0 < i < last_row or any(_cells(lines[i - 1], separator)):
         return False
-    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in lines[i : i + 2])
-    return len(title) == len(rate) == 1 and _is_number(rate[0]) and not _is_number(title[0])
+    both = lines[i : i + 2]
+    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in both)
+    are_single = len(title) == len(rate) == 1
+    return are_single and _is_number(rate[0]) and not _is_number(title[0])
 
 
 def _is_number(text: str) -> bool:
@@ -181,7 +192,10 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
     for place in _header_places(lines):
         line = lines[place]
         is_comment = line.startswith(COMMENTS)
-        text = line.lstrip("".join(COMMENTS) + " \t") if is_comment else line
+        if is_comment:
+            text = line.lstrip("".join(COMMENTS) + " \t")
+        else:
+            text = line
         separator = max(SEPARATORS, key=text.count)
         if separator not in text.strip():
             separator = " "
@@ -191,8 +205,11 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             continue
         while cells and not cells[-1]:  # empty cells behind the last name
             cells = cells[:-1]
-        cells = column_names(cells, _cells_of_block(lines[:place], separator))
-        score = len(names.intersection(cell.casefold() for cell in cells))
+        above = _cells_of_block(lines[:place], separator)
+        cells = column_names(cells, above)
+        folded = (cell.casefold() for cell in cells)
+        known_cells = names.intersection(folded)
+        score = len(known_cells)
         # A comment counts by its names alone: without any it is below the first other line.
         if is_comment:
             score -= 1
@@ -204,10 +221,14 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
 
 def _header_places(lines: Sequence[str]) -> list[int]:
     """Lines that may be a header: the first ones, and those after an empty line."""
-    places = [*range(min(PREAMBLE, len(lines)))]
+    searched = min(PREAMBLE, len(lines))
+    places = [*range(searched)]
     since_empty = BLOCK
     for place, line in enumerate(lines):
-        since_empty = since_empty + 1 if line.strip() else 0
+        if line.strip():
+            since_empty = since_empty + 1
+        else:
+            since_empty = 0
         if place >= PREAMBLE and 0 < since_empty <= BLOCK:
             places.append(place)
     return places
@@ -229,12 +250,16 @@ def _whole_lines(path: Path, text: str) -> list[str]:
     """
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
-    if len(lines) < 2 or text.endswith("\n"):
+    is_short = len(lines) < 2
+    if is_short or text.endswith("\n"):
         return lines
     # Many editors write no last newline, so a line without is cut off only if it also has fewer
     # cells than the one before, or is of a log, whose rows all end with one.
-    is_shorter = _separator_count(lines[-1]) < _separator_count(lines[-2])
-    if LOGGED not in lines[0] and not is_shorter:
+    last_count = _separator_count(lines[-1])
+    count_before = _separator_count(lines[-2])
+    is_shorter = last_count < count_before
+    is_plain = LOGGED not in lines[0]
+    if is_plain and not is_shorter:
         return lines
     warnings.warn(
         f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole",
@@ -261,5 +286,6 @@ def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float
             f"{table.where}: the header should have {', '.join(needed)}, and lacks"
             f" {', '.join(missing)}"
         )
-    values = table.numbers((name, 1.0) for name in table.header)
+    columns = ((name, 1.0) for name in table.header)
+    values = table.numbers(columns)
     return [dict(zip(table.header, row, strict=True)) for row in values.tolist()]

@@ -40,7 +40,8 @@ def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
 
     def check(value: float) -> float:
         if value and not least <= abs(value) <= greatest:
-            raise ValueError(f"should be {least:g} to {greatest:g}{unit}")
+            message = f"should be {least:g} to {greatest:g}{unit}"
+            raise ValueError(message)
         return value
 
     return AfterValidator(check)
@@ -107,7 +108,9 @@ def read_length(text: object) -> float:
     match = LENGTH.fullmatch(str(text))
     if match is not None:
         with contextlib.suppress(ValueError):  # such as of "1e", which stays NaN
-            metres = float(match[1]) * UNITS[match[2]]
+            number = float(match[1])
+            unit = UNITS[match[2]]
+            metres = number * unit
     if not 0.0 < metres < math.inf:
         raise ValueError(
             f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm"

@@ -189,7 +189,10 @@ class ControllerSearch(Search):
         """Computes the geometric mean of the costs over all settings and regimes."""
         name = self._controller(values)
         scene = self.options.get("scene", "paper")
-        changes = scene if isinstance(scene, Mapping) else {"scene": scene}
+        if isinstance(scene, Mapping):
+            changes = scene
+        else:
+            changes = {"scene": scene}
         make = partial(name.load, scene=believed_scene(name, changes))
         costs = []
         mean = np.nan
@@ -287,5 +290,7 @@ def read_search(
     """
     table = read_toml(path)
     override(table, parsed_changes(changes))
-    kind = TrainingSearch if "training" in table else ControllerSearch
-    return kind.parse({**table, **more}, str(path))
+    values = {**table, **more}
+    if "training" in table:
+        return TrainingSearch.parse(values, str(path))
+    return ControllerSearch.parse(values, str(path))

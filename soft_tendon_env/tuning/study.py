@@ -44,7 +44,8 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     for key, value in table.items():
         value_before = begun.get(key)
         if value_before != value:
-            differences.append(f"{key} was {shown(value_before)} and is {shown(value)}")
+            difference = f"{key} was {shown(value_before)} and is {shown(value)}"
+            differences.append(difference)
     if differences:
         text = "; ".join(differences)
         raise ValueError(f"{folder} has another search, {text}: give another --out")
@@ -146,4 +147,5 @@ def _table_row(trial: FrozenTrial) -> dict[str, object]:
 
 def _count(trials: list[FrozenTrial], state: TrialState) -> int:
     """Number of trials in a state."""
-    return sum(trial.state is state for trial in trials)
+    is_in_state = (trial.state is state for trial in trials)
+    return sum(is_in_state)

@@ -231,7 +231,10 @@ def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
     class FakeTrial:
         def __init__(self, scene, share, reach, progress):
             self.reach = reach
-            self.left_out = left_out if reach > 1.0 else 0
+            if reach > 1.0:
+                self.left_out = left_out
+            else:
+                self.left_out = 0
             tried.append(reach)
 
     def best(trial, asked, progress, least):
@@ -617,9 +620,12 @@ def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
     errors = 3e-4 * ratio ** np.arange(6)
     changes = errors[:-1] - errors[1:]
     for level in range(1, 4):
-        bound = remaining_error(np.full(2, changes[level]), np.full(2, changes[level - 1]))
-        assert np.all(bound >= (1.0 - 1e-12) * errors[level + 1])
-        assert np.all(bound <= changes[level]) or ratio >= CONVERGING
+        change = np.full(2, changes[level])
+        change_before = np.full(2, changes[level - 1])
+        bound = remaining_error(change, change_before)
+        left = errors[level + 1]
+        assert np.all(bound >= (1.0 - 1e-12) * left)
+        assert np.all(bound <= change) or ratio >= CONVERGING
     np.testing.assert_array_equal(remaining_error(changes, None), changes)
 
 

@@ -132,8 +132,11 @@ def small(monkeypatch, tmp_path):
 def test_commands_print_and_leave_what_they_should(
     command, capsys, tmp_path, request, arguments, printed, left
 ):
-    known = {"config": request.getfixturevalue("config")} if "{config}" in arguments else {}
-    known |= {"best": request.getfixturevalue("finished") / "best"} if "{best}" in arguments else {}
+    known = {}
+    if "{config}" in arguments:
+        known["config"] = request.getfixturevalue("config")
+    if "{best}" in arguments:
+        known["best"] = request.getfixturevalue("finished") / "best"
     ended = 0
     try:
         command(*(argument.format(**known) for argument in arguments))

@@ -35,7 +35,10 @@ def runs(tmp_path):
         (run / "best").mkdir(parents=True)
         config = {"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}
         (run / "config.json").write_text(json.dumps(config))
-        agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
+        if seed == 2:
+            agent.policy.action_net.bias.data[:] = 0.3
+        else:
+            agent.policy.action_net.bias.data[:] = -0.3
         files = save_agent(run / "best", agent.policy, None)
         (run / "best" / "config.json").write_text(json.dumps({**config, "files": files}))
     return tmp_path / "ppo_tip_pose"

@@ -71,11 +71,16 @@ def test_the_step_is_the_formula(build, random_state, arm, period):
 def loop(gains, period, integral):
     """The documented loop as a matrix for (e_dot, e, i), or (e_dot, e)."""
     kp, kd, ki = gains
-    rate = np.array([1.0 - period * kd, -period * kp, -period * ki])
-    error = np.array([0.0, 1.0, 0.0]) + period * rate
-    total = np.array([0.0, 0.0, 1.0]) + period * error
-    size = 3 if integral else 2
-    return np.stack([rate, error, total])[:size, :size]
+    rate, error, total = np.eye(3)
+    # e_ddot = -kd e_dot - kp e - ki i, then e and i with the values after it
+    acceleration = -np.array([kd, kp, ki])
+    rate = rate + period * acceleration
+    error = error + period * rate
+    total = total + period * error
+    matrix = np.stack([rate, error, total])
+    if integral:
+        return matrix
+    return matrix[:2, :2]
 
 
 @pytest.mark.parametrize("period", PERIODS)

@@ -193,13 +193,18 @@ def moving(model, random_state):
     """An arm in motion, beside what its model says, and a target in motion, faster in the second
     period than in the first."""
     q, q_dot = random_state(model, 0)
-    start = model.tip_pose(random_state(model, 1)[0])
-    path = [start, moved_pose(start, PERIOD * TWIST)]
-    path.append(moved_pose(path[-1], 1.5 * PERIOD * TWIST))
-    poses = np.stack(path)
-    measured = moved_pose(model.tip_pose(q), np.array([0.02, -0.01, 0.03, 0.002, 0.001, -0.001]))
-    reference = Reference(PERIOD * np.arange(3.0), poses, poses[:, :3, 3])
-    return ControllerInput(q, q_dot, measured, np.zeros(10), reference)
+    target_q, _ = random_state(model, 1)
+    start = model.tip_pose(target_q)
+    way = PERIOD * TWIST
+    second = moved_pose(start, way)
+    third = moved_pose(second, 1.5 * way)
+    poses = np.stack([start, second, third])
+    times = PERIOD * np.arange(3.0)
+    reference = Reference(times, poses, poses[:, :3, 3])
+    displacement = np.array([0.02, -0.01, 0.03, 0.002, 0.001, -0.001])
+    measured = moved_pose(model.tip_pose(q), displacement)
+    tension = np.zeros(10)
+    return ControllerInput(q, q_dot, measured, tension, reference)
 
 
 @pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])

@@ -161,7 +161,10 @@ def test_gradients_of_commands_that_a_rate_cuts_off_go_on_from_those_before(acti
     before = actuation.command.clone().requires_grad_()
     for asked, is_cut in ((0.6, False), (3.0, True)):
         actuation.command = before
-        value = (asked - 0.4) / 1.0 if action == "increment" else 2.0 * asked / 5.0 - 1.0
+        if action == "increment":
+            value = (asked - 0.4) / 1.0
+        else:
+            value = 2.0 * asked / 5.0 - 1.0
         action_now = torch.full((1, 3), value, dtype=torch.float64, requires_grad=True)
         actuation.apply(action_now)
         # a cost that falls with larger commands: descent would lead further beyond the rate
@@ -194,7 +197,9 @@ def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
             100.0 * (found.backbone_error if of_shape else found.error).square().sum()
             + found.action_change.square().sum()
         )
-        return tracked if of_shape else tracked + 0.1 * found.tip_twist.square().sum()
+        if of_shape:
+            return tracked
+        return tracked + 0.1 * found.tip_twist.square().sum()
 
     cost(at).backward()
     gradient = torch.cat([parameter.grad.flatten() for parameter in policy.parameters()])

@@ -114,7 +114,10 @@ def misfits(value, text):
     faults = []
     if len(summary.split()) > LONGEST:
         faults.append(f"begins with a sentence of {len(summary.split())} words")
-    called = constructor(value) if inspect.isclass(value) else value
+    if inspect.isclass(value):
+        called = constructor(value)
+    else:
+        called = value
     if called is None or not callable(called):  # fields describe themselves, properties take none
         return faults
     signature = inspect.signature(called)

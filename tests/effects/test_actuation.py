@@ -33,7 +33,8 @@ def limited_lag(u, c, time_constant, rate, times):
     slow = rate * time_constant
     corner = max(away - slow, 0.0) / rate
     decay = np.exp(-(times - corner) / time_constant)
-    late = c - sign * min(away, slow) * decay
+    change = min(away, slow)
+    late = c - sign * change * decay
     early = u + sign * rate * times
     return np.where(times < corner, early, late)
 
@@ -89,7 +90,8 @@ def test_a_delay_is_exact_at_any_time(uniform, delay):
     end = 0.2
     prompt.step(np.zeros(3), min(before, end))
     for u in table:
-        prompt.step(u, max(min(0.02, end - before), 0.0))
+        period = min(0.02, end - before)
+        prompt.step(u, max(period, 0.0))
         before += 0.02
     assert abs(prompt.state.time - end) < 1e-12
     np.testing.assert_allclose(late.state.q, prompt.state.q, rtol=2e-6, atol=1e-7)
@@ -122,7 +124,8 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     np.testing.assert_allclose(simulation.state.q, rest.q, rtol=1e-7, atol=1e-7)
     simulation.reset(rest.q)
     simulation.step(u, 0.02)
-    assert np.abs(simulation.state.q - rest.q).max() > 1e-2, "which they are not by default"
+    difference = simulation.state.q - rest.q
+    assert np.abs(difference).max() > 1e-2, "which they are not by default"
 
 
 def springs(stiffness=5e3, **more):
@@ -200,12 +203,15 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
             }
             model = build_model(Scene.parse(table, "wire"), fidelity)
             end = np.array([0.008, -0.02, -0.02])
-            for command in (end, np.linspace(0.0, 1.0, 50)[:, None] * end):
+            shares = np.linspace(0.0, 1.0, 50)
+            for command in (end, shares[:, None] * end):
                 assert np.isfinite(simulate(model, command, 1.0, 0.02).tip_pose).all()
         rest, _ = commanded_equilibrium(model, 0.5 * end)
-        held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
+        motion = simulate(model, 0.5 * end, 20.0, 1.0)
+        held = motion.tip_pose[-1]
         assert rest.converged
-        assert np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
+        way = held[:3, 3] - rest.tip_pose[:3, 3]
+        assert np.linalg.norm(way) < 1e-9 * model.length
 
 
 @pytest.mark.no_jit
@@ -237,19 +243,27 @@ def friction(coefficient=MU, **more):
 def bending(model, tension, direction):
     """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta
     / l = T r (1 - exp(-a)) / a, with a = mu z theta."""
-    unit = model.strain_at(np.ones(1), [0.1])[1][0, 2, 0]
+    field = model.strain_at(np.ones(1), [0.1])[1]
+    unit = field[0, 2, 0]
     terms = model.terms([0.0], [0.0])
-    lever = terms.actuation[0, 0] / (unit * model.length)
+    force = terms.actuation[0, 0]
+    height = unit * model.length
+    lever = force / height
 
     def unbalanced(q):
-        a = MU * direction * unit * q * model.length * np.sign(q * unit)
+        force = MU * direction * unit * q
+        a = force * model.length * np.sign(q * unit)
         return (
             tension * lever * unit * model.length * (-np.expm1(-a) / a if a else 1.0)
             - terms.stiffness[0, 0] * q
         )
 
-    far = 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0]
-    return brentq(unbalanced, 0.0, far) if unbalanced(far) < 0.0 else far
+    pull = 3.0 * tension * terms.actuation[0, 0]
+    stiffness = terms.stiffness[0, 0]
+    far = pull / stiffness
+    if unbalanced(far) < 0.0:
+        return brentq(unbalanced, 0.0, far)
+    return far
 
 
 def test_hysteresis_of_a_slow_cycle(uniform):
@@ -262,22 +276,28 @@ def test_hysteresis_of_a_slow_cycle(uniform):
     period = 20.0
 
     def tension(time):
-        return np.array([2.0 - 1.5 * np.cos(2.0 * np.pi * time / period), 0.0, 0.0])
+        angle = 2.0 * np.pi * time / period
+        return np.array([2.0 - 1.5 * np.cos(angle), 0.0, 0.0])
 
     motion = simulate(model, tension, 3.0 * period, 0.05)
-    pull = np.array([tension(time)[0] for time in motion.time])
+    pulls = [tension(time)[0] for time in motion.time]
+    pull = np.array(pulls)
     q = motion.q[:, 0]
     per = round(period / 0.05)
-    assert np.abs(q[2 * per :] - q[per : 2 * per + 1]).max() < 1e-3 * np.abs(q).max(), "closed"
+    cycle_before = q[per : 2 * per + 1]
+    bound = 1e-3 * np.abs(q).max()
+    assert np.abs(q[2 * per :] - cycle_before).max() < bound, "closed"
     least = bending(model, 0.5, -1.0)
     most = bending(model, 3.5, 1.0)
 
     def theory(direction, tensions):
         """Where the tendon slides, and before that where it sticks."""
-        return np.clip([bending(model, tension, direction) for tension in tensions], least, most)
+        angles = [bending(model, tension, direction) for tension in tensions]
+        return np.clip(angles, least, most)
 
     for direction, part in (
         (1.0, slice(per, per + per // 2)),
         (-1.0, slice(per + per // 2, 2 * per)),
     ):
-        np.testing.assert_allclose(q[part], theory(direction, pull[part]), rtol=1e-2)
+        expected = theory(direction, pull[part])
+        np.testing.assert_allclose(q[part], expected, rtol=1e-2)

@@ -64,7 +64,8 @@ def pressed_arm(build, pull, friction, **changes):
 def simulate_to_rest(model, seconds=5.0, tension=None):
     """The simulation after this time."""
     simulation = Simulation(model)
-    tension = np.zeros(model.tendon_count) if tension is None else tension
+    if tension is None:
+        tension = np.zeros(model.tendon_count)
     for _ in range(round(seconds / 0.02)):
         simulation.step(tension, 0.02)
     return simulation
@@ -88,7 +89,8 @@ def test_signed_distances_have_their_gradients(obstacle):
             (distance(body, tuple(x + h * e))[0] - distance(body, tuple(x - h * e))[0]) / (2 * h)
             for e in np.eye(3)
         ]
-        differences.append(np.abs(np.array(gradient) - slope).max())
+        difference = np.array(gradient) - slope
+        differences.append(np.abs(difference).max())
     assert (
         np.sort(differences)[-3] < 1e-6
     )  # two may lie next to an edge, where there are two gradients
@@ -105,12 +107,16 @@ def test_an_obstacle_moves_as_it_is_told():
     }
     time = 0.6
     h = 1e-6
-    here, before, after = (body_of(obstacle, t) for t in (time, time - h, time + h))
-    swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
+    times = (time, time - h, time + h)
+    here, before, after = (body_of(obstacle, t) for t in times)
+    amplitude = np.array([0.0, 0.05, 0.0])
+    angle = 2 * np.pi * 0.7 * time + np.radians(30.0)
+    swing = amplitude * np.sin(angle)
     np.testing.assert_allclose(
         here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14
     )
-    np.testing.assert_allclose(here.velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
+    way = np.subtract(after.r, before.r)
+    np.testing.assert_allclose(here.velocity, way / (2 * h), atol=1e-8)
     np.testing.assert_allclose(
         Contact(obstacles=[obstacle]).obstacles[0].pose(time)[:3, 3], here.r, atol=1e-14
     )
@@ -124,7 +130,8 @@ def test_an_arm_rests_on_the_floor(build):
     model = three_tendon(build, [FLOOR], changes=changes)
     contact = contact_forces(model, simulate_to_rest(model).state)
     sample_force = contact.sample_force[0]
-    np.testing.assert_allclose(contact.force[0], sample_force.sum(axis=0))
+    sum_of_samples = sample_force.sum(axis=0)
+    np.testing.assert_allclose(contact.force[0], sum_of_samples)
     np.testing.assert_allclose(sample_force[:, :2], 0.0, atol=1e-12)
     # the middle of the arm carries the weight of its length
     inside = slice(5, -5)
@@ -134,14 +141,16 @@ def test_an_arm_rests_on_the_floor(build):
     weight = 1070.0 * area * 9.81
     np.testing.assert_allclose(force_per_length.mean(), weight, rtol=0.02)
     # quadratic up to the smoothing depth e, then linear
-    k = model.scene.segments[0].young_modulus * area / (2.0 * RADIUS) ** 2
+    square = (2.0 * RADIUS) ** 2
+    k = model.scene.segments[0].young_modulus * area / square
     e = SMOOTHING * RADIUS
     depth = -contact.gap[0, inside]
     quadratic = k * depth**2 / (2 * e)
     linear = k * (depth - e / 2)
     expected = np.where(depth < e, quadratic, linear)
     np.testing.assert_allclose(force_per_length, expected, rtol=1e-9)
-    assert contact.penetration[0] == pytest.approx(-contact.gap.min())
+    smallest_gap = contact.gap.min()
+    assert contact.penetration[0] == pytest.approx(-smallest_gap)
     assert contact.clearance[0] == -contact.penetration[0]
 
 
@@ -157,7 +166,8 @@ def test_forces_are_those_of_a_potential(build):
     ]
     work = model.terms(still, still).external_force * h
     assert np.abs(work).max() > 0.0
-    np.testing.assert_allclose(work, falls, rtol=1e-4, atol=1e-6 * np.abs(work).max())
+    greatest = np.abs(work).max()
+    np.testing.assert_allclose(work, falls, rtol=1e-4, atol=1e-6 * greatest)
 
 
 @pytest.mark.parametrize("step", [0.02, 0.005])
@@ -165,14 +175,18 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     """The beam on the floor's stiffness carries nothing of the pull: it slides where that exceeds
     mu N."""
     mu = 0.5
-    held = Simulation(pressed_arm(build, 0.9 * mu, mu, **{"integrator.step": step}))
+    arm = pressed_arm(build, 0.9 * mu, mu, **{"integrator.step": step})
+    held = Simulation(arm)
     places = []
     for _ in range(250):
         held.step(np.zeros(3), 0.02)
         places.append(held.tip_pose[:3, 3])
     assert abs(places[-1][1]) < 3e-3
-    assert 0.0 < places[-1][1] - places[-51][1] < 3.0 * STICTION_SPEED  # creep in a second
-    slid = simulate_to_rest(pressed_arm(build, 1.1 * mu, mu, **{"integrator.step": step}))
+    last = places[-1][1]
+    first = places[-51][1]
+    assert 0.0 < last - first < 3.0 * STICTION_SPEED  # creep in a second
+    arm = pressed_arm(build, 1.1 * mu, mu, **{"integrator.step": step})
+    slid = simulate_to_rest(arm)
     assert slid.tip_pose[1, 3] > 0.05
 
 
@@ -198,7 +212,8 @@ def test_energy_never_grows_with_friction(build, solid, step):
         state = simulation.state
         total.append(model.energy(state.q, state.q_dot).total)
     assert contact_forces(model, simulation.state).force[0, 2] > 0.1
-    assert np.diff(total).max() < RISE[step] * (total[0] - total[-1])
+    loss = total[0] - total[-1]
+    assert np.diff(total).max() < RISE[step] * loss
 
 
 @pytest.mark.no_jit
@@ -207,5 +222,7 @@ def test_interpreted_kernels_run(build):
     simulation = Simulation(model)
     simulation.step(np.zeros(3), 0.02)
     found = contact_forces(model, simulation.state)
-    assert found.force[0, 2] > 0.0 > found.force[0, 1]
+    upwards = found.force[0, 2]
+    backwards = found.force[0, 1]
+    assert upwards > 0.0 > backwards
     assert simulation.state.effects.size == 0

@@ -58,13 +58,15 @@ DISSIPATION = 0.7
 def along_and_beside(x):
     """Distances of a point from PLACE along AXIS and beside it."""
     along = (x - PLACE) @ AXIS
-    return along, np.linalg.norm(x - PLACE - along * AXIS)
+    beside = x - PLACE - along * AXIS
+    return along, np.linalg.norm(beside)
 
 
 def to_box(half, q):
     """Signed distance of a box of half sizes from a point in its frame."""
     beyond = np.abs(q) - half
-    return np.linalg.norm(np.maximum(beyond, 0.0)) + min(beyond.max(), 0.0)
+    outside = np.maximum(beyond, 0.0)
+    return np.linalg.norm(outside) + min(beyond.max(), 0.0)
 
 
 def to_plane(x):
@@ -77,17 +79,22 @@ def to_sphere(x):
 
 def to_capsule(x):
     along, beside = along_and_beside(x)
-    return np.hypot(max(abs(along) - 0.2, 0.0), beside) - 0.1
+    beyond = max(abs(along) - 0.2, 0.0)
+    return np.hypot(beyond, beside) - 0.1
 
 
 def to_cylinder(x):
     along, beside = along_and_beside(x)
-    return to_box(np.array([0.1, 0.2]), np.array([beside, along]))
+    half = np.array([0.1, 0.2])
+    place = np.array([beside, along])
+    return to_box(half, place)
 
 
 def to_turned_box(x):
     frame = Rotation.from_rotvec(np.radians(ROTATION))
-    return to_box(np.array([0.1, 0.15, 0.2]), frame.inv().apply(x - PLACE))
+    half = np.array([0.1, 0.15, 0.2])
+    in_frame = frame.inv().apply(x - PLACE)
+    return to_box(half, in_frame)
 
 
 SHAPES = [
@@ -111,7 +118,8 @@ SHAPES = [
 def test_distances_are_those_of_the_shapes(obstacle, expected):
     """Also of one that has moved, and from the nearest point of the surface, which is 0."""
     contact = Contact(obstacles=[{**obstacle, "velocity": [0.3, -0.2, 0.1]}])
-    x = PLACE + np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3))
+    places = np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3))
+    x = PLACE + places
     out = np.empty((1, 40))
     nearest = np.empty((1, 40, 3))
     read_distances(contact.rows(), x, 0.0, out, nearest)
@@ -122,7 +130,8 @@ def test_distances_are_those_of_the_shapes(obstacle, expected):
     ways = np.linalg.norm(x - surface, axis=1)
     np.testing.assert_allclose(ways, np.abs(exact), atol=1e-14)
     # two seconds later
-    moved = x + 2.0 * np.array([0.3, -0.2, 0.1])
+    direction = np.array([0.3, -0.2, 0.1])
+    moved = x + 2.0 * direction
     later = contact.distances(moved, 2.0)
     np.testing.assert_allclose(later[0], exact, atol=1e-14)
 
@@ -154,7 +163,8 @@ def test_pressure_has_its_derivatives_and_its_energy(obstacle, approach):
     """Before the smoothing depth, beyond it, and in the wall of what is thin or thick."""
     body = body_of(obstacle)
     h = 1e-8
-    for depth in (0.4 * E, 3.0 * E, 0.3 * RADIUS, 0.9 * RADIUS, 1.6 * RADIUS):
+    depths = (0.4 * E, 3.0 * E, 0.3 * RADIUS, 0.9 * RADIUS, 1.6 * RADIUS)
+    for depth in depths:
         force, stiffness, damping, _ = law(body, depth, approach)
         assert force >= 0.0, "what leaves fast is not pulled back"
         deeper, _, _, more_energy = law(body, depth + h, approach)
@@ -176,8 +186,12 @@ def test_pressure_is_hunt_and_crossleys_up_to_the_wall():
     for obstacle, thick in ((THIN, 5e-4), (THICK, RADIUS)):
         body = body_of(obstacle)
         begin = FREE * RADIUS + 0.5 * thick
-        for depth in (0.0, 0.5 * E, E, 10.0 * E, 0.999 * begin):
-            smooth = K * depth**2 / (2.0 * E) if depth < E else K * (depth - 0.5 * E)
+        depths = (0.0, 0.5 * E, E, 10.0 * E, 0.999 * begin)
+        for depth in depths:
+            if depth < E:
+                smooth = K * depth**2 / (2.0 * E)
+            else:
+                smooth = K * (depth - 0.5 * E)
             for approach in (0.0, 0.5, -0.5):
                 expected = smooth * (1.0 + DISSIPATION * approach)
                 assert law(body, depth, approach)[0] == pytest.approx(
@@ -196,7 +210,8 @@ def test_the_wall_lets_nothing_out_faster_than_its_dissipation():
     depth = 0.4 * RADIUS
     penalty = law(elastic, depth, wall=0.0)[0]
     assert law(elastic, depth, -0.5)[0] > 1.01 * penalty
-    assert law(elastic, depth, -1.0)[0] == pytest.approx(penalty)
+    pressure = law(elastic, depth, -1.0)[0]
+    assert pressure == pytest.approx(penalty)
 
 
 @pytest.fixture(scope="module")
@@ -211,32 +226,38 @@ def arc(rod):
     hat = np.array(
         [[0, -3.0, 1.0, 1.0], [3.0, 0, -2.0, 0.0], [-1.0, 2.0, 0, 0.0], [0, 0, 0, 0]], dtype=float
     )
-    return np.array([expm(place * hat) for place in rod.node])
+    poses = [expm(place * hat) for place in rod.node]
+    return np.array(poses)
 
 
 def straight(rod, turn=0.0):
     """Poses (nodes, 4, 4) of a straight arm along x, turned about its axis."""
-    poses = np.tile(np.eye(4), (rod.node.size, 1, 1))
-    poses[:, :3, :3] = Rotation.from_rotvec([turn, 0.0, 0.0]).as_matrix()
+    repeats = (rod.node.size, 1, 1)
+    poses = np.tile(np.eye(4), repeats)
+    rotation = Rotation.from_rotvec([turn, 0.0, 0.0])
+    poses[:, :3, :3] = rotation.as_matrix()
     poses[:, 0, 3] = rod.node
     return poses
 
 
 def field_of(poses):
     rotations = poses[:, :3, :3].reshape(-1, 9)
-    return node_field(np.concatenate([rotations, poses[:, :3, 3]], axis=1))
+    parts = [rotations, poses[:, :3, 3]]
+    return node_field(np.concatenate(parts, axis=1))
 
 
 def base_at(height):
     """A base (24) at rest that points along x, at a height [m]."""
-    return np.concatenate([np.eye(3).ravel(), [0.0, 0.0, height], np.zeros(12)])
+    parts = [np.eye(3).ravel(), [0.0, 0.0, height], np.zeros(12)]
+    return np.concatenate(parts)
 
 
 def nodes_at(poses, twists=None, before=None, heights=(0.0, 0.0), mass=1.0):
     """Nodes at poses (nodes, 4, 4) with body twists (nodes, 6), by default at rest; before: poses
     before the step, a hundredth of a second ago; heights: of the base now and then."""
     count = len(poses)
-    twists = np.zeros((count, 6)) if twists is None else twists
+    if twists is None:
+        twists = np.zeros((count, 6))
     earlier = field_of(poses if before is None else before)
     base, base_before = map(base_at, heights)
     return Nodes(
@@ -257,7 +278,8 @@ def nodes_at(poses, twists=None, before=None, heights=(0.0, 0.0), mass=1.0):
 
 def rows_of(field, components):
     """A field over nodes as (nodes, components)."""
-    return field.reshape(-1, components, 4).swapaxes(1, 2).reshape(-1, components)
+    by_sample = field.reshape(-1, components, 4).swapaxes(1, 2)
+    return by_sample.reshape(-1, components)
 
 
 def read(parameters, nodes):
@@ -277,7 +299,8 @@ def moved(poses, twists, time):
         hat = np.zeros((4, 4))
         hat[:3, :3] = np.cross(np.eye(3), w)
         hat[:3, 3] = v
-        result[i] = poses[i] @ expm(time * hat)
+        motion = expm(time * hat)
+        result[i] = poses[i] @ motion
     return result
 
 
@@ -286,14 +309,17 @@ def surface_velocities(parameters, poses, twists, normal):
     differences of their middles and the angular velocities between the nodes."""
     # velocities of the middles
     h = 1e-6
-    _, after, _, _ = read(parameters, nodes_at(moved(poses, twists, h)))
-    _, before, _, _ = read(parameters, nodes_at(moved(poses, twists, -h)))
+    nodes = nodes_at(moved(poses, twists, h))
+    _, after, _, _ = read(parameters, nodes)
+    nodes_before = nodes_at(moved(poses, twists, -h))
+    _, before, _, _ = read(parameters, nodes_before)
     velocity = (after - before) / (2 * h)
     # angular velocities of base and nodes, in the world frame, and between them
     rotation = poses[:, :3, :3]
     of_nodes = np.einsum("nij,nj->ni", rotation, twists[:, :3])
     turning = np.vstack([np.zeros(3), of_nodes])
-    first, last = parameters.intervals[:2, 1:3].astype(int).T
+    numbers = parameters.intervals[:2, 1:3]
+    first, last = numbers.astype(int).T
     behind = np.repeat([1, 2], last - first)
     t = parameters.samples[:, 4:5]
     w = t * turning[behind] + (1.0 - t) * turning[behind - 1]
@@ -305,14 +331,17 @@ def surface_velocities(parameters, poses, twists, normal):
 def sliding(request, rod, arc):
     """An arm that slides on and off an inclined plane, which may move: its contact, nodes, normal,
     and velocities of the surfaces relative to the plane."""
-    normal = np.array([0.2, -0.3, 1.0]) / np.sqrt(1.13)
+    direction = np.array([0.2, -0.3, 1.0])
+    normal = direction / np.sqrt(1.13)
     belt = request.param * np.array([1.0, 0.5, 0.2])
     plane = {"type": "plane", "position": [0.0, 0.0, -0.005], "axis": normal.tolist()}
     contact = Contact(
         obstacles=[{**plane, "velocity": belt.tolist()}], friction=MU, dissipation=DISSIPATION
     )
     parameters = contact.parameters(rod)
-    twists = np.random.default_rng(0).normal(size=(rod.node.size, 6)) * np.repeat([2.0, 0.1], 3)
+    draws = np.random.default_rng(0).normal(size=(rod.node.size, 6))
+    sizes = np.repeat([2.0, 0.1], 3)
+    twists = draws * sizes
     velocity = surface_velocities(parameters, arc, twists, normal)
     return parameters, nodes_at(arc, twists), normal, velocity, belt
 
@@ -321,7 +350,8 @@ def test_forces_are_pressure_along_the_normal_and_friction_against_slip(sliding)
     parameters, nodes, normal, velocity, belt = sliding
     gap, position, force, _ = read(parameters, nodes)
     radius, stiffness, smoothing = parameters.samples[:, 5:8].T
-    np.testing.assert_allclose(gap, (position + [0.0, 0.0, 0.005]) @ normal - radius, atol=1e-15)
+    height = (position + [0.0, 0.0, 0.005]) @ normal
+    np.testing.assert_allclose(gap, height - radius, atol=1e-15)
     relative = velocity - belt
     approach = -relative @ normal
     slip = relative + approach[:, None] * normal
@@ -331,9 +361,12 @@ def test_forces_are_pressure_along_the_normal_and_friction_against_slip(sliding)
         stiffness * depth**2 / (2.0 * smoothing),
         stiffness * (depth - 0.5 * smoothing),
     )
-    pressure = penalty * np.maximum(1.0 + DISSIPATION * approach, 0.0)
-    speed = np.sqrt((slip**2).sum(axis=1) + STICTION_SPEED**2)
-    expected = pressure[:, None] * (normal - MU * slip / speed[:, None])
+    factor = 1.0 + DISSIPATION * approach
+    pressure = penalty * np.maximum(factor, 0.0)
+    squares = (slip**2).sum(axis=1) + STICTION_SPEED**2
+    speed = np.sqrt(squares)
+    friction = MU * slip / speed[:, None]
+    expected = pressure[:, None] * (normal - friction)
     is_soft = -gap < FREE * radius
     assert (is_soft & (gap < 0.0)).sum() > 3
     np.testing.assert_allclose(force[is_soft], expected[is_soft], rtol=1e-5, atol=1e-9)
@@ -345,7 +378,9 @@ def test_wrenches_at_the_nodes_have_the_power_of_the_forces_on_the_surfaces(slid
     parameters, nodes, _, velocity, _ = sliding
     contact_wrench(parameters, nodes)
     _, _, force, _ = read(parameters, nodes)
-    power = (rows_of(nodes.wrench, 6) * rows_of(nodes.twist, 6)).sum()
+    wrenches = rows_of(nodes.wrench, 6)
+    node_twists = rows_of(nodes.twist, 6)
+    power = (wrenches * node_twists).sum()
     assert power == pytest.approx((force * velocity).sum(), rel=1e-6)
     assert nodes.contact.touched[0] == YES
 
@@ -355,9 +390,12 @@ def test_sliding_down_an_incline_is_as_fast_as_coulombs_law_has_it(rod):
     angle = np.radians(35.0)
     gravity = 9.81
     mass = 0.02
-    down = np.array([np.cos(angle), 0.0, -np.sin(angle)])
-    normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
-    depth = mass * gravity * np.cos(angle) / K + 0.5 * E
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
+    down = np.array([cosine, 0.0, -sine])
+    normal = np.array([sine, 0.0, cosine])
+    weight = mass * gravity * cosine
+    depth = weight / K + 0.5 * E
     body = body_of({"type": "plane", "position": [0.0, 0.0, 0.0], "axis": normal.tolist()})
     contact = Contact(
         obstacles=[{"type": "plane", "position": [0.0, 0.0, 0.0], "axis": normal.tolist()}],
@@ -365,18 +403,25 @@ def test_sliding_down_an_incline_is_as_fast_as_coulombs_law_has_it(rod):
         dissipation=DISSIPATION,
     )
     pressure, _, _, _ = normal_law(body, sample_of(), depth, 0.0)
-    assert pressure == pytest.approx(mass * gravity * np.cos(angle))
+    assert pressure == pytest.approx(weight)
     # the tip's ball touches, of an arm that lies along the incline: the others are left out
     parameters = contact.parameters(rod)
     parameters.samples[-1, 6:8] = K, E
     poses = straight(rod)
-    poses[:, :3, :3] = np.stack([down, np.cross(normal, down), normal], axis=1)
-    poses[:, :3, 3] = rod.node[:, None] * down + (RADIUS - depth) * normal
+    aside = np.cross(normal, down)
+    poses[:, :3, :3] = np.stack([down, aside, normal], axis=1)
+    along = rod.node[:, None] * down
+    above = (RADIUS - depth) * normal
+    poses[:, :3, 3] = along + above
     twists = np.zeros((rod.node.size, 6))
-    twists[:, 3:] = poses[0, :3, :3].T @ (5.0 * down)
-    _, _, force, _ = read(parameters, nodes_at(poses, twists))
-    acceleration = force[-1] / mass - [0.0, 0.0, gravity]
-    assert acceleration @ down == pytest.approx(gravity * (np.sin(angle) - MU * np.cos(angle)))
+    rotation = poses[0, :3, :3]
+    twists[:, 3:] = rotation.T @ (5.0 * down)
+    nodes = nodes_at(poses, twists)
+    _, _, force, _ = read(parameters, nodes)
+    specific_force = force[-1] / mass
+    acceleration = specific_force - [0.0, 0.0, gravity]
+    share = sine - MU * cosine
+    assert acceleration @ down == pytest.approx(gravity * share)
     assert acceleration @ normal == pytest.approx(0.0, abs=1e-9)
 
 
@@ -386,13 +431,17 @@ def test_a_ball_that_rolls_does_not_rub(rod):
         obstacles=[{"type": "plane", "position": [0.0, 0.0, -0.999 * RADIUS]}], friction=MU
     )
     parameters = contact.parameters(rod)
-    rolling = np.tile([2.0, 0.0, 0.0, 0.0, -2.0 * RADIUS, 0.0], (rod.node.size, 1))
+    twist = [2.0, 0.0, 0.0, 0.0, -2.0 * RADIUS, 0.0]
+    rolling = np.tile(twist, (rod.node.size, 1))
     second = slice(int(parameters.intervals[1, 1]), None)  # the base of the first one stands still
-    _, _, force, _ = read(parameters, nodes_at(poses, rolling))
+    rolling_nodes = nodes_at(poses, rolling)
+    _, _, force, _ = read(parameters, rolling_nodes)
     assert (force[second, 2] > 0.0).all()
     np.testing.assert_allclose(force[second, :2], 0.0, atol=1e-12)
-    _, _, sliding_force, _ = read(parameters, nodes_at(poses, -rolling * [1, 1, 1, 1, -1, 1]))
-    assert (sliding_force[second, 1] > 0.3 * MU * force[second, 2]).all()
+    signs = [1, 1, 1, 1, -1, 1]
+    _, _, sliding_force, _ = read(parameters, nodes_at(poses, -rolling * signs))
+    bound = 0.3 * MU * force[second, 2]
+    assert (sliding_force[second, 1] > bound).all()
 
 
 @pytest.fixture
@@ -437,21 +486,28 @@ def test_blocks_of_the_nodes_are_derivatives_of_their_wrenches(rod, edge, fricti
         def wrench(displacement=0.0, twist=0.0, node=node):
             moving = poses.copy()
             twists = np.zeros((rod.node.size, 6))
-            moving[node, :3, 3] += poses[node, :3, :3] @ (displacement * np.ones(3))
+            rotation = poses[node, :3, :3]
+            way = displacement * np.ones(3)
+            moving[node, :3, 3] += rotation @ way
             twists[node] = twist
             pushed = nodes_at(moving, twists)
             contact_wrench(parameters, pushed)
             return rows_of(pushed.wrench, 6)[node]
 
         for k, unit in enumerate(np.eye(6)):
-            slope = -(wrench(twist=h * unit) - wrench(twist=-h * unit)) / (2 * h)
+            ahead = wrench(twist=h * unit)
+            behind = wrench(twist=-h * unit)
+            slope = -(ahead - behind) / (2 * h)
             expected = part * damping[node][:, k]
-            np.testing.assert_allclose(slope, expected, atol=1e-4 * np.abs(damping).max())
+            greatest = np.abs(damping).max()
+            np.testing.assert_allclose(slope, expected, atol=1e-4 * greatest)
             if k >= 3:
                 step = h * unit[3:]
-                slope = -(wrench(step) - wrench(-step)) / (2 * h)
+                change = wrench(step) - wrench(-step)
+                slope = -change / (2 * h)
                 expected = part * stiffness[node][:, k]
-                np.testing.assert_allclose(slope, expected, atol=1e-4 * np.abs(stiffness).max())
+                greatest_stiffness = np.abs(stiffness).max()
+                np.testing.assert_allclose(slope, expected, atol=1e-4 * greatest_stiffness)
     assert np.abs(stiffness).max() > 0.0
     assert not stiffness[2:].any()
 
@@ -464,7 +520,8 @@ def test_samples_stand_for_the_rod_and_interpolate_it(rod):
     assert last[-1] == len(samples)
     np.testing.assert_array_equal(first[1:], last[:-1])
     np.testing.assert_allclose(largest[:2], RADIUS)
-    assert np.diff(places, prepend=0.0).max() <= RADIUS * (1 + 1e-12)
+    largest_step = np.diff(places, prepend=0.0).max()
+    assert largest_step <= RADIUS * (1 + 1e-12)
     assert places[-1] == pytest.approx(LENGTH)
     # stiffness E A / (2 r)^2 and mass of a share of the length, the last one's with the round cap
     share = np.full(len(samples), places[0])
@@ -473,17 +530,23 @@ def test_samples_stand_for_the_rod_and_interpolate_it(rod):
     stiffness = YOUNG * area / (2 * RADIUS) ** 2
     np.testing.assert_allclose(samples[:, 6], stiffness * share)
     np.testing.assert_allclose(samples[:, 7], SMOOTHING * RADIUS)
-    energy = WALL_MASS * WALL_SPEED**2 * DENSITY * area * share
+    wall_energy = WALL_MASS * WALL_SPEED**2
+    energy = wall_energy * DENSITY * area * share
     np.testing.assert_allclose(samples[:, 8], energy)
     # the Hermite polynomials give back any cubic
-    h_a, reach_a, h_b, reach_b, t = samples[:, :5].T
+    columns = samples[:, :5]
+    h_a, reach_a, h_b, reach_b, t = columns.T
     counts = (last - first)[:2].astype(int)
     end = np.repeat(rod.node[:2], counts)
     start = end - 0.15
     cubic = np.poly1d([2.0, -1.0, 3.0, 0.5])
     slope = np.polyder(cubic)
-    of_start = h_a * cubic(start) + reach_a * slope(start)
-    of_end = h_b * cubic(end) + reach_b * slope(end)
+    of_height = h_a * cubic(start)
+    of_reach = reach_a * slope(start)
+    of_start = of_height + of_reach
+    of_height_b = h_b * cubic(end)
+    of_reach_b = reach_b * slope(end)
+    of_end = of_height_b + of_reach_b
     np.testing.assert_allclose(of_start + of_end, cubic(places), rtol=1e-12)
     np.testing.assert_allclose(start + t * 0.15, places)
 
@@ -500,8 +563,10 @@ def test_samples_next_to_discs_are_as_large_and_as_heavy(build):
     np.testing.assert_allclose(places[rows], [0.15, 0.3])
     np.testing.assert_allclose(change[rows, 5], 0.01)
     # the cap of the disc at the tip is larger too
-    heavier = 1e-3 + DENSITY * np.pi * RADIUS**2 * np.array([0.0, 0.01])
-    np.testing.assert_allclose(change[rows, 8], WALL_MASS * WALL_SPEED**2 * heavier)
+    line_mass = DENSITY * np.pi * RADIUS**2
+    heavier = 1e-3 + line_mass * np.array([0.0, 0.01])
+    wall_energy = WALL_MASS * WALL_SPEED**2
+    np.testing.assert_allclose(change[rows, 8], wall_energy * heavier)
     assert np.count_nonzero(change[:, 8]) == 2
 
 
@@ -530,24 +595,30 @@ def test_the_next_step_ends_where_the_arm_lands(rod, mass, speed, rising):
     """All nodes fall at a speed on a floor that rises: at the first sample that then stores its
     share of the arm's energy."""
     gap = 1e-3
-    contact = Contact(obstacles=[floor(-RADIUS - gap, velocity=[0.0, 0.0, rising])])
+    obstacle = floor(-RADIUS - gap, velocity=[0.0, 0.0, rising])
+    contact = Contact(obstacles=[obstacle])
     twists = np.zeros((rod.node.size, 6))
     twists[:, 5] = -speed
     nodes = nodes_at(straight(rod), twists, mass=mass)
     step, flags = longest_step(contact, rod, nodes)
     total = mass * rod.node.size
     counted = max(IDLE * LENGTH, rising)
-    energy = LANDED * 0.5 * total * (speed**2 + counted**2)
+    square_speeds = speed**2 + counted**2
+    energy = LANDED * 0.5 * total * square_speeds
     intervals, samples, _ = make_samples(rod)
     share = samples[:, 0] + samples[:, 2]
-    share[: int(intervals[0, 2])] = samples[: int(intervals[0, 2]), 2]  # the base stands still
+    first_end = int(intervals[0, 2])
+    share[:first_end] = samples[:first_end, 2]  # the base stands still
     approach = speed * share + rising
-    time = (gap + landing_depths(contact, rod, energy)) / np.maximum(approach, 1e-9)
+    room = gap + landing_depths(contact, rod, energy)
+    speeds = np.maximum(approach, 1e-9)
+    time = room / speeds
     expected = min(1.0, time.min())
     assert step == pytest.approx(expected, rel=1e-9)
     assert flags.active[0] == (YES if expected < 1.0 else NO)
     assert flags.tunnelled[0] == NO
-    far = Contact(obstacles=[floor(-5.0, velocity=[0.0, 0.0, rising])])
+    obstacle = floor(-5.0, velocity=[0.0, 0.0, rising])
+    far = Contact(obstacles=[obstacle])
     assert longest_step(far, rod, nodes_at(straight(rod), twists))[0] == 1.0
 
 
@@ -555,7 +626,8 @@ def test_a_step_in_contact_goes_deeper_by_a_share_of_the_radius_at_most(rod):
     contact = Contact(obstacles=[floor(-0.99 * RADIUS)])
     twists = np.zeros((rod.node.size, 6))
     twists[:, 5] = -0.4
-    step, flags = longest_step(contact, rod, nodes_at(straight(rod), twists))
+    nodes_of_rod = nodes_at(straight(rod), twists)
+    step, flags = longest_step(contact, rod, nodes_of_rod)
     assert step == pytest.approx(OVERRUN * RADIUS / 0.4)
     assert flags.active[0] == YES
 
@@ -569,9 +641,11 @@ def test_what_nodes_that_turn_bring_along_is_met_too(rod):
     twists[0, 1] = rate
     twists[1:, 1] = -rate
     contact = Contact(obstacles=[floor(-height)])
-    step, flags = longest_step(contact, rod, nodes_at(straight(rod), twists))
+    straight_nodes = nodes_at(straight(rod), twists)
+    step, flags = longest_step(contact, rod, straight_nodes)
     speed = 2.0 * rate * 0.15 / 8.0
-    assert step == pytest.approx((height - RADIUS) / speed, rel=0.02)
+    time = (height - RADIUS) / speed
+    assert step == pytest.approx(time, rel=0.02)
     assert flags.active[0] == YES
 
 

@@ -89,7 +89,10 @@ def moving(build, name="three_tendon", **motion):
 
 def motion_of(model, tension=None, seconds=0.4):
     """From the stress-free shape."""
-    u = np.zeros(model.tendon_count) if tension is None else tension
+    if tension is None:
+        u = np.zeros(model.tendon_count)
+    else:
+        u = tension
     return ste.simulate(model, u, seconds, 0.02, initial=ste.Simulation(model).state)
 
 

@@ -49,11 +49,17 @@ def test_a_wrench_at_the_tip_has_its_virtual_work(frame):
         {"effects.tip_load": {"force": FORCE.tolist(), "moment": MOMENT.tolist(), "frame": frame}}
     )
     terms = model.terms(Q, STILL)
-    R = terms.tip_pose[:3, :3] if frame == "world" else np.eye(3)
+    if frame == "world":
+        R = terms.tip_pose[:3, :3]
+    else:
+        R = np.eye(3)
     wrench = np.concatenate([R.T @ MOMENT, R.T @ FORCE])
     np.testing.assert_allclose(terms.external_force, terms.tip_jacobian.T @ wrench, rtol=1e-10)
     dead = model.scene.effects.dead_loads()
-    expected = (FORCE, MOMENT) if frame == "world" else (STILL, STILL)
+    if frame == "world":
+        expected = FORCE, MOMENT
+    else:
+        expected = STILL, STILL
     np.testing.assert_array_equal((dead.force, dead.moment), expected)
 
 

@@ -51,7 +51,10 @@ def random_scene(seed, strain, coefficient=None, elastic=False):
             "angular_rate": random.uniform(3.0, 15.0) / length,
             "phase": phase,
         }
-        routing = helix if random.random() < 0.5 else straight
+        if random.random() < 0.5:
+            routing = helix
+        else:
+            routing = straight
         tendon = {"routing": routing, "tension_limits": [0.0, 4.0 * unit]}
         if segments > 1 and i % 2:
             tendon["end"] = length / segments
@@ -121,7 +124,10 @@ def arms(count):
     """Seed, strain and whether tendons are elastic, of random arms; all but four are slow."""
     cases = []
     for seed in range(count):
-        marks = [] if seed < 4 else [pytest.mark.slow]
+        if seed < 4:
+            marks = []
+        else:
+            marks = [pytest.mark.slow]
         strain = (EXPLICIT, STATICS)[seed % 2]
         cases.append(pytest.param(seed, strain, seed % 4 > 1, marks=marks))
     return cases

@@ -42,7 +42,10 @@ def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start,
     observation, _ = env.reset(seed=0)
     np.testing.assert_array_equal(env.episodes.tension[0], start)
     begun = env.episodes.arms.reading.tip_pose[0].copy()
-    still = np.zeros(3) if action == "increment" else observation[:3].astype(float)
+    if action == "increment":
+        still = np.zeros(3)
+    else:
+        still = observation[:3].astype(float)
     assert action == "increment" or np.allclose(
         limits[0] + 0.5 * np.ptp(limits) * (still + 1.0), start, atol=1e-6
     )
@@ -58,8 +61,10 @@ def test_increments_add_up_within_their_rate_and_the_limits():
     np.testing.assert_allclose(
         tension_after(env, [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]), [2.0, 1.0, 1.0]
     )  # no wind-up at the limit
-    np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
-    np.testing.assert_allclose(tension_after(env, *[[1.0] * 3] * 9, [-1.0] * 3), 4.0)
+    actions = [[9.0, 0.1, 0.0]] * 7
+    np.testing.assert_allclose(tension_after(env, *actions), [5.0, 0.7, 0.0])
+    ups = [[1.0] * 3] * 9
+    np.testing.assert_allclose(tension_after(env, *ups, [-1.0] * 3), 4.0)
     np.testing.assert_array_equal(tension_after(env), 0.0)
 
 
@@ -117,22 +122,28 @@ def test_commands_change_no_faster_than_the_actuators_let_them():
     """Whatever is asked for, within the limits too; increments within the rate are as they were."""
     most = np.array([0.25, 0.5, 3.0])
     scale = ActionScale(LEAST, GREATEST, None, most)
-    np.testing.assert_allclose(scale.command(np.ones(3), BEFORE), [0.25, 1.5, 4.0])
-    np.testing.assert_allclose(scale.command(-np.ones(3), BEFORE), [-0.25, 0.5, 2.0])
-    near = scale.action(np.array([0.1, 0.8, 3.5]), BEFORE)
-    np.testing.assert_allclose(scale.command(near, BEFORE), [0.1, 0.8, 3.5])
+    highest = scale.command(np.ones(3), BEFORE)
+    np.testing.assert_allclose(highest, [0.25, 1.5, 4.0])
+    lowest = scale.command(-np.ones(3), BEFORE)
+    np.testing.assert_allclose(lowest, [-0.25, 0.5, 2.0])
+    near_command = np.array([0.1, 0.8, 3.5])
+    near = scale.action(near_command, BEFORE)
+    np.testing.assert_allclose(scale.command(near, BEFORE), near_command)
     increment = np.array([0.25, 0.3, 0.1])
     limited = ActionScale(LEAST, GREATEST, increment, most)
     free = ActionScale(LEAST, GREATEST, increment)
     for action in (np.ones(3), -np.ones(3), np.array([0.3, -0.7, 0.1])):
-        np.testing.assert_array_equal(limited.command(action, BEFORE), free.command(action, BEFORE))
+        expected = free.command(action, BEFORE)
+        np.testing.assert_array_equal(limited.command(action, BEFORE), expected)
 
 
 def actuation(rows=2, action="tension", share=1.0, limits=None, **randomize):
     """Rows of actuators of three tendons, at a control period of 20 ms in four steps."""
     options = Options(scene="three_tendon", action=action, randomize=Randomization(**randomize))
-    limits = np.stack([LEAST, GREATEST], axis=1) if limits is None else limits
-    return Actuation(options, limits, BEFORE, share * np.ones(3), rows, 4)
+    if limits is None:
+        limits = np.stack([LEAST, GREATEST], axis=1)
+    greatest_share = share * np.ones(3)
+    return Actuation(options, limits, BEFORE, greatest_share, rows, 4)
 
 
 def test_increments_are_those_of_the_rate_over_a_period():
@@ -149,15 +160,19 @@ def test_drawn_actuators_err_within_their_ranges_and_are_told():
     for row in range(rows):
         actuators.begin(row, np.random.default_rng(row), BEFORE)
     for name, (least, greatest) in ranges.items():
-        values = np.array([actuators.drawn(row)[name] for row in range(rows)])
+        drawn_values = [actuators.drawn(row)[name] for row in range(rows)]
+        values = np.array(drawn_values)
         assert values.min() >= least
         assert values.max() <= greatest
         assert np.ptp(values) > 0.8 * (greatest - least)
     shares = actuators.shares()
     assert shares.shape == (rows, 7)
     told = actuators.drawn(5)
-    expected = [*(told["tension_gain"] - 0.8) / 0.4, *(told["tension_offset"] + 0.4) / 0.6]
-    np.testing.assert_allclose(shares[5], [*expected, (told["latency"] - 0.01) / 0.04])
+    gain_share = (told["tension_gain"] - 0.8) / 0.4
+    offset_share = (told["tension_offset"] + 0.4) / 0.6
+    expected = [*gain_share, *offset_share]
+    latency_share = (told["latency"] - 0.01) / 0.04
+    np.testing.assert_allclose(shares[5], [*expected, latency_share])
     command = np.array([1.0, 2.0, 3.0])
     acting = actuators.acting(command, 5)
     np.testing.assert_allclose(
@@ -181,8 +196,11 @@ def test_tendons_that_only_pull_go_slack():
     actuators = actuation(tension_offset=-5.0)
     actuators.begin(0, np.random.default_rng(0), BEFORE)
     np.testing.assert_array_equal(actuators.acting(np.array([0.0, 1.0, 3.0]), 0), [-1.0, 0.0, 0.0])
-    acting, _ = actuators.apply(np.zeros((2, 3)), np.array([0, 1]))
-    np.testing.assert_array_equal(acting[0], np.tile([-1.0, 0.0, 0.0], (4, 1)))
+    no_action = np.zeros((2, 3))
+    members = np.array([0, 1])
+    acting, _ = actuators.apply(no_action, members)
+    expected = np.tile([-1.0, 0.0, 0.0], (4, 1))
+    np.testing.assert_array_equal(acting[0], expected)
 
 
 @pytest.mark.parametrize(
@@ -197,11 +215,16 @@ def test_late_commands_take_over_within_a_period(latency, parts):
     assert actuators.delay(0) == pytest.approx(latency)
     history = [BEFORE] * 4
     for action in (0.5, -0.5, 0.25, 1.0):
-        acting, durations = actuators.apply(np.full((2, 3), action), np.array([1]))
+        actions = np.full((2, 3), action)
+        members = np.array([1])
+        acting, durations = actuators.apply(actions, members)
         np.testing.assert_allclose(durations[1], parts, atol=1e-12)
-        history.append(LEAST + 0.5 * (GREATEST - LEAST) * (action + 1.0))
-        newest = len(history) - 1 - int(latency / 0.02 + 1e-9)
-        np.testing.assert_allclose(acting[1], [history[newest - 1], history[newest]])
+        way = 0.5 * (GREATEST - LEAST) * (action + 1.0)
+        history.append(LEAST + way)
+        periods_late = int(latency / 0.02 + 1e-9)
+        newest = len(history) - 1 - periods_late
+        expected = [history[newest - 1], history[newest]]
+        np.testing.assert_allclose(acting[1], expected)
         np.testing.assert_array_equal(acting[0], [BEFORE, BEFORE])
         np.testing.assert_allclose(actuators.sent(1)[-1], history[-1])
     np.testing.assert_array_equal(actuators.command[0], BEFORE)

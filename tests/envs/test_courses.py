@@ -36,11 +36,13 @@ def test_the_closed_spline_is_the_uniform_cubic_b_spline_of_its_points():
     spline = ClosedSpline(POINTS, period=2.4)
     times = np.linspace(0.0, 2.399, 41)
     knots = 0.4 * np.arange(-3.0, 11.0)
-    around = np.concatenate([POINTS, POINTS])[: knots.size - 4]
+    twice = np.concatenate([POINTS, POINTS])
+    around = twice[: knots.size - 4]
     expected = BSpline(knots, around, 3)(times)
     tension, rate = spline(times)
     np.testing.assert_allclose(tension, expected, atol=1e-12)
-    np.testing.assert_allclose(spline(times + 4.8)[0], tension, atol=1e-12)
+    later = spline(times + 4.8)[0]
+    np.testing.assert_allclose(later, tension, atol=1e-12)
     np.testing.assert_allclose(spline.knots, 0.4 * np.arange(7.0))
     inner = times + 0.013
     np.testing.assert_allclose(spline(inner)[1], rates_by_differences(spline, inner), atol=1e-6)
@@ -53,9 +55,11 @@ def test_a_ramp_rises_smoothly_from_start_to_end_and_stays():
     rise = Rise(start, end, duration=2.0)
     times = np.array([-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0])
     x = np.clip(times / 2.0, 0.0, 1.0)[:, None]
-    share = 10 * x**3 - 15 * x**4 + 6 * x**5
+    first_terms = 10 * x**3 - 15 * x**4
+    share = first_terms + 6 * x**5
     tension, rate = rise(times)
-    np.testing.assert_allclose(tension, start + share * (end - start))
+    expected = start + share * (end - start)
+    np.testing.assert_allclose(tension, expected)
     np.testing.assert_allclose(rate, rates_by_differences(rise, times), atol=1e-6)
     near_ends = np.array([-1e-3, 1e-3, 1.999, 2.001])
     _, rates_near_ends = rise(near_ends)
@@ -64,8 +68,10 @@ def test_a_ramp_rises_smoothly_from_start_to_end_and_stays():
 
 
 def test_tensions_by_themselves_stay():
-    tension, rate = Tensions(POINTS[:1])(np.array([-1.0, 0.0, 9.0]))
-    np.testing.assert_array_equal(tension, np.tile(POINTS[0], (3, 1)))
+    times = np.array([-1.0, 0.0, 9.0])
+    tension, rate = Tensions(POINTS[:1])(times)
+    expected = np.tile(POINTS[0], (3, 1))
+    np.testing.assert_array_equal(tension, expected)
     np.testing.assert_array_equal(rate, 0.0)
 
 
@@ -76,7 +82,8 @@ def test_circles_are_about_the_axis_of_the_base(moved, tilt):
     of the poses."""
     base = np.eye(4)
     if moved:
-        base[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.8, 1.1]).as_matrix()
+        rotation = Rotation.from_euler("xyz", [0.3, -0.8, 1.1])
+        base[:3, :3] = rotation.as_matrix()
         base[:3, 3] = [1.0, -2.0, 0.5]
     course = CircleCourse(Circle(tilt=tilt, period=3.0), length=0.4, base=base)
     times = np.array([0.0, 0.4, 1.7, 2.9])
@@ -84,17 +91,22 @@ def test_circles_are_about_the_axis_of_the_base(moved, tilt):
     in_base = np.linalg.inv(base) @ samples.tip_pose
     angle = 2.0 * np.pi * times / 3.0
     zero = 0 * angle
-    outward = np.stack([zero, np.cos(angle), np.sin(angle)], axis=1)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    outward = np.stack([zero, cosine, sine], axis=1)
     along = np.array([1.0, 0.0, 0.0])
     circle = 0.38 * along + 0.1 * outward
     np.testing.assert_allclose(in_base[:, :3, 3], circle, atol=1e-12)
     lean = np.radians(tilt)
-    leaning = np.cos(lean) * along + np.sin(lean) * outward
+    upright = np.cos(lean) * along
+    outwards = np.sin(lean) * outward
+    leaning = upright + outwards
     np.testing.assert_allclose(in_base[:, :3, 0], leaning, atol=1e-12)
     later = course.sample(times + H).tip_pose
     earlier = course.sample(times - H).tip_pose
     for k in range(times.size):
-        twist = pose_error(earlier[k], later[k]) / (2.0 * H)
+        way = pose_error(earlier[k], later[k])
+        twist = way / (2.0 * H)
         np.testing.assert_allclose(samples.tip_twist[k], twist, atol=1e-7)
     next_round = course.sample(times + 3.0).tip_pose
     np.testing.assert_allclose(next_round, samples.tip_pose, atol=1e-12)
@@ -102,7 +114,8 @@ def test_circles_are_about_the_axis_of_the_base(moved, tilt):
 
 def test_circles_have_the_radius_and_centre_that_are_given():
     course = CircleCourse(Circle(radius=0.07, centre=(1.0, 2.0, 3.0)), length=0.4)
-    positions = course.sample(np.array([0.0, 1.0])).tip_pose[:, :3, 3]
+    samples = course.sample(np.array([0.0, 1.0]))
+    positions = samples.tip_pose[:, :3, 3]
     np.testing.assert_allclose(positions, [[1.0, 2.07, 3.0], [1.0, 2.0, 3.07]], atol=1e-12)
 
 
@@ -112,7 +125,8 @@ def test_steps_are_held_one_after_another_and_over_again():
     course = Stepped(shapes, duration=0.5)
     times = np.array([0.0, 0.49, 0.5 - 1e-12, 0.5, 1.2, 1.5, 1.9, 3.0])
     q, q_dot = course.coordinates(times)
-    np.testing.assert_array_equal(q, shapes[[0, 0, 1, 1, 2, 0, 0, 0]])
+    expected = shapes[[0, 0, 1, 1, 2, 0, 0, 0]]
+    np.testing.assert_array_equal(q, expected)
     np.testing.assert_array_equal(q_dot, 0.0)
 
 
@@ -139,7 +153,8 @@ def test_targets_out_of_reach_are_as_far_from_the_base_as_is_said(beyond):
     far_way = far[:3, 3] - [0.5, 0.0, -0.2]
     near_way = near[:3, 3] - [0.5, 0.0, -0.2]
     assert np.linalg.norm(far_way) == pytest.approx(0.3 * beyond)
-    assert far_way @ near_way == pytest.approx(0.3 * beyond * np.linalg.norm(near_way))
+    product = 0.3 * beyond * np.linalg.norm(near_way)
+    assert far_way @ near_way == pytest.approx(product)
 
 
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])

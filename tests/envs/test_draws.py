@@ -66,7 +66,8 @@ def test_shares_are_from_the_least_to_the_greatest(drawn_rows):
 def test_numbers_are_drawn_one_without_the_other(drawn_rows):
     _, numbers = drawn_rows
     correlations = np.corrcoef(list(numbers.values()))
-    assert np.abs(correlations[~np.eye(4, dtype=bool)]).max() < 0.4
+    others = correlations[~np.eye(4, dtype=bool)]
+    assert np.abs(others).max() < 0.4
 
 
 def test_drawn_numbers_of_some_rows_have_masks():
@@ -107,7 +108,8 @@ def test_noise_goes_on_from_chunk_to_chunk_and_follows_from_its_seed():
         seen = []
         for step in range(CHUNK + 40):
             step_count[:] = step
-            seen.append(sensors.measured(reading_of(rows), step_count, members).tendon_length[row])
+            measured = sensors.measured(reading_of(rows), step_count, members)
+            seen.append(measured.tendon_length[row])
         return np.array(seen)
 
     alone = lengths(1, 0)
@@ -127,7 +129,8 @@ def test_rows_that_stand_keep_their_noise():
     members = np.arange(2)
     first = sensors.measured(reading_of(2), counts, members).tip_pose
     counts[1] = 1
-    second = sensors.measured(reading_of(2), counts, np.array([1])).tip_pose
+    second_row = np.array([1])
+    second = sensors.measured(reading_of(2), counts, second_row).tip_pose
     np.testing.assert_array_equal(first[0], second[0])
     assert (first[1, :3, 3] != second[1, :3, 3]).all()
 
@@ -139,8 +142,10 @@ def test_noise_is_left_out_as_often_as_is_said(omit, share):
         sensors.begin(row, row)
     reading = reading_of(400)
     reading.strain, reading.strain_rate = np.zeros((2, 400, 0, 6))
-    measured = sensors.measured(reading, np.zeros(400, dtype=np.int64), np.arange(400))
-    is_exact = (measured.tip_pose == np.eye(4)).all(axis=(1, 2))
+    counts = np.zeros(400, dtype=np.int64)
+    measured = sensors.measured(reading, counts, np.arange(400))
+    is_same = measured.tip_pose == np.eye(4)
+    is_exact = is_same.all(axis=(1, 2))
     assert is_exact.mean() == pytest.approx(share, abs=0.07)
 
 
@@ -149,31 +154,37 @@ def test_a_history_is_the_past_less_the_present():
     had always been so."""
     history = History(2, 2, np.array([0, 2]))
     counts = np.zeros(2, dtype=np.int64)
-    seen = np.arange(24.0, dtype=np.float32).reshape(4, 2, 3) ** 2
+    places = np.arange(24.0, dtype=np.float32).reshape(4, 2, 3)
+    seen = places**2
     history.keep(seen[0], counts, np.array([0, 1]))
     np.testing.assert_array_equal(history.changes, 0.0)
     for step in (1, 2):
         counts[:] = step
         history.keep(seen[step], counts, np.array([0, 1]))
-    past = np.stack([seen[1], seen[0]], axis=1)[:, :, [0, 2]]
-    expected = (past - seen[2][:, None, [0, 2]]) / CHANGE
+    frames = np.stack([seen[1], seen[0]], axis=1)
+    past = frames[:, :, [0, 2]]
+    present = seen[2][:, None, [0, 2]]
+    expected = (past - present) / CHANGE
     np.testing.assert_allclose(history.changes, expected.reshape(2, 4), rtol=1e-6)
     counts[0] = 0
     history.keep(seen[3], counts, np.array([0]))
     np.testing.assert_array_equal(history.changes[0], 0.0)
-    np.testing.assert_allclose(history.changes[1], expected.reshape(2, 4)[1], rtol=1e-6)
+    expected_row = expected.reshape(2, 4)[1]
+    np.testing.assert_allclose(history.changes[1], expected_row, rtol=1e-6)
     history.correct(seen[1], counts, 1)
     np.testing.assert_allclose(
         history.changes[1, :2], (seen[1] - seen[1])[1, [0, 2]] / CHANGE, atol=1e-6
     )
     history.correct(seen[2], counts, 0)
-    np.testing.assert_array_equal(history.frames[0], np.tile(seen[2][0, [0, 2]], (3, 1)))
+    expected_frames = np.tile(seen[2][0, [0, 2]], (3, 1))
+    np.testing.assert_array_equal(history.frames[0], expected_frames)
 
 
 def test_stress_free_strains_are_those_of_the_segments():
     scene = load_scene("three_tendon").replace({"segments.0.curvature": [0.5, -2.0, 3.0]})
     strains = stress_free_strain(scene, np.array([0.0, 0.3]))
-    np.testing.assert_array_equal(strains, np.tile([0.5, -2.0, 3.0, 1.0, 0.0, 0.0], (2, 1)))
+    expected = np.tile([0.5, -2.0, 3.0, 1.0, 0.0, 0.0], (2, 1))
+    np.testing.assert_array_equal(strains, expected)
 
 
 def test_seeds_of_rows_follow_one_another_or_are_listed():
@@ -218,7 +229,8 @@ def test_goals_lie_within_two_lengths_of_where_the_base_may_be():
         env = ReachEnv(scene=scene, fidelity="fast", randomize=randomize)
         assert env.episodes.goal_bound == pytest.approx(2.0 * 0.3 + away)
     assert env.episodes.threshold == pytest.approx(0.003)
-    goal = env.episodes._goal(np.array([[9.0, -9.0, 0.1]]))
+    positions = np.array([[9.0, -9.0, 0.1]])
+    goal = env.episodes._goal(positions)
     np.testing.assert_allclose(goal, [[1.1, -1.1, 0.1]], rtol=1e-6)
     assert Options(threshold=0.02).threshold_of(5.0) == 0.02
 

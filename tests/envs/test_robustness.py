@@ -252,7 +252,10 @@ def test_other_rows_go_on(mode, same):
         assert not truncated.any()
         if terminated[1]:
             ends += 1
-            final = info["final_info"] if mode == "same_step" else info
+            if mode == "same_step":
+                final = info["final_info"]
+            else:
+                final = info
             assert reward[1] == 0.0
             assert final["diverged"].tolist() == [False, True, False]
             assert isinstance(final["cause"][1], str)

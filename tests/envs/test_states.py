@@ -172,7 +172,10 @@ def test_another_target_is_followed_from_now_on(same):
             )
         observation = rows.step(np.full((2, 3), 0.1))[0]
         for row, env in enumerate(single):
-            found = env.reset()[0] if step in (12, 25) else env.step(np.full(3, 0.1))[0]
+            if step in (12, 25):
+                found = env.reset()[0]
+            else:
+                found = env.step(np.full(3, 0.1))[0]
             assert same(observation[row], found)
     for target in ({"type": "hold", "pose": POSE}, None):
         single[0].set_target(target)

@@ -408,8 +408,10 @@ def file_of(path, rows):
     lines = [PATH[0]]
     for time, place, angle, axis in rows:
         half = 0.5 * angle
-        turn = [np.cos(half), *(np.sin(half) * np.array(axis))]
-        lines.append(",".join(map(str, [time, *place, *turn])))
+        vector = np.sin(half) * np.array(axis)
+        turn = [np.cos(half), *vector]
+        numbers = [time, *place, *turn]
+        lines.append(",".join(map(str, numbers)))
     path.write_text("\n".join(lines))
     return {"type": "file", "path": str(path)}
 
@@ -441,7 +443,9 @@ def test_between_two_rows_a_target_stays_between_them(tmp_path):
         assert (position >= least - 1e-12).all()
         assert (position <= greatest + 1e-12).all()
         # about the x axis alone
-        turn = np.arctan2(pose[:, 2, 1], pose[:, 1, 1])
+        z = pose[:, 2, 1]
+        y = pose[:, 1, 1]
+        turn = np.arctan2(z, y)
         np.testing.assert_allclose(pose[:, 0, 0], 1.0, atol=1e-12)
         least_turn, greatest_turn = sorted([angle_before, angle_after])
         assert (turn >= least_turn - 1e-9).all()
@@ -464,8 +468,10 @@ def test_a_path_is_smooth_and_goes_through_its_rows(tmp_path):
     at_rows = course.sample(times)
     np.testing.assert_allclose(at_rows.tip_pose[:, :3, 3], [row[1] for row in rows], atol=1e-12)
     for pose, (_, _, angle, axis) in zip(at_rows.tip_pose, rows, strict=True):
-        expected = Rotation.from_rotvec(angle * np.array(axis)).as_matrix()
-        np.testing.assert_allclose(pose[:3, :3], expected, atol=1e-12)
+        rotation_vector = angle * np.array(axis)
+        expected = Rotation.from_rotvec(rotation_vector).as_matrix()
+        rotation = pose[:3, :3]
+        np.testing.assert_allclose(rotation, expected, atol=1e-12)
     inside = np.array([0.1, 0.39, 0.41, 0.9, 1.1, 1.29, 1.7])
     beside = [course.sample(inside + h).tip_pose for h in (-H, H)]
     np.testing.assert_allclose(
@@ -479,16 +485,21 @@ def test_a_path_is_smooth_and_goes_through_its_rows(tmp_path):
     np.testing.assert_allclose(before, after, atol=1e-5)
     assert before[0, 0] > 0.1
     # where the axis turns away the tip turns no more, and at both ends all rests
-    np.testing.assert_allclose(course.sample(times[3:4]).tip_twist[:, :3], 0.0, atol=1e-12)
-    np.testing.assert_allclose(course.sample(times[[0, -1]]).tip_twist, 0.0, atol=1e-12)
+    angular = course.sample(times[3:4]).tip_twist[:, :3]
+    np.testing.assert_allclose(angular, 0.0, atol=1e-12)
+    samples_at_ends = course.sample(times[[0, -1]])
+    np.testing.assert_allclose(samples_at_ends.tip_twist, 0.0, atol=1e-12)
 
 
 def test_a_turn_of_two_rows_is_a_smooth_step(tmp_path):
-    rows = [(1.0, (0.29, 0.0, 0.0), 0.0, Y), (3.0, (0.2, 0.1, 0.0), 0.8, Y)]
+    first = (1.0, (0.29, 0.0, 0.0), 0.0, Y)
+    second = (3.0, (0.2, 0.1, 0.0), 0.8, Y)
+    rows = [first, second]
     course = FileCourse(file_of(tmp_path / "two.csv", rows)["path"])
     samples = course.sample(np.array([0.0, 1.5, 2.0, 5.0]))
     shares = [0.0, 0.25**2 * (3.0 - 0.5), 0.5, 1.0]
-    np.testing.assert_allclose(samples.tip_pose[:, 1, 3], 0.1 * np.array(shares), atol=1e-12)
+    expected = 0.1 * np.array(shares)
+    np.testing.assert_allclose(samples.tip_pose[:, 1, 3], expected, atol=1e-12)
     np.testing.assert_allclose(
         samples.tip_pose[:, 0, 2], np.sin(0.8 * np.array(shares)), atol=1e-12
     )
@@ -551,9 +562,12 @@ def test_every_episode_draws_one_of_several_targets():
                 ]
             )  # the rod has 0.3 m
     assert 10 < sum(kinds) < 30
-    least, greatest = np.array([[0.1, 0.7, 0.0, 2.0], [0.2, 0.9, 45.0, 8.0]])
+    rows = [[0.1, 0.7, 0.0, 2.0], [0.2, 0.9, 45.0, 8.0]]
+    least, greatest = np.array(rows)
     assert ((least <= found) & (found <= greatest)).all()
-    assert (np.ptp(found, axis=0) > 0.5 * (greatest - least)).all()
+    widths = np.ptp(found, axis=0)
+    half = 0.5 * (greatest - least)
+    assert (widths > half).all()
     assert len(
         course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose
         if kinds[-1]

@@ -55,12 +55,14 @@ def test_an_error_counts_half_at_its_scale():
 def test_positions_are_measured_by_the_rod_s_length_and_angles_by_half_a_radian():
     """A twentieth of the length, 0.03 m here, halves the term; graded terms are means over a tenth
     apart."""
-    terms, _ = rewarded({name: 1.0 for name in ("position", "angle", "graded_position")})
+    weights = {name: 1.0 for name in ("position", "angle", "graded_position")}
+    terms, _ = rewarded(weights)
     np.testing.assert_allclose(terms["position"], [1.0, 0.5])
     np.testing.assert_allclose(terms["angle"], [0.5, 1.0 / 17.0])
     assert GRADES == (4.0, 0.4, 0.04)
     each = [1.0 / (1.0 + (1.0 / grade) ** 2) for grade in GRADES]
-    np.testing.assert_allclose(terms["graded_position"], [1.0, np.mean(each)])
+    expected = [1.0, np.mean(each)]
+    np.testing.assert_allclose(terms["graded_position"], expected)
     every = (POSITION, ANGLE, BACKBONE, COORDINATES)
     assert [error.scale for error in every] == [0.05, 0.5, 0.05, 10.0]
     assert [error.of_length for error in every] == [True, False, True, False]
@@ -69,9 +71,14 @@ def test_positions_are_measured_by_the_rod_s_length_and_angles_by_half_a_radian(
 def test_effort_and_smoothness_are_one_less_mean_squares():
     """Of parts of the strongest commands, each 1 at most, and of the largest change."""
     terms, _ = rewarded({"effort": 1.0, "smoothness": 1.0})
-    np.testing.assert_allclose(terms["effort"], [1 - (1 + 0.25 + 0) / 3, 1 - (0.25 + 1 + 1) / 3])
-    np.testing.assert_allclose(terms["smoothness"], [1 - (1 + 0.25) / 3, 1.0])
-    assert economy(np.array([1.0, -3.0]), np.array([2.0, 3.0])) == pytest.approx(1 - 1.25 / 2)
+    first = 1 - (1 + 0.25 + 0) / 3
+    second = 1 - (0.25 + 1 + 1) / 3
+    np.testing.assert_allclose(terms["effort"], [first, second])
+    change = 1 - (1 + 0.25) / 3
+    np.testing.assert_allclose(terms["smoothness"], [change, 1.0])
+    tension = np.array([1.0, -3.0])
+    limit = np.array([2.0, 3.0])
+    assert economy(tension, limit) == pytest.approx(1 - 1.25 / 2)
 
 
 def test_the_reward_is_the_mean_by_weight_of_terms_of_all_kinds():
@@ -79,7 +86,9 @@ def test_the_reward_is_the_mean_by_weight_of_terms_of_all_kinds():
     terms, reward = rewarded({**weights, "angle": 0.0})
     scaled = [1.0, (1.0 / 10.0 + 0.5) / 2.0]
     np.testing.assert_allclose(terms["position"], scaled)
-    expected = (3.0 * Now().own + 2.0 * np.array(scaled) + terms["effort"]) / 6.0
+    own = 3.0 * Now().own
+    graded = 2.0 * np.array(scaled)
+    expected = (own + graded + terms["effort"]) / 6.0
     np.testing.assert_allclose(reward, expected)
     alone, reward = rewarded({"own": 0.5})
     np.testing.assert_allclose(reward, Now().own)
@@ -98,18 +107,23 @@ def test_names_of_terms_that_are_there_are_taken(forgotten, name):
 def test_every_weight_that_is_none_is_told():
     with pytest.raises(ConfigurationError) as error:
         weights_of({"a": -1.0, "b": {"scale": 0.0}, "c": 1.0, "d": "much"})
-    assert {problem.key[0] for problem in error.value.problems} == {"a", "b", "d"}
+    keys = {problem.key[0] for problem in error.value.problems}
+    assert keys == {"a", "b", "d"}
     weights = weights_of({"c": 2.0, "e": {"scale": [0.5, 1.0]}, "f": {"scale": 0.5}})
     assert [weight.weight for weight in weights.values()] == [2.0, 1.0, 1.0]
-    assert [weight.scale for weight in weights.values()] == [None, (0.5, 1.0), (0.5,)]
+    scales = [weight.scale for weight in weights.values()]
+    assert scales == [None, (0.5, 1.0), (0.5,)]
 
 
 def test_goals_are_rewarded_by_their_distance():
-    achieved = np.array([[0.3, 0.4, 0.0], [0.0, 0.0, 0.01], [0.0, 0.0, 0.0]])
-    desired = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 2.0, 2.0]])
+    achieved_rows = [[0.3, 0.4, 0.0], [0.0, 0.0, 0.01], [0.0, 0.0, 0.0]]
+    achieved = np.array(achieved_rows)
+    desired_rows = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 2.0, 2.0]]
+    desired = np.array(desired_rows)
     distance = goal_distance(achieved, desired)
     np.testing.assert_allclose(distance, [0.5, 0.01, 3.0])
-    np.testing.assert_array_equal(goal_reward(achieved, desired, 0.01, dense=False), [0, 1, 0])
+    reward = goal_reward(achieved, desired, 0.01, dense=False)
+    np.testing.assert_array_equal(reward, [0, 1, 0])
     dense = goal_reward(achieved, desired, 0.01, dense=True)
     for value, way in zip(dense, distance, strict=True):
         each = [1.0 / (1.0 + (way / (grade * 0.05)) ** 2) for grade in (4.0, 0.4, 0.04)]
@@ -140,7 +154,8 @@ def test_shapes_are_compared_along_the_backbone():
     """Root mean square distance of twenty places, the tip the last; coordinates by their norm."""
     env = ShapeEnv(**SMALL)
     env.reset(seed=1)
-    _, _, _, _, info = env.step(np.array([0.5, -0.5, 1.0]))
+    action = np.array([0.5, -0.5, 1.0])
+    _, _, _, _, info = env.step(action)
     episodes = env.episodes
     model = env.model
     q = episodes.arms.rows.q[0]
@@ -148,9 +163,12 @@ def test_shapes_are_compared_along_the_backbone():
     places = model.length * np.arange(1, 21) / 20
     backbone = model.backbone_at(q, places)
     target_backbone = model.backbone_at(target, places)
-    ways = backbone[:, :3, 3] - target_backbone[:, :3, 3]
+    positions = backbone[:, :3, 3]
+    target_positions = target_backbone[:, :3, 3]
+    ways = positions - target_positions
     squares = np.sum(ways**2, axis=1)
-    assert info["backbone_error"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
+    expected = np.sqrt(np.mean(squares))
+    assert info["backbone_error"] == pytest.approx(expected, rel=1e-6)
     way = np.linalg.norm(q - target)
     assert info["coordinate_error"] == pytest.approx(way, rel=1e-9)
 
@@ -160,8 +178,10 @@ def test_targets_are_read_at_their_steps_in_a_table_that_is_written_round():
     rng = np.random.default_rng(0)
     rows = 2
     room = 5
-    twists = rng.uniform(-1.0, 1.0, (rows * (room + 1), 6))
-    every_pose = np.stack([moved_pose(np.eye(4), twist) for twist in twists])
+    shape = (rows * (room + 1), 6)
+    twists = rng.uniform(-1.0, 1.0, shape)
+    moved = [moved_pose(np.eye(4), twist) for twist in twists]
+    every_pose = np.stack(moved)
     tips = every_pose[:rows]
     poses = every_pose[rows:].reshape(rows, room, 4, 4)
     others = rng.normal(size=(rows, room, 7))
@@ -175,14 +195,20 @@ def test_targets_are_read_at_their_steps_in_a_table_that_is_written_round():
     targets_ahead(table, steps, tips, pose, other, error, offset)
     for row in range(rows):
         places = (steps[row] + ahead) % room
-        np.testing.assert_array_equal(pose[row], poses[row, places])
-        np.testing.assert_array_equal(other[row], others[row, places])
+        expected_pose = poses[row, places]
+        np.testing.assert_array_equal(pose[row], expected_pose)
+        expected_other = others[row, places]
+        np.testing.assert_array_equal(other[row], expected_other)
         for j, place in enumerate(places):
             expected = pose_error(tips[row], poses[row, place])
             np.testing.assert_allclose(error[row, j], expected, atol=1e-12)
-        way = poses[row, places[0], :3, 3] - tips[row, :3, 3]
-        assert offset[0, row] == pytest.approx(np.linalg.norm(way))
-        assert offset[1, row] == pytest.approx(np.linalg.norm(error[row, 0, :3]))
+        target = poses[row, places[0], :3, 3]
+        tip = tips[row, :3, 3]
+        way = target - tip
+        distance = np.linalg.norm(way)
+        assert offset[0, row] == pytest.approx(distance)
+        distance_of_error = np.linalg.norm(error[row, 0, :3])
+        assert offset[1, row] == pytest.approx(distance_of_error)
 
 
 def test_targets_ahead_are_those_that_come():
@@ -191,7 +217,8 @@ def test_targets_ahead_are_those_that_come():
     env.reset(seed=0)
     for _ in range(70):
         ahead = env.episodes.target_ahead(3)
-        expected = env.target_at(0.02 * (env.episodes.step_count[0] + np.arange(4)))
+        numbers = env.episodes.step_count[0] + np.arange(4)
+        expected = env.target_at(0.02 * numbers)
         np.testing.assert_allclose(ahead.tip_pose[0], expected.tip_pose, atol=1e-12)
         np.testing.assert_allclose(ahead.tip_twist[0], expected.tip_twist, atol=1e-9)
         env.step(np.zeros(3))

@@ -103,7 +103,8 @@ def compare(single, vector, seed, rows, mode, same, steps=40):
         for row in range(rows):
             expected = next(alone[row])
             assert same(row_of(observation, row), expected[0])
-            assert (reward[row], terminated[row], truncated[row]) == expected[1:4]
+            ended = (reward[row], terminated[row], truncated[row])
+            assert ended == expected[1:4]
             known = info_of(
                 {
                     key: value
@@ -126,7 +127,8 @@ def compare(single, vector, seed, rows, mode, same, steps=40):
 @pytest.mark.parametrize("task", KINDS)
 def test_rows_are_single_environments(task, mode, same):
     single, vector = KINDS[task]
-    compare(lambda: single(**SMALL), vector(3, LONGEST, mode, **SMALL), 10, 3, mode, same)
+    envs = vector(3, LONGEST, mode, **SMALL)
+    compare(lambda: single(**SMALL), envs, 10, 3, mode, same)
 
 
 @pytest.mark.slow
@@ -201,14 +203,19 @@ def test_bad_arguments_of_reset_are_refused_before_anything_changes(
         env.step(np.ones((2, 3)))
     with pytest.raises((ValueError, TypeError), match=f"^{message}"):
         vector.reset(**given)
-    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3))))
+    stepped = vector.step(np.zeros((2, 3)))
+    expected = twin.step(np.zeros((2, 3)))
+    assert same(stepped, expected)
     assert same(vector.reset(), twin.reset())
 
 
 @pytest.mark.parametrize(("rows", "threads"), [(None, None), (1, None), (32, 2)])
 def test_nothing_goes_on_after_close(rows, threads):
     """Whether there are threads or not; closing again is harmless."""
-    env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
+    if rows is None:
+        env = TipPoseEnv(**SMALL)
+    else:
+        env = TipPoseVectorEnv(rows, threads=threads, **SMALL)
     env.reset(seed=0)
     env.step(np.zeros(env.action_space.shape))
     env.close()
@@ -243,7 +250,8 @@ def test_bad_counts_and_modes_are_refused_by_name(key, value, said):
 def test_a_reset_erases_what_was(task, arms, everything, live, same):
     options = {**arms["loaded"], "randomize": everything, "tension_limits": [0.0, 10.0]}
     env = KINDS[task][0](**options)
-    live(env, 1, 60, np.random.default_rng(0).choice([-1.0, 1.0], (60, 3)))
+    actions = np.random.default_rng(0).choice([-1.0, 1.0], (60, 3))
+    live(env, 1, 60, actions)
     fresh = KINDS[task][0](**options)
     assert same(live(env, 2, 30), live(fresh, 2, 30))
     assert not same(live(env, 3, 2), live(fresh, 4, 2))
@@ -255,7 +263,8 @@ def test_the_seed_of_a_reset_is_that_of_the_environment():
     vector.reset(seed=7)
     assert vector.np_random_seed == 7
     drawn = vector.np_random.random()
-    assert drawn == np.random.Generator(np.random.PCG64(np.random.SeedSequence(7))).random()
+    bits = np.random.PCG64(np.random.SeedSequence(7))
+    assert drawn == np.random.Generator(bits).random()
     vector.reset()
     assert vector.np_random_seed == 7
     vector.reset(seed=[4, None, 5])

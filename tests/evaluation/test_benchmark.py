@@ -82,7 +82,10 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
     """Beside the files of an agent, or of a folder of runs."""
     shipped = find_agent("dagger", "Reach")
     for seed in range(3):
-        folder = tmp_path / f"seed_{seed}" if seed else tmp_path
+        if seed:
+            folder = tmp_path / f"seed_{seed}"
+        else:
+            folder = tmp_path
         shutil.copytree(shipped, folder, dirs_exist_ok=True)
         (folder / "config.json").write_text(
             json.dumps({**json.loads((shipped / "config.json").read_text()), "seed": seed})
@@ -193,7 +196,10 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
         .cells()[0]
         .values()
     )
-    effects = [] if effect is None else [effect]
+    if effect is None:
+        effects = []
+    else:
+        effects = [effect]
     for cell, believes in ((told, effects), (untold, [])):
         policy, envs = cell.open()
         believed, there = policy.estimator.model, episodes_of(envs).model

@@ -167,7 +167,11 @@ def standing(values, shared=False):
     shared: members play other episodes each."""
 
     def score(seed, value):
-        error, cause = (math.nan, "too fast") if value is None else (value, None)
+        error = value
+        cause = None
+        if value is None:
+            error = math.nan
+            cause = "too fast"
         metrics = {"effort": 5.0, "chatter": 0.1}
         return EpisodeScore(
             seed,

@@ -26,7 +26,10 @@ RMS = "position_error_rms"
 def score_of(seed, error, total_reward=0.0):
     """Score of an episode with an error [m] of a rod of 1 m; None: it diverged."""
     cause = "too fast" if error is None else None
-    value = math.nan if error is None else error
+    if error is None:
+        value = math.nan
+    else:
+        value = error
     return EpisodeScore(
         seed=seed,
         steps=10,

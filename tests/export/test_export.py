@@ -100,14 +100,18 @@ def exported(tmp_path):
             env.observation_space,
             env.action_space,
         )
-        spaces = env.observation_space.spaces if task == "Reach" else {"": env.observation_space}
+        if task == "Reach":
+            spaces = env.observation_space.spaces
+        else:
+            spaces = {"": env.observation_space}
         draw = np.random.default_rng(0)
         moments = {
             key: Moments(draw.normal(size=of.shape), draw.uniform(0.1, 1.0, of.shape))
             for key, of in spaces.items()
         }
         agent = NetworkPolicy(network, Normalization(moments, 3.0, 1e-8) if normalised else None)
-        agent = agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
+        if integral_time is not None:
+            agent = IntegralPolicy(agent, env, integral_time)
         path = tmp_path / "agent.onnx"
         path.write_bytes(export_agent(agent, env, {"of": "nobody"}).SerializeToString())
         return env, agent, path

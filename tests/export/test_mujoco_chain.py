@@ -81,7 +81,8 @@ def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name
         total = 0.0
         for part in path:
             divisor = float(part.attrib.get("divisor", divisor))
-            at += [sites[part.attrib["site"]]] if part.tag == "site" else []
+            if part.tag == "site":
+                at.append(sites[part.attrib["site"]])
             total += (
                 np.linalg.norm(at[-1] - at[-2]) / divisor
                 if part.tag == "site" and len(at) % 2 == 0

@@ -37,7 +37,10 @@ MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
     [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS],
 )
 def test_numbers_are_those_of_before(part, scene):
-    beginning = f"{part}/{scene} " if scene else f"{part}/"
+    if scene:
+        beginning = f"{part}/{scene} "
+    else:
+        beginning = f"{part}/"
     with np.load(HERE / "golden.npz") as kept:
         wanted = {
             name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(beginning)

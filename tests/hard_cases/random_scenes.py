@@ -110,7 +110,10 @@ def drawn_routing(dice, radius, length):
 
 
 def drawn_strain(dice):
-    free = list(STRAINS) if dice.random() < 0.7 else list(STRAINS[:3])
+    if dice.random() < 0.7:
+        free = list(STRAINS)
+    else:
+        free = list(STRAINS[:3])
     if dice.random() < 0.25:
         modes = {
             "strains": free,
@@ -150,8 +153,14 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
         greatest *= 30.0  # as much as the section can bear, or more
     tendons = []
     for _ in range(dice.integers(1, 7)):
-        ends = {} if dice.random() < 0.7 else {"end": length * dice.uniform(0.3, 0.95)}
-        least = -0.2 * greatest if dice.random() < 0.15 else 0.0
+        if dice.random() < 0.7:
+            ends = {}
+        else:
+            ends = {"end": length * dice.uniform(0.3, 0.95)}
+        if dice.random() < 0.15:
+            least = -0.2 * greatest
+        else:
+            least = 0.0
         tendons.append(
             {
                 "routing": drawn_routing(dice, radius, length),
@@ -169,7 +178,10 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
         load["frame"] = "tip"
     elif dice.random() < 0.15:
         load["moment"] = list(direction(dice) * bending / length * 10 ** dice.uniform(-1.5, 0.0))
-    gravity = direction(dice) * 9.81 if dice.random() < 0.8 else np.zeros(3)
+    if dice.random() < 0.8:
+        gravity = direction(dice) * 9.81
+    else:
+        gravity = np.zeros(3)
     if dice.random() < 0.15:  # upright, a little beyond or below what such a column bears
         gravity = np.array([-1.0, 0.0, 0.0]) * 9.81
         load["mass"] = 10 ** dice.uniform(-0.5, 1.0) * bending / length**2 / 9.81
@@ -284,6 +296,6 @@ def off_finer_quadrature(model, tension, tip_pose):
             )
         )
     rest = ste.static_equilibrium(finer, tension)
-    return (
-        float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3])) if rest.converged else np.nan
-    )
+    if rest.converged:
+        return float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3]))
+    return np.nan

@@ -82,7 +82,10 @@ class Measurements:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         case = report.nodeid.split("[")[0].rsplit("/", 1)[-1]
         if report.when == "call" or report.outcome != "passed":
-            outcome = "known defect" if hasattr(report, "wasxfail") else report.outcome
+            if hasattr(report, "wasxfail"):
+                outcome = "known defect"
+            else:
+                outcome = report.outcome
             self.outcomes.setdefault(case, set()).add(outcome)
         if report.when == "call":
             for what, value in report.user_properties:
@@ -97,7 +100,9 @@ class Measurements:
 def _span(values: list[float]) -> str:
     least = f"{min(values):.2g}"
     greatest = f"{max(values):.2g}"
-    return least if least == greatest else f"{least}…{greatest}"
+    if least == greatest:
+        return least
+    return f"{least}…{greatest}"
 
 
 def page(summaries: dict[str, str]) -> str:

@@ -28,23 +28,30 @@ def test_interval_that_turns_by_an_angle_of_a_switch(one_segment, measured, axis
     angle, and the pose is that of a rod with twice the intervals."""
 
     def model(relative, intervals):
-        curvature = SWITCHES[angle] * (1 + relative) * INTERVALS * np.array(AXES[axis])
+        angle_per_interval = SWITCHES[angle] * (1 + relative)
+        curvature = angle_per_interval * INTERVALS * np.array(AXES[axis])
         return one_segment(curvature=curvature, changes={"quadrature.intervals": intervals})
 
     rest = np.zeros(3)
     at = model(0, INTERVALS)
     finer = model(0, 2 * INTERVALS)
-    misfit = np.abs(at.tip_pose(rest) - finer.tip_pose(rest)).max()
+    difference = at.tip_pose(rest) - finer.tip_pose(rest)
+    misfit = np.abs(difference).max()
     measured("against twice the intervals", misfit)
     assert misfit < 1e-13
-    here = at.terms([1.0, 0.5, -0.2], [1.0, -2.0, 3.0])
+    q = [1.0, 0.5, -0.2]
+    q_dot = [1.0, -2.0, 3.0]
+    here = at.terms(q, q_dot)
     for relative in (-1e-6, -1e-9, 1e-9, 1e-6):
-        near = model(relative, INTERVALS).terms([1.0, 0.5, -0.2], [1.0, -2.0, 3.0])
+        near = model(relative, INTERVALS).terms(q, q_dot)
         for name in ("mass", "bias", "tip_pose", "tip_jacobian", "tip_bias"):
             here_value = getattr(here, name)
             near_value = getattr(near, name)
-            jump = np.abs(here_value - near_value).max() / np.abs(here_value).max()
-            assert jump < 1e3 * abs(relative) + 1e-11, (name, relative, jump)
+            change = np.abs(here_value - near_value)
+            size = np.abs(here_value).max()
+            jump = change.max() / size
+            bound = 1e3 * abs(relative) + 1e-11
+            assert jump < bound, (name, relative, jump)
 
 
 @pytest.mark.parametrize("turns", [1.3, 5.3, 20.3, 100.3])
@@ -65,7 +72,8 @@ def test_rod_of_many_turns(one_segment, measured, turns):
     assert rest.converged
     assert np.isfinite(motion.q).all()
     assert np.abs(motion.q).max() < 2.0
-    assert np.abs(motion.q[-1] - rest.q).max() < 0.01
+    difference = motion.q[-1] - rest.q
+    assert np.abs(difference).max() < 0.01
 
 
 @pytest.mark.parametrize("tension", [10.0, 20.0, 40.0])
@@ -78,13 +86,16 @@ def test_arm_that_curls_by_more_than_a_turn(build, measured, one_pulled, tension
     u = one_pulled(model, 0, tension)
     rest = static_equilibrium(model, u)
     arc_length, xi = model.strain(rest.q)
-    turned = np.rad2deg(xi[:, 2].mean() * model.length)
+    mean_curvature = xi[:, 2].mean()
+    turned = np.rad2deg(mean_curvature * model.length)
     measured("turned [deg]", turned)
     assert rest.converged
     assert turned > 32 * tension
     motion = ste.simulate(model, u, 10.0, 0.01)
-    assert np.abs(motion.tip_pose[-1] - rest.tip_pose).max() < 1e-9
-    assert np.abs(finer.tip_pose(rest.q) - rest.tip_pose).max() < 1e-9
+    difference = motion.tip_pose[-1] - rest.tip_pose
+    assert np.abs(difference).max() < 1e-9
+    difference_of_finer = finer.tip_pose(rest.q) - rest.tip_pose
+    assert np.abs(difference_of_finer).max() < 1e-9
 
 
 def test_straight_rod_at_rest(measured):
@@ -101,10 +112,13 @@ def test_straight_rod_at_rest(measured):
         model = ste.build_model(scene)
         rest = np.zeros(model.coordinate_count)
         terms = model.terms(rest, rest)
-        assert all(np.isfinite(term).all() for term in terms), name
+        are_finite = (np.isfinite(term).all() for term in terms)
+        assert all(are_finite), name
         assert np.linalg.eigvalsh(terms.mass)[0] > 0, name
         motion = ste.simulate(model, np.zeros(model.tendon_count), 0.2, 0.02)
         assert not motion.q.any(), name
         assert not motion.q_dot.any(), name
-        measured("tip off the axis [m]", np.abs(motion.tip_pose[-1, 1:3, 3]).max())
-        assert np.abs(motion.tip_pose[-1, :3, 3] - [model.length, 0, 0]).max() < 1e-15, name
+        across = motion.tip_pose[-1, 1:3, 3]
+        measured("tip off the axis [m]", np.abs(across).max())
+        position = motion.tip_pose[-1, :3, 3]
+        assert np.abs(position - [model.length, 0, 0]).max() < 1e-15, name

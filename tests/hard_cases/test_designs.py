@@ -24,7 +24,8 @@ def test_four_tendons_make_three_coordinates(build, measured):
     """
     model = build("four_tendon")
     assert model.coordinate_count == 3
-    assert np.linalg.cond(model.terms(np.zeros(3), np.zeros(3)).stiffness) < 1e3
+    terms = model.terms(np.zeros(3), np.zeros(3))
+    assert np.linalg.cond(terms.stiffness) < 1e3
     for value in (1.0, 5.0, 10.0):
         tips = [static_equilibrium(model, value * np.eye(4)[i]).tip_pose[:3, 3] for i in range(4)]
         motions = [
@@ -32,7 +33,8 @@ def test_four_tendons_make_three_coordinates(build, measured):
             for i in range(4)
         ]
         for found in (tips, motions):
-            for i, (y, z) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
+            sides = enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)])
+            for i, (y, z) in sides:
                 turned = np.stack(
                     [found[0][..., 0], y * found[0][..., 1], z * found[0][..., 1]], axis=-1
                 )
@@ -40,7 +42,8 @@ def test_four_tendons_make_three_coordinates(build, measured):
                 measured("asymmetry [m]", misfit)
                 assert misfit < 1e-9
         together = ste.simulate(model, np.full(4, value), 1.0, 0.05)
-        assert np.abs(together.tip_pose[:, 1:3, 3]).max() < 1e-9
+        across = together.tip_pose[:, 1:3, 3]
+        assert np.abs(across).max() < 1e-9
         assert together.tip_pose[-1, 0, 3] < 0.25
 
 
@@ -55,7 +58,8 @@ def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
         "span": "rod",
     }
     full = build("four_tendon", {"strain": {"type": "explicit", "modes": [modes]}})
-    for tension in ([3, 3, 3, 3], [10, 0, 0, 0], [10, 3, 2, 7], [10, 10, 0, 0]):
+    tensions = ([3, 3, 3, 3], [10, 0, 0, 0], [10, 3, 2, 7], [10, 10, 0, 0])
+    for tension in tensions:
         few = static_equilibrium(model, tension)
         many = static_equilibrium(full, tension)
         assert few.converged
@@ -74,7 +78,8 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
     measured("motion to statics [m]", tip_distance(motion.tip_pose[-1], rest.tip_pose))
     assert rest.converged
     assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-5
-    assert np.abs(motion.tip_pose[:, 2, 3]).max() < 1e-12
+    sideways = motion.tip_pose[:, 2, 3]
+    assert np.abs(sideways).max() < 1e-12
 
 
 @pytest.mark.parametrize("value", [1.0, 5.0])
@@ -86,23 +91,31 @@ def test_thirty_tendons(one_segment, measured, value):
     rng = np.random.default_rng(0)
     tendons = []
     for i in range(30):
-        end = float(rng.uniform(0.3, 1.0)) if i % 3 == 0 else None
-        straight = StraightRouting(offset=(float(0.015 * np.cos(i)), float(0.015 * np.sin(i))))
+        end = None
+        if i % 3 == 0:
+            end = float(rng.uniform(0.3, 1.0))
+        y = float(0.015 * np.cos(i))
+        z = float(0.015 * np.sin(i))
+        straight = StraightRouting(offset=(y, z))
         spiral = HelixRouting(
             radius=0.015, angular_rate=float(rng.uniform(-12, 12)), phase=40.0 * i
         )
-        tendons.append(Tendon(routing=straight if i % 2 else spiral, end=end))
+        tendon = Tendon(routing=straight if i % 2 else spiral, end=end)
+        tendons.append(tendon)
     model = one_segment(tendons=tendons)
     u = value * rng.uniform(size=30)
     rest = static_equilibrium(model, u)
     motion = ste.simulate(model, u, 2.0, 0.01)
     measured("coordinates", model.coordinate_count)
-    measured("q / norm of tensions", np.abs(motion.q).max() / np.linalg.norm(u))
+    largest = np.abs(motion.q).max()
+    measured("q / norm of tensions", largest / np.linalg.norm(u))
     assert 12 < model.coordinate_count < 30
     assert rest.converged
     assert rest.residual < 1e-9
     assert np.isfinite(motion.tip_pose).all()
-    assert np.abs(motion.q).max() < 3 * np.linalg.norm(u)
+    largest_q = np.abs(motion.q).max()
+    bound = 3 * np.linalg.norm(u)
+    assert largest_q < bound
 
 
 def test_no_tendon(build, measured):
@@ -129,13 +142,18 @@ def test_catheter(build, measured, one_pulled, tip_distance, tension, step):
     model = build("catheter", {"integrator.step": step})
     u = one_pulled(model, 0, tension)
     rest = static_equilibrium(model, u)
-    k = tension * 0.002 / (60e9 * np.pi * 0.0005**4 / 4)
-    arc = np.array([np.sin(0.2 * k) / k, (1 - np.cos(0.2 * k)) / k, 0.0])
+    bending = 60e9 * np.pi * 0.0005**4 / 4
+    k = tension * 0.002 / bending
+    x = np.sin(0.2 * k) / k
+    y = (1 - np.cos(0.2 * k)) / k
+    arc = np.array([x, y, 0.0])
     measured(
         "statics to the arc, part of the length", np.abs(rest.tip_pose[:3, 3] - arc).max() / 0.2
     )
     assert rest.converged
-    assert np.abs(rest.tip_pose[:3, 3] - arc).max() < 0.2 * (1e-5 + 4e-4 * 0.2 * k)
+    position = rest.tip_pose[:3, 3]
+    bound = 0.2 * (1e-5 + 4e-4 * 0.2 * k)
+    assert np.abs(position - arc).max() < bound
     motion = ste.simulate(model, u, 4.0, 0.01)
     assert np.abs(motion.q).max() < 1.5 * tension
     assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
@@ -152,18 +170,25 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
         (1.0, 0.0005, 1e9, 1e7) if shape == "slender" else (0.1, 0.02, 1e6, 1e3)
     )
     model = one_segment(length=length, radius=radius, young_modulus=young, damping=damping)
-    u = np.array([angle * young * np.pi * radius**4 / 4 / (0.8 * radius * length), 0.0, 0.0])
+    moment = angle * young * np.pi * radius**4 / 4
+    u = np.array([moment / (0.8 * radius * length), 0.0, 0.0])
     k = angle / length
-    arc = np.array([np.sin(angle) / k, (1 - np.cos(angle)) / k, 0.0])
+    x = np.sin(angle) / k
+    y = (1 - np.cos(angle)) / k
+    arc = np.array([x, y, 0.0])
     rest = static_equilibrium(model, u)
-    misfit = np.linalg.norm(rest.tip_pose[:3, 3] - arc) / length
+    way = rest.tip_pose[:3, 3] - arc
+    misfit = np.linalg.norm(way) / length
     measured("statics to the arc, part of the length", misfit)
     assert rest.converged
     assert misfit < (1e-3 if shape == "slender" else 0.2)
     motion = ste.simulate(model, u, 20.0, 0.05)
-    assert np.abs(motion.q).max() < 2 * u[0]
+    largest = np.abs(motion.q).max()
+    assert largest < 2 * u[0]
     if shape == "stubby":
-        assert np.linalg.norm(rest.tip_pose[:3, 3]) < np.linalg.norm(arc)
+        distance = np.linalg.norm(rest.tip_pose[:3, 3])
+        distance_of_arc = np.linalg.norm(arc)
+        assert distance < distance_of_arc
         assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
 
 
@@ -178,7 +203,8 @@ def test_a_hundred_times_the_damping(build, measured, step):
     measured("overshoot [N]", np.abs(motion.q).max() - 50.0)
     assert np.abs(motion.q).max() < 50.0 + 1e-6
     assert motion.rejected == 0
-    assert np.abs(motion.q[-1] - u).max() < 1e-6
+    change = motion.q[-1] - u
+    assert np.abs(change).max() < 1e-6
 
 
 @pytest.mark.filterwarnings("ignore:.*coordinates are too many")
@@ -228,7 +254,8 @@ def test_ends_of_tendons_within_round_off(
             Tendon(routing=down, start=float(ends[7]), end=float(ends[7] + 4.1e-9)),
         ]
         model = one_segment(tendons=tendons)
-        rest = static_equilibrium(model, np.where(np.arange(model.tendon_count) < 3, 5.0, 0.0))
+        tension = np.where(np.arange(model.tendon_count) < 3, 5.0, 0.0)
+        rest = static_equilibrium(model, tension)
         assert rest.converged, rest.reason
         off.append(rest.tip_pose[:3, 3])
     spread = np.ptp(off, axis=0).max()
@@ -268,7 +295,9 @@ def column(one_segment):
         length = 0.5
         radius = 0.01
         density = 1000.0
-        critical = density * np.pi * radius**2 * 9.81 * length**3 / (7.837 * np.pi * radius**4 / 4)
+        weight = density * np.pi * radius**2 * 9.81 * length**3
+        stiffness = 7.837 * np.pi * radius**4 / 4
+        critical = weight / stiffness
         passive = {"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}
         return one_segment(
             length=length,
@@ -305,10 +334,12 @@ def test_column_under_its_own_weight(column, measured, part):
     stiffness = (
         Balance(model, slack, make_workspace(model.arm)).linearise(straight.q, 1.0).stiffness
     )
-    least = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0]
+    symmetric = 0.5 * (stiffness + stiffness.T)
+    least = np.linalg.eigvalsh(symmetric)[0]
     assert straight.converged
     assert straight.stable == (part > 1)
-    assert np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9
+    across = straight.tip_pose[1:3, 3]
+    assert np.abs(across).max() < 1e-9
     assert (least > 0) == (part > 1)
     motion = ste.simulate(model, [0.05, 0.0, 0.0], 0.1, 0.1)
     motion = ste.simulate(model, slack, 200.0, 1.0, initial=motion.final)
@@ -321,12 +352,16 @@ def test_column_under_its_own_weight(column, measured, part):
         "tip off the axis at the end, part of the length",
         np.linalg.norm(motion.tip_pose[-1, 1:3, 3]) / 0.5,
     )
-    scale = np.sqrt(np.pi * 0.01**2 * 0.5 * 1000.0 * 9.81 * 0.5)
+    volume = np.pi * 0.01**2 * 0.5 * 1000.0
+    scale = np.sqrt(volume * 9.81 * 0.5)
     assert np.isfinite(motion.tip_pose).all()
     assert unbalanced < 0.01 * scale
-    assert (np.linalg.norm(motion.tip_pose[-1, 1:3, 3]) > 0.1) == (part < 1)  # it falls to any side
-    off_axis = [np.linalg.norm(pose[1:3, 3]) for pose in (motion.tip_pose[-1], settled.tip_pose)]
-    assert off_axis[0] == pytest.approx(off_axis[1], rel=0.01, abs=1e-3)
+    distance = np.linalg.norm(motion.tip_pose[-1, 1:3, 3])
+    assert (distance > 0.1) == (part < 1)  # it falls to any side
+    poses = (motion.tip_pose[-1], settled.tip_pose)
+    off_axis = [np.linalg.norm(pose[1:3, 3]) for pose in poses]
+    expected = pytest.approx(off_axis[1], rel=0.01, abs=1e-3)
+    assert off_axis[0] == expected
 
 
 def test_column_that_nobody_disturbs(column, measured):
@@ -334,6 +369,9 @@ def test_column_that_nobody_disturbs(column, measured):
     Expected: it stays straight for the first half second, to 1e-9 m, while the disturbed one has
     already fallen."""
     model = column(0.5)
-    motion = ste.simulate(model, np.zeros(3), 0.5, 0.05, ste.Simulation(model).state)
-    measured("tip off the axis [m]", np.abs(motion.tip_pose[:, 1:3, 3]).max())
-    assert np.abs(motion.tip_pose[:, 1:3, 3]).max() < 1e-9
+    simulation = ste.Simulation(model)
+    motion = ste.simulate(model, np.zeros(3), 0.5, 0.05, simulation.state)
+    sideways = motion.tip_pose[:, 1:3, 3]
+    measured("tip off the axis [m]", np.abs(sideways).max())
+    across = motion.tip_pose[:, 1:3, 3]
+    assert np.abs(across).max() < 1e-9

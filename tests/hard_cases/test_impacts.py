@@ -84,7 +84,8 @@ class Case:
                 Contact(obstacles=[self.obstacle]).distances(axis)[0].min() - 1.2 * self.radius
             )
             place = place + (ahead - clearance) * self.towards
-        self.core = 0.25 * size if kind == "plate" else 0.5 * size if kind != "floor" else 0.0
+        cores = {"plate": 0.25 * size, "floor": 0.0}
+        self.core = cores.get(kind, 0.5 * size)
         if (
             beside == "wall" and shot
             # which no solid can go through: it swings, and squeezes the arm by a fifth of its
@@ -116,7 +117,8 @@ class Case:
         """Places (times, samples, 3) [m] after every period [s], energies [J] where there is a
         potential, and the last kinetic one."""
         model = ste.build_model(self.scene.replace(self.changes), fidelity=self.fidelity)
-        model = ste.build_model(model.scene.replace(integrator)) if integrator else model
+        if integrator:
+            model = ste.build_model(model.scene.replace(integrator))
         q, rate = np.zeros((2, model.coordinate_count))
         if not self.shot:
             terms = model.terms(q, rate)
@@ -156,10 +158,16 @@ def random_case(seed):
     """Speeds of 0.5 to 20 m/s, each tenth 30; radii from 1 to 30 mm, plates of 0.5 to 10 mm."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice(["floor", "wire", "plate", "sphere"]))
-    speed = 30.0 if seed % 10 == 9 else 10.0 ** rng.uniform(-0.3, 1.3)
+    if seed % 10 == 9:
+        speed = 30.0
+    else:
+        speed = 10.0 ** rng.uniform(-0.3, 1.3)
     shot = kind != "floor" and rng.random() < 0.5
     size = 10.0 ** (rng.uniform(-3.3, -2.0) if kind == "plate" else rng.uniform(-3.0, -1.5))
-    ahead = rng.uniform(0.1, 1.3) * STEP * speed if shot else 10.0 ** rng.uniform(-2.5, -1.3)
+    if shot:
+        ahead = rng.uniform(0.1, 1.3) * STEP * speed
+    else:
+        ahead = 10.0 ** rng.uniform(-2.5, -1.3)
     more = {
         "friction": float(rng.choice([0.0, 0.5])),
         "dissipation": float(rng.choice([0.0, 0.3, 1.0])),

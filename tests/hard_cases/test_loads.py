@@ -135,7 +135,10 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
             2.5 * (1 - np.cos(2 * np.pi * t / 1.5)),
             3 * np.sin(np.pi * t) ** 2,
         )
-        u[[1, 2]] = (8.0, 5.0) if t > 0.5 else (0.0, 0.0)
+        if t > 0.5:
+            u[[1, 2]] = (8.0, 5.0)
+        else:
+            u[[1, 2]] = (0.0, 0.0)
         return u
 
     def track(step, columns):

@@ -78,7 +78,8 @@ def test_whole_and_single_steps(build, setting):
 
 
 def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
-    tensions = random_tensions(model, rows) if tensions is None else tensions
+    if tensions is None:
+        tensions = random_tensions(model, rows)
     whole = ste.simulate(model, tensions, period * len(tensions), period)
     with pytest.raises((ste.SimulationDiverged, ste.StrainLimitError)):
         ste.simulate(build("paper", {"integrator.columns": 4}), np.full(10, 5e3), 1.0, 0.01)

@@ -148,7 +148,10 @@ def test_residuals_that_follow_the_squares_of_commands_are_told():
 
 def motion(residual, positions=None):
     count = len(residual)
-    still = np.zeros((count, 2, 3)) if positions is None else positions
+    if positions is None:
+        still = np.zeros((count, 2, 3))
+    else:
+        still = positions
     recording = Recording("steps", "", np.zeros((count, 3)), still, 0.01, {})
     return [Misfit(recording, residual, held_out=False)]
 

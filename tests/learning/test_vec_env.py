@@ -28,7 +28,9 @@ def timeless(value):
     """Nested values without times."""
     if isinstance(value, dict):
         return {key: timeless(entry) for key, entry in value.items() if key != "t"}
-    return type(value)(map(timeless, value)) if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return type(value)(map(timeless, value))
+    return value
 
 
 IN_TIME = (False, True)

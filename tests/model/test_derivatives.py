@@ -33,7 +33,8 @@ def build_quietly(changes, name="three_tendon"):
 
 def in_motion(model):
     """A simulation after four periods of random commands, and one more command."""
-    least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
+    tension_limits = [tendon.tension_limits for tendon in model.scene.tendons]
+    least, greatest = np.array(tension_limits).T
     table = least + np.random.default_rng(0).uniform(0.05, 0.4, (5, least.size)) * (
         greatest - least
     )
@@ -60,7 +61,8 @@ def end(model, start, *inputs):
     simulation = put(Simulation(model), start, *inputs[:3])
     simulation.step(inputs[3], PERIOD)
     state = simulation.state
-    numbers = np.concatenate([state.q, state.q_dot, state.effects])
+    parts = [state.q, state.q_dot, state.effects]
+    numbers = np.concatenate(parts)
     return (
         numbers,
         simulation.tip_pose,
@@ -81,8 +83,12 @@ def differences(evaluate, step):
     by_state, by_pose, *others = slopes
     # R^T dR is antisymmetric
     moved = np.linalg.inv(pose) @ by_pose
-    angular = [moved[2, 1], moved[0, 2], moved[1, 0]]
-    twist = np.array([*angular, *moved[:3, 3]])
+    about_x = moved[2, 1]
+    about_y = moved[0, 2]
+    about_z = moved[1, 0]
+    angular = [about_x, about_y, about_z]
+    way = moved[:3, 3]
+    twist = np.array([*angular, *way])
     return [by_state, twist, *others]
 
 
@@ -126,13 +132,18 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
                 model, start, *np.split(inputs + change * np.eye(inputs.size)[i], borders[:-1])
             )
 
-        slopes.append([size * slope for slope in differences(evaluate, 3e-4 * size)])
+        scaled = [size * slope for slope in differences(evaluate, 3e-4 * size)]
+        slopes.append(scaled)
     states, tips, twists = (np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True))
-    by = np.hstack([found.state, found.command]) * unit
-    for rows in np.split(np.arange(borders[2]), borders[:2]):
-        for columns in np.split(np.arange(borders[3]), borders[:3]):
+    derivatives = np.hstack([found.state, found.command])
+    by = derivatives * unit
+    row_parts = np.split(np.arange(borders[2]), borders[:2])
+    for rows in row_parts:
+        column_parts = np.split(np.arange(borders[3]), borders[:3])
+        for columns in column_parts:
             if rows.size and columns.size:
-                assert_close(by[np.ix_(rows, columns)], states[np.ix_(rows, columns)])
+                block = np.ix_(rows, columns)
+                assert_close(by[block], states[block])
     assert_close(found.tip * unit, tips)
     if "effects.moving_base" not in changes:
         assert_close(found.tip_twist * unit, twists)
@@ -147,7 +158,9 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
     following = simulation.linearize(command, 5 * PERIOD).next
     assert simulation.step(command, 5 * PERIOD).steps > 64
     for name in ("time", "q", "q_dot", "strain", "step"):
-        assert np.array_equal(getattr(simulation.state, name), getattr(following, name))
+        reached = getattr(simulation.state, name)
+        expected = getattr(following, name)
+        assert np.array_equal(reached, expected)
     assert_close(
         simulation.linearize(command, 0.0).state, np.eye(2 * simulation.model.coordinate_count)
     )

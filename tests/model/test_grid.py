@@ -40,16 +40,21 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     end = (grid.start + grid.length)[grid.real]
     assert start[0] == 0
     assert grid.start.size % LANES == 0
-    np.testing.assert_allclose(start[1:], end[:-1], rtol=1e-15)
+    ends_before = end[:-1]
+    np.testing.assert_allclose(start[1:], ends_before, rtol=1e-15)
     np.testing.assert_allclose(end[-1], rod_length(scene), rtol=1e-15)
     assert not grid.length[~grid.real].any()
-    assert grid.real.sum() == intervals * (grid.breakpoints.size - 1)
+    pieces = grid.breakpoints.size - 1
+    assert grid.real.sum() == intervals * pieces
     for border in grid.breakpoints:
-        assert not ((start < border - 1e-12) & (end > border + 1e-12)).any()
+        begins_before = start < border - 1e-12
+        ends_after = end > border + 1e-12
+        assert not (begins_before & ends_after).any()
     assert (
         (grid.points[grid.real] > start[:, None]) & (grid.points[grid.real] < end[:, None])
     ).all()
-    assert ((grid.points >= 0) & (grid.points <= rod_length(scene))).all()
+    is_inside = grid.points <= rod_length(scene)
+    assert ((grid.points >= 0) & is_inside).all()
 
 
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
@@ -59,10 +64,14 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
     bare = make_rod(scene, grid, at_points(scene, grid))
     loaded = make_rod(carrying, grid, at_points(carrying, grid))
     density = 100.0  # of the rod, whose radius goes from 3 to 2 cm [kg/m^3]
-    base_share = 0.5 * newton_cotes(6)[0] * density * np.pi * 0.03**2
-    frustum = np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3
-    np.testing.assert_allclose(bare.mass + base_share, density * frustum, rtol=1e-12)
-    difference = (loaded.inertia - bare.inertia).reshape(grid.packs, 6, LANES)
+    half_weight = 0.5 * newton_cotes(6)[0]
+    base_share = half_weight * density * np.pi * 0.03**2
+    squares = 0.03**2 + 0.03 * 0.02 + 0.02**2
+    frustum = np.pi * squares / 3
+    mass = bare.mass + base_share
+    np.testing.assert_allclose(mass, density * frustum, rtol=1e-12)
+    of_discs = loaded.inertia - bare.inertia
+    difference = of_discs.reshape(grid.packs, 6, LANES)
     at_tip = difference[-1, :, -1]
     np.testing.assert_allclose(at_tip, [1e-3, 2e-3, 3e-3, 0.3, 0.3, 0.3], rtol=1e-12)
     assert np.count_nonzero(difference) == 6
@@ -74,7 +83,8 @@ def test_helical_tendons_turn_by_the_curvature_of_a_helix_over_their_own_length(
     turn = at_points(scene, grid).rod.tendon_turn
     rate = 4.0 * np.pi
     for tendons, radius, length in (((3, 4), 0.02, 1.0), ((8, 9), 0.025, 0.5)):
-        expected = radius * rate**2 / np.sqrt(1.0 + (radius * rate) ** 2) * length
+        root = np.sqrt(1.0 + (radius * rate) ** 2)
+        expected = radius * rate**2 / root * length
         np.testing.assert_allclose(turn[[*tendons]], expected, rtol=0.01)
     straight = [0, 1, 2, 5, 6, 7]
     assert turn[straight].max() < 0.1
@@ -90,7 +100,8 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     point_count = 2 * grid.real.sum()
     strain = rng.normal(size=(*lead, point_count, 6))
     packed = grid.packed(strain)
-    assert packed.shape == (*lead, 2 * grid.length.size * 6)
+    nodes = 2 * grid.length.size
+    assert packed.shape == (*lead, nodes * 6)
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
     by_interval = grid.at_points(packed, 6)
     empty = by_interval[..., ~grid.real, :, :]
@@ -105,8 +116,10 @@ def scene_and_grid(name, **changes):
 
 def inner(left, right, scene, grid):
     """int left^T Sigma^-1 right dX."""
-    compliance = 1 / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
-    return np.einsum("imzc,mzc,jmzc->ij", left, compliance * grid.weights[..., None], right)
+    elasticity = screw_matrices(scene, grid.points.ravel())[0]
+    compliance = 1 / elasticity.reshape(*grid.points.shape, 6)
+    weighted = compliance * grid.weights[..., None]
+    return np.einsum("imzc,mzc,jmzc->ij", left, weighted, right)
 
 
 def passive_fields(strain, grid):
@@ -133,7 +146,8 @@ def test_orthogonal_passive_fields(order, span, count):
     np.testing.assert_allclose(
         inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11
     )
-    sizes = np.sqrt(np.diag(inner(actuation, actuation, scene, grid)))
+    products = inner(actuation, actuation, scene, grid)
+    sizes = np.sqrt(np.diag(products))
     np.testing.assert_allclose(
         inner(actuation, passive, scene, grid) / sizes[:, None], 0.0, atol=1e-11
     )
@@ -147,7 +161,9 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
     assert strain.size == 4
     field = passive_fields(strain, grid)[0][grid.real]
     assert field[..., 0].all()
-    assert np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
+    largest = np.abs(field[..., 1:]).max()
+    bound = 1e-10 * np.abs(field[..., 0]).max()
+    assert largest < bound
 
 
 def test_mode_fields_are_legendre_polynomials_on_their_span():
@@ -217,8 +233,11 @@ def test_weights_of_the_nodes_are_positive_and_integrate_the_powers_of_their_pan
     smallest = intervals // panels
     assert weights.min() > 0.0
     for power in range(smallest + 1 + (smallest % 2 == 0)):
-        assert weights @ nodes**power == pytest.approx(1.0 / (power + 1), rel=1e-12)
-    assert abs(weights @ nodes ** (smallest + 2) - 1.0 / (smallest + 3)) > 1e-14
+        exact = 1.0 / (power + 1)
+        assert weights @ nodes**power == pytest.approx(exact, rel=1e-12)
+    powers = nodes ** (smallest + 2)
+    exact_next = 1.0 / (smallest + 3)
+    assert abs(weights @ powers - exact_next) > 1e-14
 
 
 def test_densities_over_the_nodes_add_up_to_integrals_of_every_piece():
@@ -226,14 +245,21 @@ def test_densities_over_the_nodes_add_up_to_integrals_of_every_piece():
     scene, grid = scene_and_grid("paper")
 
     def density(places):
-        return np.stack([np.where(places < 0.5, 1.0 + places**3, 7.0 * places), places], axis=1)
+        density_values = np.where(places < 0.5, 1.0 + places**3, 7.0 * places)
+        return np.stack([density_values, places], axis=1)
 
     total = over_nodes(grid, density)
     assert total.shape == (grid.length.size, 2)
-    at_base = 0.5 * newton_cotes(4)[0] * density(np.zeros(1))[0]
-    exact = [0.5 + 0.5**4 / 4 + 3.5 * 0.75, 0.5]
-    np.testing.assert_allclose(total.sum(axis=0) + at_base, exact, rtol=1e-12)
-    border = 0.5 * newton_cotes(4)[-1] * (1.0 + 0.125) + 0.5 * newton_cotes(4)[0] * 3.5
+    half_weight = 0.5 * newton_cotes(4)[0]
+    density_at_base = density(np.zeros(1))[0]
+    at_base = half_weight * density_at_base
+    first_half = 0.5 + 0.5**4 / 4
+    exact = [first_half + 3.5 * 0.75, 0.5]
+    whole = total.sum(axis=0) + at_base
+    np.testing.assert_allclose(whole, exact, rtol=1e-12)
+    before = 0.5 * newton_cotes(4)[-1] * (1.0 + 0.125)
+    after = 0.5 * newton_cotes(4)[0] * 3.5
+    border = before + after
     assert total[3, 0] == pytest.approx(border)
     assert not total[~grid.real].any()
 
@@ -243,7 +269,8 @@ def test_places_are_found_in_their_intervals():
     places = np.array([0.0, 0.1, 0.125, 0.3, 0.5, 0.99, 1.0])
     interval, distance = grid.locate(places)
     np.testing.assert_array_equal(interval, [0, 0, 1, 2, 4, 7, 7])
-    np.testing.assert_allclose(grid.start[interval] + distance, places, rtol=1e-15)
+    found_places = grid.start[interval] + distance
+    np.testing.assert_allclose(found_places, places, rtol=1e-15)
     found = grid.places(places[:2], places[2:])
     np.testing.assert_array_equal(found.station, interval[:2])
     np.testing.assert_array_equal(found.sensor, interval[2:])
@@ -262,8 +289,10 @@ def test_ranges_of_packs_hold_all_parts_of_a_field():
 def test_discs_have_the_inertia_of_cylinders():
     rows = np.array([[0.1, 2.0, 0.3, 0.4]])
     about_axis = 2.0 * 0.3**2 / 2
-    across = 2.0 * (3 * 0.3**2 + 0.4**2) / 12
-    np.testing.assert_allclose(disc_inertia(rows), [[about_axis, across, across, 2.0, 2.0, 2.0]])
+    squares = 3 * 0.3**2 + 0.4**2
+    across = 2.0 * squares / 12
+    expected = [[about_axis, across, across, 2.0, 2.0, 2.0]]
+    np.testing.assert_allclose(disc_inertia(rows), expected)
 
 
 def test_tendons_of_a_stress_free_arm_are_as_long_as_their_paths():
@@ -271,8 +300,10 @@ def test_tendons_of_a_stress_free_arm_are_as_long_as_their_paths():
     scene, grid = grid_of("paper", 24)
     lengths = at_points(scene, grid).rod.tendon_length
     rate = 4.0 * np.pi
-    np.testing.assert_allclose(lengths[3:5], np.hypot(1.0, 0.02 * rate), rtol=1e-9)
-    np.testing.assert_allclose(lengths[8:10], 0.5 * np.hypot(1.0, 0.025 * rate), rtol=1e-9)
+    helix_length = np.hypot(1.0, 0.02 * rate)
+    np.testing.assert_allclose(lengths[3:5], helix_length, rtol=1e-9)
+    helix_length = np.hypot(1.0, 0.025 * rate)
+    np.testing.assert_allclose(lengths[8:10], 0.5 * helix_length, rtol=1e-9)
     taper = np.hypot(1.0, 0.01)  # of tendons on the surface of a cone
     np.testing.assert_allclose(lengths[[0, 1, 2]], taper, rtol=1e-9)
     np.testing.assert_allclose(lengths[[5, 6, 7]], 0.5 * taper, rtol=1e-9)
@@ -284,12 +315,17 @@ def test_independent_tensions_span_those_that_strain_the_rod():
     columns = np.random.default_rng(0).normal(size=(4, 9))
     independent = independent_tensions(columns @ columns.T, 1e-3)
     np.testing.assert_array_equal(independent, np.eye(4))
-    columns[3] = columns[0] + columns[1] - columns[2]
+    of_both = columns[0] + columns[1]
+    columns[3] = of_both - columns[2]
     mixing = independent_tensions(columns @ columns.T, 1e-3)
     assert mixing.shape == (4, 3)
-    np.testing.assert_allclose(mixing.T @ mixing, np.eye(3), atol=1e-12)
+    product = mixing.T @ mixing
+    np.testing.assert_allclose(product, np.eye(3), atol=1e-12)
     # two tendons that strain alike and one beside them
-    opposite = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    rows = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]]
+    opposite = np.array(rows)
     mixing = independent_tensions(opposite, 1e-3)
     share = np.sqrt(0.5)
-    np.testing.assert_allclose(np.abs(mixing), [[share, 0], [share, 0], [0, 1]])
+    sizes = np.abs(mixing)
+    expected = [[share, 0], [share, 0], [0, 1]]
+    np.testing.assert_allclose(sizes, expected)

@@ -24,10 +24,14 @@ def paper():
 
 def circle(angle):
     """The paper's circle: radius 0.25 m about the x axis, the tip's axis tilted outwards."""
-    outwards = np.array([0.0, np.cos(angle), np.sin(angle)])
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    outwards = np.array([0.0, cosine, sine])
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(TILT * np.cross([1.0, 0.0, 0.0], outwards)).as_matrix()
-    pose[:3, 3] = [0.95, *(0.25 * outwards[1:])]
+    rotation_vector = TILT * np.cross([1.0, 0.0, 0.0], outwards)
+    pose[:3, :3] = Rotation.from_rotvec(rotation_vector).as_matrix()
+    aside = 0.25 * outwards[1:]
+    pose[:3, 3] = [0.95, *aside]
     return pose
 
 
@@ -51,7 +55,8 @@ def test_the_circle_needs_pushes(paper, angle):
 @pytest.mark.parametrize("name", ["paper_16dof", "four_tendon", "helical", "catheter"])
 def test_round_trip(name):
     model = build_model(load_scene(name))
-    least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
+    tension_limits = [tendon.tension_limits for tendon in model.scene.tendons]
+    least, greatest = np.array(tension_limits).T
     for u in np.random.default_rng(5).uniform(
         least, least + 0.3 * (greatest - least), (2, least.size)
     ):
@@ -59,10 +64,12 @@ def test_round_trip(name):
         found = tension_for_tip_pose(model, wanted.tip_pose)
         assert found.reachable
         np.testing.assert_allclose(found.tip_pose, wanted.tip_pose, atol=1e-6)
-        assert np.linalg.norm(found.tension) <= np.linalg.norm(u) + 1e-6
+        least_needed = np.linalg.norm(u)
+        assert np.linalg.norm(found.tension) <= least_needed + 1e-6
         assert (found.tension >= least).all()
         assert (found.tension <= greatest).all()
-        np.testing.assert_array_equal(found.q, static_equilibrium(model, found.tension).q)
+        equilibrium = static_equilibrium(model, found.tension)
+        np.testing.assert_array_equal(found.q, equilibrium.q)
 
 
 def test_what_is_out_of_reach_is_approached():
@@ -75,9 +82,12 @@ def test_what_is_out_of_reach_is_approached():
         assert "m and" in found.reason
         assert (found.tension >= 0.0).all()
         assert (found.tension <= 2.0).all()
-        grid = np.stack(np.meshgrid(*[np.linspace(0.0, 2.0, 7)] * 3), axis=-1).reshape(-1, 3)
-        tips = np.array([static_equilibrium(model, u).tip_pose[:3, 3] for u in grid])
-        assert found.position_error <= np.linalg.norm(tips - target, axis=1).min() + 1e-5
+        axes = [np.linspace(0.0, 2.0, 7)] * 3
+        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+        positions = [static_equilibrium(model, u).tip_pose[:3, 3] for u in grid]
+        tips = np.array(positions)
+        nearest = np.linalg.norm(tips - target, axis=1).min()
+        assert found.position_error <= nearest + 1e-5
 
 
 def test_a_start_next_to_the_strain_limit_is_answered():
@@ -122,15 +132,20 @@ def test_derivatives_of_the_error_are_differences(angle_weight, changes):
     h = 1e-5
     slopes = []
     for way in h * np.eye(3):
-        change = search.error(u + way) - search.error(u - way)
+        ahead = search.error(u + way)
+        behind = search.error(u - way)
+        change = ahead - behind
         slopes.append(change / (2 * h))
     atol = 1e-6 * np.abs(slopes).max()
-    np.testing.assert_allclose(search.derivative(u), np.transpose(slopes), atol=atol)
+    expected = np.transpose(slopes)
+    np.testing.assert_allclose(search.derivative(u), expected, atol=atol)
     tip = static_equilibrium(model, u).tip_pose
     goal = search.pose
     error = search.error(u)
     np.testing.assert_allclose(error[3:], goal[:3, 3] - tip[:3, 3], atol=1e-14)
-    relative = tip[:3, :3].T @ goal[:3, :3]
+    tip_rotation = tip[:3, :3]
+    goal_rotation = goal[:3, :3]
+    relative = tip_rotation.T @ goal_rotation
     turn = Rotation.from_matrix(relative).as_rotvec()
     np.testing.assert_allclose(error[:3], angle_weight * turn, atol=1e-12)
 
@@ -143,10 +158,13 @@ def test_a_solution_says_how_far_its_tip_is_off():
     for off, turn, reachable in ((0.9e-4, 0.0, True), (1.1e-4, 0.0, False), (0.0, 3e-4, False)):
         pose = tip.copy()
         pose[2, 3] += off * model.length
-        pose[:3, :3] = tip[:3, :3] @ Rotation.from_rotvec([0.0, turn, 0.0]).as_matrix()
-        solution = _TipSearch(model, pose, ANGLE_WEIGHT * model.length).solution(u)
+        rotation = Rotation.from_rotvec([0.0, turn, 0.0]).as_matrix()
+        pose[:3, :3] = tip[:3, :3] @ rotation
+        inverse = _TipSearch(model, pose, ANGLE_WEIGHT * model.length)
+        solution = inverse.solution(u)
         assert solution.reachable == reachable
-        assert solution.position_error == pytest.approx(off * model.length, abs=1e-12)
+        distance = off * model.length
+        assert solution.position_error == pytest.approx(distance, abs=1e-12)
         assert solution.angle_error == pytest.approx(turn, abs=1e-12)
         assert (solution.reason == "") == reachable
     position = _TipSearch(model, pose, 0.0).solution(u)

@@ -31,7 +31,8 @@ def test_every_method_names_bad_coordinates_and_says_where_the_strain_ends(metho
     with pytest.raises(ValueError, match=r"^q should have shape \(10,\), not \(9,\)"):
         OF_Q[method](paper, np.zeros(9))
     with pytest.raises(StrainLimitError, match="tendon 6 at arc length 0.4"):
-        OF_Q[method](paper, [0.0] * 6 + [-2000.0] + [0.0] * 3)
+        first_seven = [0.0] * 6 + [-2000.0]
+        OF_Q[method](paper, first_seven + [0.0] * 3)
 
 
 @pytest.mark.parametrize("name", ["paper_16dof", "paper_48dof", "four_tendon"])
@@ -43,7 +44,8 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     start = model.grid.start[1]
     end = model.grid.start[2]
     ends = model.strain_at(q, [start, np.nextafter(end, 0.0)])[0]
-    middle = model.strain_at(q, [(start + end) / 2])[0]
+    place = (start + end) / 2
+    middle = model.strain_at(q, [place])[0]
     np.testing.assert_allclose(ends.mean(axis=0), middle[0], atol=1e-12)  # linear in between
     places = [0.0, 0.4 * model.length, model.length]
     h = 1e-6
@@ -54,8 +56,10 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     assert found.shape == (3, 6)
     assert Phi.shape == (3, 6, q.size)
     assert np.abs(difference).max() > 1.0
-    np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * np.abs(difference).max())
-    assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
+    largest = np.abs(difference).max()
+    np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * largest)
+    slopes = model.strain_at(q, [])[1]
+    assert slopes.shape == (0, 6, q.size)
 
 
 def test_a_singular_mass_matrix_is_warned_of():
@@ -74,7 +78,8 @@ def test_a_singular_mass_matrix_is_warned_of():
         ),
     ):
         model = build_model(scene)
-    assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
+    terms = model.terms(np.zeros(6), np.zeros(6))
+    assert np.diag(terms.mass).min() == 0.0
 
 
 LENGTH = 0.3  # [m]
@@ -102,7 +107,8 @@ def test_energies_are_those_of_a_bent_rod(bent):
     mass = bent.terms(q, q_dot).mass
     moving = 0.5 * q_dot @ mass @ q_dot
     assert energy.kinetic == pytest.approx(moving)
-    assert energy.total == pytest.approx(energy.kinetic + energy.elastic + energy.load)
+    parts = energy.kinetic + energy.elastic + energy.load
+    assert energy.total == pytest.approx(parts)
     nodes = bent.grid.start + bent.grid.length
     heights = bent.backbone_at(q, nodes)[:, 2, 3]
     weight = 9.81 * bent.arm.rod.node_mass
@@ -112,17 +118,20 @@ def test_energies_are_those_of_a_bent_rod(bent):
 def test_units_of_coordinates_bend_the_arm_by_a_radian(bent):
     """EI / L, in which the metric has its scale and its orthonormal coordinates."""
     assert bent.bending_energy == pytest.approx(BENDING / LENGTH)
-    np.testing.assert_allclose(bent.metric, BENDING * LENGTH * np.eye(2), rtol=1e-12)
+    expected = BENDING * LENGTH * np.eye(2)
+    np.testing.assert_allclose(bent.metric, expected, rtol=1e-12)
     np.testing.assert_allclose(bent.coordinate_scale(), 1.0 / LENGTH, rtol=1e-12)
     unit = bent.metric_unit
-    np.testing.assert_allclose(unit.T @ bent.metric @ unit, np.eye(2), atol=1e-12)
+    product = unit.T @ bent.metric @ unit
+    np.testing.assert_allclose(product, np.eye(2), atol=1e-12)
 
 
 def test_places_beyond_the_rod_are_refused(bent):
     for places in ([-1e-9], [0.3 * (1 + 1e-9)]):
         with pytest.raises(ValueError, match="places should lie between 0 and 0.3"):
             bent.arc_lengths("places", places)
-    assert bent.arc_lengths("places", [0.0, 0.3 * (1 + 1e-13)]).size == 2
+    just_beyond = 0.3 * (1 + 1e-13)
+    assert bent.arc_lengths("places", [0.0, just_beyond]).size == 2
     assert bent.backbone([0.0, 0.0], 7).shape == (7, 4, 4)
     np.testing.assert_allclose(bent.backbone([0.0, 0.0], 4)[:, 0, 3], [0.0, 0.1, 0.2, 0.3])
 

@@ -28,7 +28,8 @@ def helices(turns):
         {"type": "helix", "radius": 0.008, "angular_rate": rate, "phase": 120.0 * i}
         for i in range(3)
     )
-    return three_tendon(**{f"tendons__{i}__routing": routing for i, routing in enumerate(routings)})
+    changes = {f"tendons__{i}__routing": routing for i, routing in enumerate(routings)}
+    return three_tendon(**changes)
 
 
 def three_tendon(**changes):
@@ -39,8 +40,10 @@ def three_tendon(**changes):
 
 def corners(scene, count=40):
     """Tendons slack or at their limits: each alone, all, and at random."""
-    greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
-    chosen = np.random.default_rng(1).random((count, greatest.size)) < 0.5
+    limits = [tendon.tension_limits[1] for tendon in scene.tendons]
+    greatest = np.array(limits)
+    random = np.random.default_rng(1)
+    chosen = random.random((count, greatest.size)) < 0.5
     return greatest * np.unique(
         np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen]), axis=0
     )
@@ -72,7 +75,8 @@ def test_least_and_tolerance_are_kept():
         helices(3).replace({"quadrature.tolerance": tolerance}) for tolerance in (1e-2, 1e-4, 1e-6)
     ]
     counts = [QuadratureTest(scene).search(4).intervals for scene in scenes]
-    np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
+    ratios = np.divide(counts[1:], counts[:-1])
+    np.testing.assert_allclose(np.log10(ratios), 0.5, atol=0.07)
 
 
 def modes(order):
@@ -106,7 +110,8 @@ def test_the_mass_of_a_disc_is_not_missed():
     assert (
         "the moment of the rod's mass is off by" in QuadratureTest(scene).error_estimate(6).problem
     )
-    counts = QuadratureTest(scene).search(scene.quadrature.least).intervals, 400
+    test = QuadratureTest(scene).search(scene.quadrature.least)
+    counts = test.intervals, 400
     mass, exact = (
         build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts
     )
@@ -152,17 +157,20 @@ def test_arms_that_no_quadrature_makes_a_model_of_are_refused(changes, message):
 
 def test_tensions_are_tried_at_all_corners_and_alone():
     """None twice; of many tendons some corners."""
-    limits = np.array([[0.0, 5.0], [-1.0, 3.0], [2.0, 4.0]])
+    rows = [[0.0, 5.0], [-1.0, 3.0], [2.0, 4.0]]
+    limits = np.array(rows)
     slack = np.array([0.0, 0.0, 2.0])
     tried = _tensions_to_try(limits, slack)
-    corners = {tuple(limits[range(3), sides]) for sides in np.ndindex(2, 2, 2)}
+    sides_of_box = np.ndindex(2, 2, 2)
+    corners = {tuple(limits[range(3), sides]) for sides in sides_of_box}
     alone = {
         tuple(np.where(np.arange(3) == i, limits[i, side], slack))
         for i in range(3)
         for side in (0, 1)
     }
-    assert {tuple(tension) for tension in tried} == corners | alone | {tuple(slack)}
-    assert len(tried) == len(corners | alone | {tuple(slack)})
+    expected = corners | alone | {tuple(slack)}
+    assert {tuple(tension) for tension in tried} == expected
+    assert len(tried) == len(expected)
     np.testing.assert_array_equal(tried[0], limits[:, 1])
     many = np.tile([0.0, 1.0], (10, 1))
     tried = _tensions_to_try(many, np.zeros(10))
@@ -188,8 +196,10 @@ def test_the_least_inertia_is_that_of_the_worst_combination():
     fine = test.model(12)
     still = np.zeros(3)
     M, M_fine = (model.terms(still, still).mass for model in (coarse, fine))
-    ratios = np.linalg.eigvals(np.linalg.solve(M_fine, M)).real
-    assert inertia_kept(coarse, fine) == pytest.approx(ratios.min(), rel=1e-9)
+    product = np.linalg.solve(M_fine, M)
+    ratios = np.linalg.eigvals(product).real
+    least = pytest.approx(ratios.min(), rel=1e-9)
+    assert inertia_kept(coarse, fine) == least
     assert inertia_kept(fine, fine) == pytest.approx(1.0)
 
 
@@ -203,6 +213,8 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
     shares = []
     for tension in test.tensions:
         tips = [model.tip_pose(model.rest_coordinates(tension))[:3, 3] for model in (coarse, fine)]
-        shares.append(np.linalg.norm(tips[1] - tips[0]) / 0.3)
+        way = tips[1] - tips[0]
+        shares.append(np.linalg.norm(way) / 0.3)
     assert worst.share == pytest.approx(max(shares), rel=1e-9)
-    np.testing.assert_array_equal(worst.tension, test.tensions[int(np.argmax(shares))])
+    place = int(np.argmax(shares))
+    np.testing.assert_array_equal(worst.tension, test.tensions[place])

@@ -44,7 +44,8 @@ def differences(model, q, q_dot, tension):
     simulation = Simulation(model)
     n = q.size
     x = np.concatenate([q, q_dot, tension])
-    scale = np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)])
+    of_tensions = np.ones(tension.size)
+    scale = np.concatenate([model.coordinate_scale()] * 2 + [of_tensions])
     steps = 1e-4 * np.diag(scale)
     columns = [
         after(simulation, *np.split(x + s, [n, 2 * n]))

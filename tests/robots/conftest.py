@@ -61,7 +61,10 @@ class Arm:
     senses = ("tip_pose", "tendon_length")
 
     def __init__(self, is_watched=False, **faults):
-        self.clock = WatchedClock() if is_watched else Clock(real=False)
+        if is_watched:
+            self.clock = WatchedClock()
+        else:
+            self.clock = Clock(real=False)
         self.faults = faults
         self.counts = {"read": 0, "write": 0}
         self.sent = []

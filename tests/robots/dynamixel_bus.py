@@ -129,7 +129,10 @@ class Bus:
                 motor.heard = self.clock()
         if number not in (*self.motors, EVERYBODY):
             return
-        address, size = struct.unpack_from("<HH", body) if len(body) >= 4 else (0, 0)
+        address = 0
+        size = 0
+        if len(body) >= 4:
+            address, size = struct.unpack_from("<HH", body)
         if instruction == READ:
             self._answer(number, self.motors[number].read(address, size))
         elif instruction == WRITE:

@@ -128,7 +128,9 @@ def test_a_tracker_that_has_lost_sight_stops_a_run(has_time, bus, connect, drawi
         count += 1
         pose = np.eye(4)
         pose[0, 3] = 0.29 + 1e-7 * min(count, 30)
-        return (0.02 * min(count, 30), pose) if has_time else pose
+        if has_time:
+            return (0.02 * min(count, 30), pose)
+        return pose
 
     robot = connect(tip_pose=newest)
     robot.clock = clock

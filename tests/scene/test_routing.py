@@ -67,7 +67,10 @@ def test_a_tendon_on_the_surface_of_a_flat_section_lies_on_its_outline(shape, an
     offset, slope = offset_and_slope(x)
     half_widths = 0.5 * section.hull(x, LENGTH)[:2].T
     y, z = np.abs(offset / half_widths).T
-    extent = np.maximum(y, z) if shape is Rectangle else np.hypot(y, z)
+    if shape is Rectangle:
+        extent = np.maximum(y, z)
+    else:
+        extent = np.hypot(y, z)
     np.testing.assert_allclose(extent, 1.0, rtol=1e-12)
     np.testing.assert_allclose(np.arctan2(*offset.T[::-1]), np.deg2rad(angle), atol=1e-12)
     ahead, _ = offset_and_slope(x + h)

@@ -77,7 +77,8 @@ def _response(model: Model) -> Array:
     """Coordinates (n_a, n) of the unloaded arm by tensions, to first order."""
     if isinstance(model.arm.strain, Implicit):
         units = np.eye(model.tendon_count)
-        return np.stack([model.rest_coordinates(unit) for unit in units])
+        rows = [model.rest_coordinates(unit) for unit in units]
+        return np.stack(rows)
     straight = np.zeros(model.coordinate_count)
     at_rest = np.zeros(model.coordinate_count)
     unloaded = model.terms(straight, at_rest)
@@ -192,8 +193,12 @@ def _up_to(greatest: float) -> BeforeValidator:
     """Validator of positive numbers up to a greatest, and of ranges of them."""
 
     def checked(value: Any) -> Any:
-        is_range = isinstance(value, tuple) and len(value) == 2
-        ends = value if is_range else (value, value)
+        is_tuple = isinstance(value, tuple)
+        is_range = is_tuple and len(value) == 2
+        if is_range:
+            ends = value
+        else:
+            ends = (value, value)
         are_numbers = all(type(end) in (int, float) for end in ends)
         if not are_numbers or not 0.0 < ends[0] <= ends[1] <= greatest:
             raise ValueError(
@@ -259,7 +264,11 @@ TARGETS: TableRegistry[Target] = TableRegistry("target", Target)
 
 def _by_name(target: Any) -> Any:
     """The target of a name or a table; else itself. Raises ConfigurationError."""
-    return TARGETS.parse({"type": target} if isinstance(target, str) else target)
+    if isinstance(target, str):
+        table = {"type": target}
+    else:
+        table = target
+    return TARGETS.parse(table)
 
 
 NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_by_name)]

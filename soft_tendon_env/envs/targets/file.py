@@ -62,7 +62,8 @@ class File(Target):
             course = self.course
         except ValueError as error:
             raise _problem(f"is {self.path!r}: {error}") from None
-        way = course.place(course.times) - scene.base.position
+        places = course.place(course.times)
+        way = places - scene.base.position
         farthest = np.abs(way).max()
         length = rod_length(scene)
         bound = FARTHEST_POSE * length
@@ -74,7 +75,8 @@ class File(Target):
         distance = np.linalg.norm(way, axis=1)
         row = int(distance.argmax())
         if distance[row] > REACH * length:
-            beyond = int((distance > REACH * length).sum())
+            is_beyond = distance > REACH * length
+            beyond = int(is_beyond.sum())
             _warn_once(
                 f"{self.path} has {beyond} of {distance.size} poses out of reach of an arm of"
                 f" {length:g} m: row {row + 1}, at {course.times[row]:g} s, is"
@@ -107,15 +109,21 @@ class FileCourse(PoseCourse):
         times = rows[:, 0]
         self.times = times
         places = rows[:, 1:4]
-        self.place = CubicHermiteSpline(times, places, _monotone_slopes(times, places))
+        slopes_of_places = _monotone_slopes(times, places)
+        self.place = CubicHermiteSpline(times, places, slopes_of_places)
         # from each row the shortest turn to the next, about an axis in the frame of the row
-        self._rotations = Rotation.from_quat(rows[:, 4:], scalar_first=True)
-        turns = (self._rotations[:-1].inv() * self._rotations[1:]).as_rotvec()
+        quaternions = rows[:, 4:]
+        self._rotations = Rotation.from_quat(quaternions, scalar_first=True)
+        back = self._rotations[:-1].inv()
+        between = back * self._rotations[1:]
+        turns = between.as_rotvec()
         angles = np.linalg.norm(turns, axis=1)
-        self._axes = turns / np.where(angles > 0.0, angles, 1.0)[:, None]
+        lengths = np.where(angles > 0.0, angles, 1.0)
+        self._axes = turns / lengths[:, None]
         # angle [rad] that has been turned through, whose rate falls where the axis changes
         total = np.concatenate([[0.0], np.cumsum(angles)])
-        slopes = _monotone_slopes(times, total[:, None])[:, 0]
+        column = total[:, None]
+        slopes = _monotone_slopes(times, column)[:, 0]
         slopes[1:-1] *= self._alike_axes()
         self._total = total
         self._angle = CubicHermiteSpline(times, total, slopes)
@@ -126,25 +134,37 @@ class FileCourse(PoseCourse):
         They are 0 where the axes point away from each other: a turn rests before it goes back.
         """
         # the axis of a turn is the same in the frames of both its ends
-        cosines = (self._axes[:-1] * self._axes[1:]).sum(axis=1)
+        one_axis = self._axes[:-1]
+        next_axis = self._axes[1:]
+        products = one_axis * next_axis
+        cosines = products.sum(axis=1)
         return np.asarray(np.maximum(cosines, 0.0))
 
     def sample(self, times: Array) -> TargetSamples:
         from scipy.spatial.transform import Rotation
 
-        held = np.clip(times, self.times[0], self.times[-1])
+        first = self.times[0]
+        last = self.times[-1]
+        held = np.clip(times, first, last)
         # the row before each time
-        before = np.searchsorted(self.times[1:-1], held, side="right")
+        inner = self.times[1:-1]
+        before = np.searchsorted(inner, held, side="right")
         axis = self._axes[before]
-        turned = self._angle(held) - self._total[before]
-        turn = Rotation.from_rotvec(turned[:, None] * axis)
-        R = (self._rotations[before] * turn).as_matrix()
-        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        total = self._total[before]
+        turned = self._angle(held) - total
+        vector = turned[:, None] * axis
+        turn = Rotation.from_rotvec(vector)
+        rotations = self._rotations[before] * turn
+        R = rotations.as_matrix()
+        shape = (times.size, 1, 1)
+        pose = np.tile(np.eye(4), shape)
         pose[:, :3, :3] = R
         pose[:, :3, 3] = self.place(held)
         velocity = self.place(held, 1)
-        angular = self._angle(held, 1)[:, None] * axis  # in the frame of the tip too
-        linear = (R * velocity[:, :, None]).sum(axis=1)  # R^T velocity
+        rate = self._angle(held, 1)[:, None]
+        angular = rate * axis  # in the frame of the tip too
+        products = R * velocity[:, :, None]
+        linear = products.sum(axis=1)  # R^T velocity
         twist = np.concatenate([angular, linear], axis=1)
         # before the first pose and after the last the tip rests
         twist *= (held == times)[:, None]
@@ -158,7 +178,8 @@ def _monotone_slopes(times: Array, values: Array) -> Array:
     """
     from scipy.interpolate import PchipInterpolator
 
-    slopes: Array = PchipInterpolator(times, values).derivative()(times)
+    interpolant = PchipInterpolator(times, values)
+    slopes: Array = interpolant.derivative()(times)
     slopes[[0, -1]] = 0.0
     return slopes
 
@@ -171,11 +192,14 @@ def _read_poses(path: str) -> Array:
     table = read_table(Path(path), COLUMNS)
     missing = [name for name in COLUMNS if name not in table.header]
     if missing:
-        raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
-    rows = table.numbers((name, 1.0) for name in COLUMNS)
+        message = f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}"
+        raise ValueError(message)
+    columns = ((name, 1.0) for name in COLUMNS)
+    rows = table.numbers(columns)
     if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
         raise ValueError("should have at least two rows of numbers, with times that grow")
-    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    quaternions = rows[:, 4:]
+    lengths = np.linalg.norm(quaternions, axis=1)
     deviation = np.abs(lengths - 1.0)
     if deviation.max() > UNIT:
         raise ValueError(

@@ -61,7 +61,8 @@ class Hold(GivenShapes):
         kinds = {"tension": self.tension, "pose": self.pose, "position": self.position}
         chosen = [name for name, value in kinds.items() if value is not None]
         if len(chosen) > 1:
-            raise ValueError(f"should give {chosen[0]} or {chosen[1]}, not both")
+            message = f"should give {chosen[0]} or {chosen[1]}, not both"
+            raise ValueError(message)
         if self.pose is not None:
             g = np.array(self.pose)
             if not _is_pose(g):
@@ -109,7 +110,8 @@ def _is_pose(g: Array) -> bool:
         and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
         and np.linalg.det(R) > 0
     )
-    is_homogeneous = (g[3] == [0, 0, 0, 1]).all()
+    is_last_row = g[3] == [0, 0, 0, 1]
+    is_homogeneous = is_last_row.all()
     return bool(is_rotation and is_homogeneous and np.abs(r).max() <= FARTHEST)
 
 
@@ -120,8 +122,10 @@ class FixedPose(PoseCourse):
         self.pose = pose
 
     def sample(self, times: Array) -> TargetSamples:
-        pose = np.tile(self.pose, (times.size, 1, 1))
-        return pose_samples(pose, np.zeros((times.size, 6)))
+        shape = (times.size, 1, 1)
+        pose = np.tile(self.pose, shape)
+        no_twist = np.zeros((times.size, 6))
+        return pose_samples(pose, no_twist)
 
 
 def _drawn_shape(
@@ -156,7 +160,8 @@ class OutOfReach(DrawnShapes):
         base = np.array(model.scene.base.position)
         away = pose[:3, 3] - base
         distance = self.beyond * model.length
-        pose[:3, 3] = base + away * (distance / np.linalg.norm(away))
+        share = distance / np.linalg.norm(away)
+        pose[:3, 3] = base + away * share
         return FixedPose(pose)
 
 
@@ -185,8 +190,10 @@ class Stepped(ShapeCourse):
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
         # times are whole control periods up to round-off, which should not fall below a border
-        steps = np.floor(times / self._duration + 1e-9).astype(int)
-        q = self._held[steps % len(self._held)]
+        intervals = times / self._duration + 1e-9
+        steps = np.floor(intervals).astype(int)
+        places = steps % len(self._held)
+        q = self._held[places]
         return q, np.zeros_like(q)
 
 
@@ -234,22 +241,29 @@ class CircleCourse(PoseCourse):
             base = np.eye(4)
         self.circle = circle
         self._axes = base[:3, :3]
-        self.radius = 0.25 * length if circle.radius is None else circle.radius
+        if circle.radius is None:
+            self.radius = 0.25 * length
+        else:
+            self.radius = circle.radius
         if circle.centre is None:
-            self.centre = base[:3, 3] + 0.95 * length * base[:3, 0]
+            forward = 0.95 * length * base[:3, 0]
+            self.centre = base[:3, 3] + forward
         else:
             self.centre = np.array(circle.centre)
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
-        angle = rate * np.mod(times, self.circle.period)
+        time = np.mod(times, self.circle.period)
+        angle = rate * time
         c = np.cos(angle)
         s = np.sin(angle)
         none = np.zeros_like(times)
         # in the base's frame: its x axis, from the centre to the tip, and along the circle
         ahead = np.array([1.0, 0.0, 0.0])
-        outward = np.stack([none, c, s], axis=-1)
-        across = np.stack([none, -s, c], axis=-1)
+        outward_parts = [none, c, s]
+        outward = np.stack(outward_parts, axis=-1)
+        across_parts = [none, -s, c]
+        across = np.stack(across_parts, axis=-1)
         R = self._rotation(
             c[:, None],
             s[:, None],
@@ -259,12 +273,17 @@ class CircleCourse(PoseCourse):
         )
         # the body twist in the tip's own frame
         velocity = rate * self.radius * across
-        angular = rate * (R[:, 0] - ahead)
-        linear = (R * velocity[:, :, None]).sum(axis=1)
+        turn = R[:, 0] - ahead
+        angular = rate * turn
+        products = R * velocity[:, :, None]
+        linear = products.sum(axis=1)
         twist = np.concatenate([angular, linear], axis=1)
-        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        shape = (times.size, 1, 1)
+        pose = np.tile(np.eye(4), shape)
         pose[:, :3, :3] = self._axes @ R
-        pose[:, :3, 3] = self.centre + self.radius * outward @ self._axes.T
+        circle = self.radius * outward
+        around = circle @ self._axes.T
+        pose[:, :3, 3] = self.centre + around
         return pose_samples(pose, twist)
 
     def _rotation(
@@ -284,7 +303,8 @@ class CircleCourse(PoseCourse):
         # no roll: the axes of the base, carried by the shortest turn
         second = c * radial - s * across
         third = s * radial + c * across
-        return np.stack([first, second, third], axis=-1)
+        columns = [first, second, third]
+        return np.stack(columns, axis=-1)
 
 
 @register("target", "circles")
@@ -320,7 +340,8 @@ class Circles(Target):
         period = drawn(self.period, generator)
         length = setting.arms.model.length
         base = setting.model.scene.base.pose
-        centre = base[:3, 3] + distance * length * base[:3, 0]
+        forward = distance * length * base[:3, 0]
+        centre = base[:3, 3] + forward
         circle = Circle(
             radius=radius * length,
             centre=tuple(centre.tolist()),
@@ -355,7 +376,8 @@ class Either(Target):
         return len(self.of)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        number = int(generator.integers(len(self.of)))
+        drawn_number = generator.integers(len(self.of))
+        number = int(drawn_number)
         return self.of[number].draw(generator, setting)
 
 
@@ -398,9 +420,15 @@ class Rise(Tensions):
     def __call__(self, times: Array) -> tuple[Array, Array]:
         share = self.within(times) / self.duration
         x = share[:, None]
-        part = x * x * x * (10.0 + x * (6.0 * x - 15.0))
-        rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / self.duration
-        return self.start + part * self.change, rate * self.change
+        factor = 10.0 + x * (6.0 * x - 15.0)
+        part = x * x * x * factor
+        left = 1.0 - x
+        rate_of_share = 30.0 * x * x * left * left
+        rate = rate_of_share / self.duration
+        change = part * self.change
+        value = self.start + change
+        value_rate = rate * self.change
+        return value, value_rate
 
 
 @register("target", "random")
@@ -442,7 +470,8 @@ class Random(DrawnShapes):
         def spline(points: Array) -> ClosedSpline:
             return ClosedSpline(points, self.period)
 
-        count = round(self.period / drawn(self.knot_period, generator))
+        knot_period = drawn(self.knot_period, generator)
+        count = round(self.period / knot_period)
         return shape_course(
             self,
             generator,
@@ -460,11 +489,13 @@ class ClosedSpline(Tensions):
     def __init__(self, points: Array, period: float) -> None:
         self.points = points
         self.period = period
-        self.knots = np.linspace(0.0, period, len(points) + 1)
+        knot_count = len(points) + 1
+        self.knots = np.linspace(0.0, period, knot_count)
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         count = len(self.points)
-        place = self.within(times) / self.period * count
+        share = self.within(times) / self.period
+        place = share * count
         first = np.floor(place).astype(int)
         # shares of the way from one knot to the next, and the rest of it
         f = place - first
@@ -483,9 +514,13 @@ class ClosedSpline(Tensions):
             4.0 * g - 3.0 * g * g,
             f * f,
         ]
-        slopes = np.stack(doubled_slopes) * (0.5 * count / self.period)
-        numbers = (first + np.arange(4)[:, None]) % count
+        factor = 0.5 * count / self.period
+        slopes = np.stack(doubled_slopes) * factor
+        next_numbers = first + np.arange(4)[:, None]
+        numbers = next_numbers % count
         near = self.points[numbers]
-        tension = (weights[:, :, None] * near).sum(axis=0)
-        rate = (slopes[:, :, None] * near).sum(axis=0)
+        weighted = weights[:, :, None] * near
+        tension = weighted.sum(axis=0)
+        weighted_slopes = slopes[:, :, None] * near
+        rate = weighted_slopes.sum(axis=0)
         return tension, rate

@@ -53,7 +53,8 @@ class NoEquilibrium(ArithmeticError):
     """Tensions (n_a,) [N] that the arm cannot hold, and why."""
 
     def __init__(self, tension: Array, reason: str) -> None:
-        super().__init__(f"{shown_numbers(tension)} N: {reason}")
+        message = f"{shown_numbers(tension)} N: {reason}"
+        super().__init__(message)
 
 
 class Tensions:
@@ -80,7 +81,8 @@ class Tensions:
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
-        tension = self.points[:1].repeat(times.size, axis=0)
+        first = self.points[:1]
+        tension = first.repeat(times.size, axis=0)
         return tension, np.zeros_like(tension)
 
 
@@ -115,8 +117,12 @@ def shape_course(
         return _given_course(np.array([tension]), setting, motion)
     fraction = drawn(target.fraction, generator)
     middle = setting.tension
-    reach = fraction * (setting.limits - middle[:, None])
-    offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
+    room = setting.limits - middle[:, None]
+    reach = fraction * room
+    low = reach[:, 0]
+    high = reach[:, 1]
+    shape = (count, middle.size)
+    offset = generator.uniform(low, high, shape)
     for halvings in range(HALVINGS + 1):
         points = middle + 0.5**halvings * offset
         try:
@@ -158,16 +164,21 @@ def _given_course(
         return StaticCourse(with_obstacles, motion(points))
     except NoEquilibrium as error:
         reason = static_equilibrium(with_obstacles.model, tension).reason
-        why = f"{shown_numbers(tension)} N: {reason}" if reason else str(error)
+        if reason:
+            why = f"{shown_numbers(tension)} N: {reason}"
+        else:
+            why = str(error)
         text = (
             f"is {shown(tension.tolist())}: it should be tensions that the arm can hold, not {why}"
         )
-        raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
+        problem = Problem(("target", "tension"), text)
+        raise ConfigurationError([problem], "environment") from error
 
 
 def _still(value: Array, times: Array, order: int = 0) -> Array:
     """A value (1, n) at times (m,), or its derivative: (m, n)."""
-    return (1.0 - order) * value.repeat(len(times), axis=0)
+    held = value.repeat(len(times), axis=0)
+    return (1.0 - order) * held
 
 
 class StaticCourse(ShapeCourse):
@@ -201,11 +212,15 @@ class StaticCourse(ShapeCourse):
         # tendons that pull alone: so that there is a strain, and one alone, between knots too
         is_drawn = margin > 1.0
         pulls = setting.limits.min() >= 0.0
-        places = tension.knots if is_drawn and pulls else self.places
+        if is_drawn and pulls:
+            places = tension.knots
+        else:
+            places = self.places
         q, _ = self.coordinates(places)
         is_firm = setting.arms.have_margin(margin * q)
         if not is_firm.all():
-            tensions, _ = tension(places[~is_firm][:1])
+            first_firm = places[~is_firm][:1]
+            tensions, _ = tension(first_firm)
             raise NoEquilibrium(tensions[0], "the section is about to give way")
 
     @property
@@ -214,7 +229,8 @@ class StaticCourse(ShapeCourse):
         knots = self.tension.knots
         knot_numbers = np.arange(knots.size)
         count = PER_KNOT * (knots.size - 1) + 1
-        return np.interp(np.arange(count) / PER_KNOT, knot_numbers, knots)
+        places = np.arange(count) / PER_KNOT
+        return np.interp(places, knot_numbers, knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
         """Coordinates that loads add to the response to tensions, as a function of time.
@@ -225,7 +241,8 @@ class StaticCourse(ShapeCourse):
         tension, _ = self.tension(places)
         with setting.model.workspace() as work:
             path = EquilibriumPath(setting, work)
-            added = path.follow(tension) - tension @ setting.response
+            straight = tension @ setting.response
+            added = path.follow(tension) - straight
             if len(added) == 1:
                 return partial(_still, added)
             # it takes longer to import than all else that most scenes need
@@ -236,7 +253,8 @@ class StaticCourse(ShapeCourse):
                 ends = "periodic"
                 added[-1] = added[0]  # which differ by round-off
             spline: Callable[..., Array] = CubicSpline(places, added, bc_type=ends)
-            between = 0.5 * (places[:-1] + places[1:])
+            pair_sums = places[:-1] + places[1:]
+            between = 0.5 * pair_sums
             tension_between, _ = self.tension(between)
             q = tension_between @ setting.response + spline(between)
             residuals = path.residuals(tension_between, q)
@@ -253,8 +271,10 @@ class StaticCourse(ShapeCourse):
             return q, q_dot
         place = self.tension.within(times)
         moves = self.tension.is_closed | (place == times)
-        added_rate = self._added(place, 1) * moves[:, None]
-        return q + self._added(place), q_dot + added_rate
+        slope = self._added(place, 1)
+        added_rate = slope * moves[:, None]
+        added = self._added(place)
+        return q + added, q_dot + added_rate
 
 
 class EquilibriumPath:
@@ -282,8 +302,10 @@ class EquilibriumPath:
         Raises:
             NoEquilibrium: also where tensions that come back do not bring back the shape.
         """
-        q = np.array([self._move(u) for u in tension])
-        comes_back = (tension[-1] == tension[0]).all()
+        equilibria = [self._move(u) for u in tension]
+        q = np.array(equilibria)
+        is_same = tension[-1] == tension[0]
+        comes_back = is_same.all()
         if comes_back and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
@@ -315,11 +337,13 @@ class EquilibriumPath:
         balance = self._balance
         balance.tension = tension
         balance.obstacle = ""
-        guess = self._q + (tension - self._tension) @ self._response
+        change = (tension - self._tension) @ self._response
+        guess = self._q + change
         rest = LoadPath(balance).equilibrium(guess, 1.0)
         angle = np.inf
         if rest is not None:
-            angle = balance.angle(rest.evaluation.q - guess)
+            difference = rest.evaluation.q - guess
+            angle = balance.angle(difference)
             if angle <= NEAR and rest.stability.stable:
                 self._q = rest.evaluation.q
                 self._tension = tension
@@ -328,5 +352,6 @@ class EquilibriumPath:
             raise NoEquilibrium(tension, "the arm is no longer stable there")
         if shorter == 0:
             raise NoEquilibrium(tension, balance.obstacle or JUMPS)
-        self._move(0.5 * (self._tension + tension), shorter - 1)
+        middle = 0.5 * (self._tension + tension)
+        self._move(middle, shorter - 1)
         return self._move(tension, shorter - 1)

@@ -138,7 +138,10 @@ def test_adjoint_is_near_differences(build, scene):
     arms.adjoint(tape, members, found)
     for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
         direction = scale * rng.normal(size=getattr(found, name).shape)
-        moved = {name: direction} if name in STATE else {}
+        if name in STATE:
+            moved = {name: direction}
+        else:
+            moved = {}
         ends = [
             after(arms, start, command + (0.0 if moved else way * direction), way, **moved)
             for way in (1e-4, -1e-4)

@@ -89,7 +89,8 @@ def linear_system(model, q, v, tension):
 def substep(matrices, force, q, v, h):
     """(M + h D + h^2 G) dv = h (f - h G v), then q += h v."""
     M, D, G = matrices
-    system = M + h * D + h**2 * G
+    damped = M + h * D
+    system = damped + h**2 * G
     impulse = h * (force - h * G @ v)
     v = v + np.linalg.solve(system, impulse)
     return q + h * v, v
@@ -135,7 +136,8 @@ def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
         G_half = G_half - second.stiffness + first.stiffness
     halves = substep((M_half, D_half, G_half), force_half, q, v, 0.5 * H)
     for found, one, two in zip((scratch.q, scratch.v), whole, halves, strict=True):
-        np.testing.assert_allclose(found, 2.0 * two - one, rtol=1e-7, atol=1e-7)
+        extrapolated = 2.0 * two - one
+        np.testing.assert_allclose(found, extrapolated, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(
         scratch.error_q, halves[0] - whole[0], rtol=1e-6, atol=1e-6 * np.abs(Q).max()
     )
@@ -146,8 +148,10 @@ def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
 def rest_of(model, force, B, v, h=H):
     """What is left of the linear system at the rates v of a step's end, under forces by tendons."""
     M, D, G, _ = linear_system(model, Q, RATES, np.zeros(3))
-    system = M + h * D + h**2 * G
-    impulse = h * (force + B - h * G @ RATES)
+    damped = M + h * D
+    system = damped + h**2 * G
+    stiffening = h * G @ RATES
+    impulse = h * (force + B - stiffening)
     return system @ (v - RATES) - impulse
 
 
@@ -160,16 +164,21 @@ def test_elastic_tendons_have_the_tensions_of_a_step_s_end(stretch):
     scratch, _ = step_with(model, 1, command=shortening + stretch)
     B = model.terms(Q, RATES).actuation
     y = B.T @ scratch.v
-    tension = np.clip(path.stiffness * (np.array(stretch) - H * y), 0.0, path.strength)
+    shortened = np.array(stretch) - H * y
+    tension = np.clip(path.stiffness * shortened, 0.0, path.strength)
     np.testing.assert_allclose(scratch.ends.tension, tension, rtol=1e-9, atol=1e-9)
     # the explicit rod's stiffness has that of the tensions at the beginning in it
-    begun = np.clip(path.stiffness * np.array(stretch), 0.0, path.strength)
+    pull = path.stiffness * np.array(stretch)
+    begun = np.clip(pull, 0.0, path.strength)
     terms = model.terms(Q, RATES, begun)
     M = terms.mass
     D = terms.damping
     G = terms.stiffness
-    force = B @ tension - terms.elastic_force - terms.damping @ RATES - terms.bias
-    v = RATES + np.linalg.solve(M + H * D + H**2 * G, H * (force - H * G @ RATES))
+    damping = terms.damping @ RATES
+    force = B @ tension - terms.elastic_force - damping - terms.bias
+    system = M + H * D + H**2 * G
+    rest_of_force = force - H * G @ RATES
+    v = RATES + np.linalg.solve(system, H * rest_of_force)
     np.testing.assert_allclose(scratch.v, v, rtol=1e-8)
 
 
@@ -182,10 +191,12 @@ def test_extrapolation_is_exact_for_polynomials_of_the_step(rows):
     error = np.zeros(2)
     for row in range(rows):
         h = 1.0 / (row + 1)
-        value = (coefficients * h ** np.arange(rows)[:, None]).sum(axis=0)
+        powers = h ** np.arange(rows)[:, None]
+        value = (coefficients * powers).sum(axis=0)
         other = max(row - 1, 0)
         extrapolate(row, row, other, table, value, error)
-        np.testing.assert_allclose(error, value - table[row, other])
+        entry = table[row, other]
+        np.testing.assert_allclose(error, value - entry)
     np.testing.assert_allclose(value, coefficients[0], atol=1e-12)
 
 
@@ -200,7 +211,11 @@ def test_kinks_are_not_extrapolated(kink):
         scratch.v[:] = -value
         complete_row(row, scratch)
     extrapolated = 2.0 * second - first
-    kept, other = (extrapolated, second) if kink == SMOOTH else (second, extrapolated)
+    kept = second
+    other = extrapolated
+    if kink == SMOOTH:
+        kept = extrapolated
+        other = second
     np.testing.assert_allclose(scratch.q, kept)
     np.testing.assert_allclose(scratch.v, -kept)
     np.testing.assert_allclose(scratch.error_q, kept - other)
@@ -218,8 +233,10 @@ def test_the_error_is_the_root_mean_square_displacement_of_the_rod():
         scratch.error_q[:] = error_q
         scratch.error_v[:] = error_v
         status, error = error_estimate(model.arm.rod, horizon, scratch)
-        moved = np.sqrt(error_q @ M @ error_q / mass)
-        moving = horizon * np.sqrt(error_v @ M @ error_v / mass)
+        mean_square = error_q @ M @ error_q / mass
+        moved = np.sqrt(mean_square)
+        mean_square_rate = error_v @ M @ error_v / mass
+        moving = horizon * np.sqrt(mean_square_rate)
         assert status == OK
         assert error == pytest.approx(max(moved, moving))
     scratch.v[1] = np.nan
@@ -240,7 +257,8 @@ def test_columns_end_where_the_tolerance_is_met_or_out_of_reach():
         errors.append(attempt.error)
         rows.append(attempt.rows)
         assert (attempt.status == OK) == (attempt.error <= tolerance)
-        assert attempt.evaluations == 1 + attempt.rows * (attempt.rows - 1) // 2
+        substeps = attempt.rows * (attempt.rows - 1) // 2
+        assert attempt.evaluations == 1 + substeps
     assert rows[0] == 2
     assert rows[0] < rows[1]
     assert attempt.status == INACCURATE
@@ -257,14 +275,16 @@ def test_strains_ahead_are_predicted_to_second_order_along_the_motion():
     beside = np.cos(np.arange(10.0))
     work = make_workspace(model.arm)
     work.strain.xi[:] = start = model.packed_strain(q)
-    assert evaluate(model.arm, np.zeros(10), q, q_dot, 1e-12, work) == -1
+    row = evaluate(model.arm, np.zeros(10), q, q_dot, 1e-12, work)
+    assert row == -1
     for direction, order in ((q_dot, 3), (beside, 2)):
         errors = []
         for time in (2.0, 1.0):
             ahead = q + time * direction
             work.strain.xi[:] = start
             predict_strain(model.arm.strain, ahead, q, work.strain, work.spare.stress)
-            errors.append(np.abs(work.strain.xi - model.packed_strain(ahead)).max())
+            difference = work.strain.xi - model.packed_strain(ahead)
+            errors.append(np.abs(difference).max())
         assert np.log2(errors[0] / errors[1]) > order - 0.3
     assert errors[0] > 1e-3
 
@@ -287,7 +307,8 @@ def test_steps_follow_the_error_and_the_limits():
     rough = ROUGH * model.length
     touching = while_touching(model.arm, control)
     assert touching.tolerance == pytest.approx(min(1e-4, rough))
-    assert touching.horizon == pytest.approx(0.03 * touching.tolerance / rough)
+    expected = 0.03 * touching.tolerance / rough
+    assert touching.horizon == pytest.approx(expected)
     assert touching.adaptive
     assert touching.step == 0.02
     assert touching.smallest == 1e-6
@@ -298,8 +319,11 @@ def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
     """f = part (B u + F) - K, by differences of the terms."""
     model = arm_with(FLUID)
     n = 3
-    directions = np.array([[1.0, 0.0, 0.0], [0.3, -0.7, 0.2]])
-    out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, 2)))
+    rows = [[1.0, 0.0, 0.0], [0.3, -0.7, 0.2]]
+    directions = np.array(rows)
+    no_matrix = np.empty((n, n))
+    no_columns = np.empty((n, 2))
+    out = Linearisation(np.empty(n), no_matrix, np.empty(n), no_columns)
     work = make_workspace(model.arm)
     done = linearise_balance(model.arm, TENSION, Q, part, True, directions, work, out)
     assert done == (-1, 1.0)
@@ -325,9 +349,11 @@ def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
 
 def random_poses(rng, shape):
     poses = np.tile(np.eye(4), (*shape, 1, 1))
-    twists = rng.normal(size=(int(np.prod(shape)), 1, 6))
+    count = np.prod(shape)
+    twists = rng.normal(size=(int(count), 1, 6))
     flat = poses.reshape(-1, 4, 4)
-    moved = np.tile(np.eye(4), (len(flat), 1, 1, 1))
+    repeats = (len(flat), 1, 1, 1)
+    moved = np.tile(np.eye(4), repeats)
     move_poses(flat, twists, moved)
     return moved.reshape(*shape, 4, 4)
 
@@ -361,7 +387,8 @@ def test_moved_poses_undo_errors_and_cotangents_are_differences():
                     pose_errors(
                         pose[row : row + 1], goals[:, side : side + 1], ends[1, side : side + 1]
                     )
-                slopes = (ends[:, 0, 0] - ends[:, 1, 0]) / (2 * h)
+                change = ends[:, 0, 0] - ends[:, 1, 0]
+                slopes = change / (2 * h)
                 expected = slopes @ cotangent[row, j]
                 assert by_pose[row, j, k] == pytest.approx(expected[0], abs=1e-8)
                 assert by_goal[row, j, k] == pytest.approx(expected[1], abs=1e-8)

@@ -46,12 +46,18 @@ def exact(path, u, c, time):
         return u
     away = abs(c - u)
     sign = np.sign(c - u)
-    slow = path.rate_limit * path.time_constant if path.time_constant else 0.0
+    if path.time_constant:
+        slow = path.rate_limit * path.time_constant
+    else:
+        slow = 0.0
     corner = max(away - slow, 0.0) / path.rate_limit
     if time <= corner:
         return u + sign * path.rate_limit * time
     rest = min(away, slow)
-    left = math.exp(-(time - corner) / path.time_constant) if path.time_constant else 0.0
+    if path.time_constant:
+        left = math.exp(-(time - corner) / path.time_constant)
+    else:
+        left = 0.0
     return c - sign * rest * left
 
 
@@ -81,9 +87,11 @@ def test_slopes_are_those_of_the_response_and_of_its_mean(name, command, time):
             lambda t: lag_response(path, u, command, t), 0.0, time, points=[corner], epsabs=1e-13
         )[0]
 
-    ahead, behind = (lag_response(path, U + way, command, time) for way in (h, -h))
+    ways = (h, -h)
+    ahead, behind = (lag_response(path, U + way, command, time) for way in ways)
     assert left == pytest.approx((ahead - behind) / (2 * h), abs=1e-8)
-    slope = (mean_from(U + h) - mean_from(U - h)) / (2 * h * time)
+    change = mean_from(U + h) - mean_from(U - h)
+    slope = change / (2 * h * time)
     assert mean == pytest.approx(slope, abs=1e-6)
     assert lag_slopes(DIRECT, 1.0, 0.1) == (1.0, 0.0)
 
@@ -92,14 +100,21 @@ def test_steps_end_at_the_next_kink_of_a_tension():
     """The end of a limited rate; time constants while it lags; nothing where it has arrived."""
     path = PATHS["both"].replaced(finest=1e-3)
     slow = 20.0 * 0.05
-    far = settling_time(path, np.array([0.0, 0.0]), np.array([3.0, 5.0]))
+    begin = np.array([0.0, 0.0])
+    end = np.array([3.0, 5.0])
+    far = settling_time(path, begin, end)
     assert far == pytest.approx((3.0 - slow) / 20.0)
-    lagging = settling_time(path, np.array([0.0, 5.0]), np.array([0.9, 5.0]))
+    begin_near = np.array([0.0, 5.0])
+    end_near = np.array([0.9, 5.0])
+    lagging = settling_time(path, begin_near, end_near)
     assert lagging == pytest.approx(LAGS * 0.05)
     near = 5.0 * SETTLED
-    assert settling_time(path, np.array([5.0]), np.array([5.0 - 0.99 * near])) == math.inf
-    assert settling_time(path, np.array([5.0]), np.array([5.0 - 1.01 * near])) < math.inf
-    just_beyond = settling_time(path, np.array([0.0]), np.array([slow + 1e-6]))
+    almost = np.array([5.0 - 0.99 * near])
+    assert settling_time(path, np.array([5.0]), almost) == math.inf
+    beyond = np.array([5.0 - 1.01 * near])
+    assert settling_time(path, np.array([5.0]), beyond) < math.inf
+    target = np.array([slow + 1e-6])
+    just_beyond = settling_time(path, np.array([0.0]), target)
     assert just_beyond == 1e-3
 
 
@@ -132,7 +147,8 @@ def test_commands_act_a_delay_after_they_were_given(delayed):
             now = time + part * PERIOD
             receive(effects, command, part == 0.0, now, state, arrival)
             assert arrival.queue[0] == HAS_ROOM
-            acting = [c for arrived, c in given if arrived <= now + 1e-9][-1]
+            arrived_commands = [c for arrived, c in given if arrived <= now + 1e-9]
+            acting = arrived_commands[-1]
             np.testing.assert_array_equal(arrival.command, acting)
             changes = [
                 arrived
@@ -150,11 +166,15 @@ def test_more_commands_than_there_is_room_for_are_told(delayed):
     room = len(table) - 1
     assert room == math.ceil(DELAY / PERIOD) + 1
     for k in range(3):
-        receive(effects, np.full(3, 1.0), True, 1e-3 * k, state, arrival)
+        first = np.full(3, 1.0)
+        receive(effects, first, True, 1e-3 * k, state, arrival)
     for k in range(room - 1):
-        receive(effects, np.full(3, 2.0 + k), True, 0.01 + 1e-3 * k, state, arrival)
+        command = np.full(3, 2.0 + k)
+        time = 0.01 + 1e-3 * k
+        receive(effects, command, True, time, state, arrival)
         assert arrival.queue[0] == HAS_ROOM
-    np.testing.assert_array_equal(table[1:, 1], [1.0, *(2.0 + np.arange(room - 1))])
+    later = 2.0 + np.arange(room - 1)
+    np.testing.assert_array_equal(table[1:, 1], [1.0, *later])
     receive(effects, np.full(3, 7.0), True, 0.02, state, arrival)
     assert arrival.queue[0] == IS_FULL
 
@@ -163,8 +183,10 @@ def test_what_has_arrived_leaves_the_table_in_order(delayed):
     effects, state, arrival = delayed
     _, table = filter_state(effects, state, 3)
     for k in range(3):
-        receive(effects, np.full(3, 1.0 + k), True, 0.01 * k, state, arrival)
-    np.testing.assert_allclose(table[1:4, 0], DELAY + 0.01 * np.arange(3))
+        command = np.full(3, 1.0 + k)
+        receive(effects, command, True, 0.01 * k, state, arrival)
+    times = 0.01 * np.arange(3)
+    np.testing.assert_allclose(table[1:4, 0], DELAY + times)
     receive(effects, np.zeros(3), False, DELAY + 0.011, state, arrival)
     np.testing.assert_array_equal(arrival.command, 2.0)
     assert table[1, 0] == pytest.approx(DELAY + 0.02)
@@ -181,7 +203,8 @@ def test_a_lag_follows_what_has_arrived(build):
     path = arm.effects.transmission
     target = np.array([4.0, 2.0, 2.8])
     acting = command_at(arm.effects, target, state, 0.1, out).copy()
-    expected = [exact(path, u, c, 0.1) for u, c in zip([1.0, 2.0, 3.0], target, strict=True)]
+    pairs = zip([1.0, 2.0, 3.0], target, strict=True)
+    expected = [exact(path, u, c, 0.1) for u, c in pairs]
     np.testing.assert_allclose(acting, expected, rtol=1e-12)
     follow(arm.effects, target, 0.1, state)
     np.testing.assert_array_equal(state[:3], acting)

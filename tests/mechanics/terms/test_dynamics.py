@@ -37,7 +37,8 @@ def gradient(function, q, step):
 
 def assert_close(found, expected, relative):
     """Within `relative` of the largest entry."""
-    np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max())
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=relative * largest)
 
 
 @pytest.mark.parametrize("dof", [10, 16])
@@ -49,7 +50,8 @@ def test_terms_agree_with_an_independent_model(dof, case, build, reference, chec
     raw = {"strain.passive_coordinates": "raw"} if dof == 16 else {}
     changes = {"quadrature.intervals": 48, **raw, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     expected = reference(f"terms_{dof}dof")[case]
-    found = build(name, changes).terms(expected["q"], expected["q_dot"])
+    model = build(name, changes)
+    found = model.terms(expected["q"], expected["q_dot"])
     check_terms(found, expected, TIGHT)
 
 
@@ -58,9 +60,13 @@ def test_kinetic_energy_is_conserved_by_the_inertial_terms(name, changes, build,
     """q_dot . bias = 1/2 q_dot^T M_dot q_dot: M_dot - 2 C is skew."""
     model = build(name, changes)
     q, q_dot = random_state(model, 3)
-    h = 1e-4 * np.abs(q).max() / np.abs(q_dot).max()
-    ahead = model.terms(q + h * q_dot, q_dot).mass
-    behind = model.terms(q - h * q_dot, q_dot).mass
+    size = np.abs(q).max()
+    speed = np.abs(q_dot).max()
+    h = 1e-4 * size / speed
+    q_ahead = q + h * q_dot
+    ahead = model.terms(q_ahead, q_dot).mass
+    q_behind = q - h * q_dot
+    behind = model.terms(q_behind, q_dot).mass
     M_dot = (ahead - behind) / (2 * h)
     power = 0.5 * q_dot @ M_dot @ q_dot
     bias = model.terms(q, q_dot).bias
@@ -92,7 +98,8 @@ def test_elastic_force_and_actuation_are_gradients(name, changes, build, random_
     assert_close(
         terms.elastic_force, gradient(lambda x: model.energy(x, q_dot).elastic, q, step), 1e-6
     )
-    assert_close(terms.actuation, -gradient(model.tendon_lengths, q, step).T, 1e-6)
+    slope = gradient(model.tendon_lengths, q, step)
+    assert_close(terms.actuation, -slope.T, 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -107,9 +114,11 @@ def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     q, q_dot = random_state(model, 10)
     u = np.random.default_rng(0).uniform(0, 30, model.tendon_count)
     terms = model.terms(q, q_dot)
-    rest = np.concatenate([u, np.zeros(q.size - u.size)])
+    passive = np.zeros(q.size - u.size)
+    rest = np.concatenate([u, passive])
     np.testing.assert_array_equal(model.rest_coordinates(u), rest)
-    assert_close(terms.actuation, terms.stiffness[:, : u.size], 1e-12)
+    columns = terms.stiffness[:, : u.size]
+    assert_close(terms.actuation, columns, 1e-12)
     drive = terms.elastic_force - terms.actuation @ u
     np.testing.assert_allclose(
         drive, terms.stiffness @ (q - rest), atol=1e-12 * np.abs(terms.elastic_force).max()
@@ -130,7 +139,10 @@ def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
         if model.tendon_count == 10
         else np.array([2.0, 1.0, 1.0, 2.0])
     )
-    q = random_state(model, 11)[0] if name == "paper_48dof" else model.rest_coordinates(u)
+    if name == "paper_48dof":
+        q = random_state(model, 11)[0]
+    else:
+        q = model.rest_coordinates(u)
 
     def unbalanced(x):
         terms = model.terms(x, 0 * x)

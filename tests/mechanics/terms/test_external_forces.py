@@ -31,19 +31,23 @@ def _plus(effect, nodes):
 @adds_wrench(Times)
 @kernel
 def _times(effect, nodes):
-    nodes.wrench[0] = nodes.wrench[0] * effect.factor + effect.offset[0] - effect.offset[1]
+    scaled = nodes.wrench[0] * effect.factor
+    nodes.wrench[0] = scaled + effect.offset[0] - effect.offset[1]
 
 
 def with_effects(model, *parameters):
     """The model's arm with effects that have these parameters."""
-    return model.arm.replaced(effects=EffectTable(parameters, [np.zeros(0) for _ in parameters]))
+    states = [np.zeros(0) for _ in parameters]
+    return model.arm.replaced(effects=EffectTable(parameters, states))
 
 
 def evaluate_at(arm, q):
     """The workspace after an evaluation without tensions."""
     work = make_workspace(arm)
     work.strain.xi[:] = arm.rod.reference_strain
-    assert evaluate(arm, np.zeros(arm.tendons.size), q, np.zeros(q.size), 1e-12, work) == -1
+    u = np.zeros(arm.tendons.size)
+    q_dot = np.zeros(q.size)
+    assert evaluate(arm, u, q, q_dot, 1e-12, work) == -1
     return work
 
 
@@ -90,6 +94,8 @@ def test_a_pickled_table_finds_its_kernels(build):
     model = build("four_tendon")
     arm = with_effects(model, Plus(2.0), Times(10.0, (4.0, 1.0)))
     text = pickle.dumps(arm)
-    assert str(int(arm.effects.wrench[0])).encode() not in text
+    address = int(arm.effects.wrench[0])
+    assert str(address).encode() not in text
     copy = pickle.loads(text)
-    assert evaluate_at(copy, np.zeros(model.coordinate_count)).loads.wrench[0] == 23.0
+    q = np.zeros(model.coordinate_count)
+    assert evaluate_at(copy, q).loads.wrench[0] == 23.0

@@ -22,9 +22,10 @@ def hat(xi):
     """The 4x4 matrix of a twist (k, p)."""
     k = xi[:3]
     p = xi[3:]
-    return np.array(
-        [[0, -k[2], k[1], p[0]], [k[2], 0, -k[0], p[1]], [-k[1], k[0], 0, p[2]], [0, 0, 0, 0]]
-    )
+    first = [0, -k[2], k[1], p[0]]
+    second = [k[2], 0, -k[0], p[1]]
+    third = [-k[1], k[0], 0, p[2]]
+    return np.array([first, second, third, [0, 0, 0, 0]])
 
 
 def vee(matrices):
@@ -39,7 +40,8 @@ def vee(matrices):
 def at_nodes(model, field):
     """A field over nodes as (..., nodes, 6), padding left out."""
     packed = field.reshape(-1, model.arm.rod.packs, 6, LANES)
-    return packed.swapaxes(-1, -2).reshape(len(packed), -1, 6)[:, model.grid.real]
+    by_node = packed.swapaxes(-1, -2).reshape(len(packed), -1, 6)
+    return by_node[:, model.grid.real]
 
 
 @pytest.fixture
@@ -65,7 +67,8 @@ def test_constant_strain_gives_the_exponential_everywhere(seed, constant_strain)
     rng = np.random.default_rng(seed)
     q = scale * rng.normal(size=6)
     twist = hat(q + straight)
-    expected = np.array([expm(x * twist) for x in X])
+    poses = [expm(x * twist) for x in X]
+    expected = np.array(poses)
     tip = constant_strain.tip_pose(q)
     backbone = constant_strain.backbone_at(q, X)
     np.testing.assert_allclose(tip, expected[-1], atol=1e-14)
@@ -79,7 +82,8 @@ def test_body_jacobian_at_all_nodes_against_differences(
     """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
     model = build(name, changes)
     q, q_dot = random_state(model, 1)
-    nodes = (model.grid.start + model.grid.length)[model.grid.real]
+    ends = model.grid.start + model.grid.length
+    nodes = ends[model.grid.real]
     work = workspace_at(model, q, q_dot)
     J = at_nodes(model, work.kinematics.J)
     pose = model.backbone_at(q, nodes)
@@ -92,7 +96,8 @@ def test_body_jacobian_at_all_nodes_against_differences(
         np.testing.assert_allclose(
             J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max()
         )
-    np.testing.assert_array_equal(model.terms(q, q_dot).tip_jacobian, J[:, -1].T)
+    terms = model.terms(q, q_dot)
+    np.testing.assert_array_equal(terms.tip_jacobian, J[:, -1].T)
     eta = at_nodes(model, work.kinematics.eta)[0]
     np.testing.assert_allclose(
         eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max()
@@ -104,19 +109,27 @@ def test_bias_at_all_nodes_against_differences(name, changes, build, random_stat
     """J_dot q_dot by differences of J along the motion."""
     model = build(name, changes)
     q, q_dot = random_state(model, 2)
-    h = 1e-4 * np.abs(q).max() / np.abs(q_dot).max()
+    size = np.abs(q).max()
+    speed = np.abs(q_dot).max()
+    h = 1e-4 * size / speed
     ahead, behind = (
         at_nodes(model, workspace_at(model, q + s * h * q_dot).kinematics.J) for s in (1, -1)
     )
-    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
-    bias = at_nodes(model, workspace_at(model, q, q_dot).kinematics.eta_bias)[0]
-    np.testing.assert_allclose(bias, expected, atol=2e-6 * np.abs(expected).max())
-    np.testing.assert_array_equal(model.terms(q, q_dot).tip_bias, bias[-1])
+    change = np.einsum("j,jmi->mi", q_dot, ahead - behind)
+    expected = change / (2 * h)
+    work = workspace_at(model, q, q_dot)
+    bias = at_nodes(model, work.kinematics.eta_bias)[0]
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(bias, expected, atol=2e-6 * largest)
+    terms = model.terms(q, q_dot)
+    np.testing.assert_array_equal(terms.tip_bias, bias[-1])
 
 
 def slope(errors):
     """Order of convergence, fitted over COUNTS."""
-    return -np.polyfit(np.log(COUNTS), np.log(errors), 1)[0]
+    counts = np.log(COUNTS)
+    sizes = np.log(errors)
+    return -np.polyfit(counts, sizes, 1)[0]
 
 
 @pytest.mark.parametrize("name", ["paper", "paper_48dof"])

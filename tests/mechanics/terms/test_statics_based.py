@@ -54,12 +54,16 @@ def tendon_wrenches(scene, X, xi):
     columns = []
     for tendon in scene.tendons:
         start, end = tendon_ends(scene, tendon)
-        offset, slope = tendon_offset(scene, tendon, np.clip(X, start, end))
+        places = np.clip(X, start, end)
+        offset, slope = tendon_offset(scene, tendon, places)
         d = np.insert(offset, 0, 0.0, axis=1)
         d_prime = np.insert(slope, 0, 0.0, axis=1)
-        t = np.cross(xi[:, :3], d) + xi[:, 3:] + d_prime
+        turned = np.cross(xi[:, :3], d)
+        stretch = xi[:, 3:]
+        t = turned + stretch + d_prime
         t /= np.linalg.norm(t, axis=1, keepdims=True)
-        wrench = -np.hstack([np.cross(d, t), t])
+        moment = np.cross(d, t)
+        wrench = -np.hstack([moment, t])
         is_there = (start < X) & (end > X)
         columns.append(wrench * is_there[:, None])
     return np.array(columns)
@@ -76,9 +80,11 @@ def test_implicit_strain_balances_tensions_and_passive_fields(
     X, xi = model.strain(q)
     tau = np.zeros(model.tendon_count)
     strain_tension(strain, q, tau)
-    wrench = np.einsum("i,imj->mj", tau, tendon_wrenches(model.scene, X, xi))
+    wrenches = tendon_wrenches(model.scene, X, xi)
+    wrench = np.einsum("i,imj->mj", tau, wrenches)
     if strain.size > strain.active:
-        wrench += np.einsum("i,imj->mj", q[strain.active :], at_points(model, strain.passive))
+        fields = at_points(model, strain.passive)
+        wrench += np.einsum("i,imj->mj", q[strain.active :], fields)
     exists = np.isin(STRAINS, model.scene.strain.strains)
     elasticity = screw_matrices(model.scene, X)[0]
     expected = exists * wrench / elasticity
@@ -112,9 +118,11 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
     q, q_dot = random_state(model, 3)
     rigid = ~np.isin(STRAINS, strains)
     X, xi = model.strain(q)
-    np.testing.assert_array_equal(xi[:, rigid], reference_strain(model.scene, X)[:, rigid])
+    reference = reference_strain(model.scene, X)
+    np.testing.assert_array_equal(xi[:, rigid], reference[:, rigid])
     work = workspace_at(model, q, q_dot)
-    for field in (work.strain.xi_dot, work.strain.xi_bias, work.strain.Phi):
+    arrays = (work.strain.xi_dot, work.strain.xi_bias, work.strain.Phi)
+    for field in arrays:
         values = at_points(model, field)
         assert not values[..., rigid].any()
         assert values[..., ~rigid].any()
@@ -146,7 +154,8 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
         else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
     )
     if not reaches:  # what is left in strain.xi is the strain at the part that was reached
-        np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.strain.xi)[0], -1)
+        solved = solve_from_guess(model, reached * q, work.strain.xi)
+        np.testing.assert_array_equal(solved[0], -1)
 
 
 def has_margin(model, tension):
@@ -169,7 +178,8 @@ def test_strains_near_the_limit_of_a_push_have_no_margin(build):
     ]
     work = make_workspace(model.arm)
     pushed = -315.0 * one
-    assert strain_from_rest(model.arm, pushed, TOLERANCE, work.strain, work.kinematics)[0] == -1
+    solved = strain_from_rest(model.arm, pushed, TOLERANCE, work.strain, work.kinematics)
+    assert solved[0] == -1
     assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [
         True,
         True,

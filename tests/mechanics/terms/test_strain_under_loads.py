@@ -85,21 +85,28 @@ def net_force(model, work, at_points):
     rod = model.arm.rod
     loads = model.arm.strain
     n = model.coordinate_count
-    weight = at_points(model, np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel())[0]
+    weights = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1)
+    weight = at_points(model, weights.ravel())[0]
     stiff = at_points(model, rod.root_stiffness)[0] ** 2
-    strained = at_points(model, work.strain.xi - rod.reference_strain)[0]
-    force = np.einsum("jmi,mi->j", at_points(model, work.strain.Phi), weight * stiff * strained)
+    change = work.strain.xi - rod.reference_strain
+    strained = at_points(model, change)[0]
+    Phi = at_points(model, work.strain.Phi)
+    force = np.einsum("jmi,mi->j", Phi, weight * stiff * strained)
     last = slice(-6 * LANES + LANES - 1, None, LANES)
-    tip = work.kinematics.J.reshape(n, -1)[:, last]
+    J = work.kinematics.J.reshape(n, -1)
+    tip = J[:, last]
     pose = work.kinematics.pose.reshape(-1, 12, LANES)
-    dead = rod.inertia.reshape(-1, 6, LANES)[:, None, 3] * np.array(loads.acceleration)[:, None]
+    inertia = rod.inertia.reshape(-1, 6, LANES)
+    acceleration = np.array(loads.acceleration)
+    dead = inertia[:, None, 3] * acceleration[:, None]
     force -= np.einsum(
         "jpal,pbal,pbl->j",
         work.kinematics.J.reshape(n, -1, 6, LANES)[:, :, 3:],
         pose[:, :9].reshape(-1, 3, 3, LANES),
         dead,
     )
-    R_tip = pose[-1, :9, -1].reshape(3, 3)
+    rotation = pose[-1, :9, -1]
+    R_tip = rotation.reshape(3, 3)
     return (
         force
         - tip[:, 3:] @ R_tip.T @ np.array(loads.force)
@@ -118,7 +125,8 @@ def test_elastic_force_less_that_of_the_loads_is_G_q(
     expected = net_force(model, work, at_points)
     terms = model.terms(q, np.zeros_like(q))
     scale = np.abs(terms.stiffness) @ np.abs(q)
-    assert (np.abs(terms.elastic_force - terms.external_force - expected) <= 1e-12 * scale).all()
+    misfit = terms.elastic_force - terms.external_force - expected
+    assert (np.abs(misfit) <= 1e-12 * scale).all()
     np.testing.assert_array_equal(terms.external_force, 0.0)
 
 
@@ -175,11 +183,13 @@ GREENHILL = "effects.gravity.acceleration", 7.8373 * BENDING / (WEIGHT * LENGTH*
 def test_a_column_holds_up_to_its_critical_load(load, critical, build):
     """Of Euler, pi^2 EI / 4 L^2, and under its own weight, 7.8373 EI / L^3 (Greenhill): beyond, it
     says that the arm buckles."""
-    below = build("three_tendon", {**UPRIGHT, load: [-0.999 * critical, 0.0, 0.0]})
+    pull = -0.999 * critical
+    below = build("three_tendon", {**UPRIGHT, load: [pull, 0.0, 0.0]})
     still = np.zeros(below.coordinate_count)
     G = below.terms(still, still).stiffness
     assert np.linalg.eigvalsh(G)[0] > 0.0
-    np.testing.assert_allclose(below.tip_pose(still)[:3, 3], [LENGTH, 0.0, 0.0], atol=1e-12)
+    pose = below.tip_pose(still)[:3, 3]
+    np.testing.assert_allclose(pose, [LENGTH, 0.0, 0.0], atol=1e-12)
     with pytest.raises(
         ValueError,
         match=(
@@ -199,7 +209,8 @@ def test_coordinates_near_buckling_have_no_margin():
         )
         work = make_workspace(model.arm)
         q = np.zeros(model.coordinate_count)
-        assert configure(model.arm, q, TOLERANCE, work)[0] == -1
+        solved = configure(model.arm, q, TOLERANCE, work)
+        assert solved[0] == -1
         assert (
             strain_has_margin(model.arm, q, TOLERANCE, work.strain, work.kinematics) == has_margin
         )

@@ -56,14 +56,16 @@ def arm_with(changes, intervals=5):
 def over_points(model, field):
     """A field over tendons and points as (n_a, intervals, 2), without empty intervals."""
     packed = field.reshape(model.tendon_count, model.arm.rod.packs, 2, LANES)
-    return packed.swapaxes(2, 3).reshape(model.tendon_count, -1, 2)[:, model.grid.real]
+    by_tendon = packed.swapaxes(2, 3).reshape(model.tendon_count, -1, 2)
+    return by_tendon[:, model.grid.real]
 
 
 def turns_of(model, work, tendon=0):
     """Angles by which a tendon turns before each of its points, times mu, in order."""
     find_turns(model.arm, tendon, work.strain, work.friction.turn)
     points = model.arm.rod.packs * 2 * LANES
-    return work.friction.turn[tendon * points : (tendon + 1) * points]
+    end = (tendon + 1) * points
+    return work.friction.turn[tendon * points : end]
 
 
 def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
@@ -72,20 +74,24 @@ def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
     curvature = 6.0
     work = workspace_at(model, [0.0, 0.0, curvature])
     points = model.grid.points[model.grid.real].ravel()
-    turned = np.cumsum(turns_of(model, work))[: points.size]
+    angles = np.cumsum(turns_of(model, work))
+    turned = angles[: points.size]
     np.testing.assert_allclose(turned, MU * curvature * points, rtol=1e-12)
 
 
 def test_a_helix_turns_by_its_curvature_over_its_length(workspace_at):
     """r w^2 / sqrt(1 + r^2 w^2) per length of a straight arm, up to the last point, of third order
     in the intervals."""
-    rate = RADIUS * RATE**2 / np.sqrt(1.0 + (RADIUS * RATE) ** 2)
+    root = np.sqrt(1.0 + (RADIUS * RATE) ** 2)
+    rate = RADIUS * RATE**2 / root
     errors = []
     for intervals in (8, 16):
         model = arm_with({**FRICTION, **HELIX}, intervals)
         work = workspace_at(model, np.zeros(3))
-        exact = MU * rate * model.grid.points[model.grid.real].max()
-        errors.append(abs(turns_of(model, work).sum() / exact - 1.0))
+        points = model.grid.points[model.grid.real]
+        exact = MU * rate * points.max()
+        ratio = turns_of(model, work).sum() / exact
+        errors.append(abs(ratio - 1.0))
     assert errors[0] < 0.01
     assert errors[1] < errors[0] / 4.0
 
@@ -112,8 +118,10 @@ def test_friction_acts_against_the_rate_at_which_tendons_are_pulled_in(workspace
     np.testing.assert_allclose(rates[:, 0], pulled_in, rtol=1e-6, atol=1e-9)
     count = model.grid.points[model.grid.real].size
     for i in range(3):
-        slides = rates[i] / np.hypot(rates[i], SPEED)
-        left = np.exp(-np.cumsum(turns_of(model, work, i) * slides))
+        speeds = np.hypot(rates[i], SPEED)
+        slides = rates[i] / speeds
+        weighted = turns_of(model, work, i) * slides
+        left = np.exp(-np.cumsum(weighted))
         share = over_points(model, work.friction.share)[i].ravel()
         np.testing.assert_allclose(share, left[:count], rtol=1e-12)
 
@@ -122,10 +130,12 @@ def test_what_friction_takes_is_what_the_columns_lose(workspace_at):
     """Phi^T of the lost stress, weights included, is -sum tau (B - B of the share)."""
     model = arm_with(FRICTION)
     tension = np.array([2.0, 1.0, 3.0])
-    work = rubbing(model, workspace_at, [1.0, 3.0, -4.0], [2.0, 5.0, 3.0], tension)
+    slopes = [1.0, 3.0, -4.0]
+    work = rubbing(model, workspace_at, slopes, [2.0, 5.0, 3.0], tension)
     stress = np.zeros_like(work.strain.xi)
     add_lost_stress(model.arm, work.strain, tension, work.friction.share, stress)
-    weight = np.repeat(model.arm.rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
+    weight_rows = model.arm.rod.weight.reshape(-1, 1, LANES)
+    weight = np.repeat(weight_rows, 6, axis=1).ravel()
     lost = np.zeros(3)
     found = np.empty(3)
     for i, pull in enumerate(tension):
@@ -147,12 +157,14 @@ def test_elastic_tendons_are_springs_between_nothing_and_their_strength(workspac
     work = workspace_at(model, q)
     slack = np.array([0.0, 0.001, -0.002])
     path = model.arm.effects.transmission
-    shortening = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
-    np.testing.assert_allclose(path.length, model.tendon_lengths(np.zeros(3)) + slack, rtol=1e-12)
+    straight = model.tendon_lengths(np.zeros(3))
+    shortening = straight - model.tendon_lengths(q)
+    np.testing.assert_allclose(path.length, straight + slack, rtol=1e-12)
     for command in ([0.01, 0.005, -0.01], [0.05, 0.004, 0.0], [-0.05, 0.05, 0.002]):
         stretched = np.array(command) - slack - shortening
         expected = np.clip(STIFFNESS * stretched, 0.0, STRENGTH)
-        tension = actuator_tensions(model.arm, np.array(command), work.strain.xi, work.tendons)
+        commands = np.array(command)
+        tension = actuator_tensions(model.arm, commands, work.strain.xi, work.tendons)
         np.testing.assert_allclose(tension, expected, atol=1e-10)
         within = (expected > 0.0) & (expected < STRENGTH)
         slopes = [tension_slope(path, i, work.tendons) for i in range(3)]
@@ -167,10 +179,12 @@ def test_the_stiffness_of_springs_is_made_of_their_columns(workspace_at):
     q_dot = np.array([2.0, 5.0, 3.0])
     model = arm_with(SPRINGS)
     stretch = np.array([0.004, 0.002, -0.02])
-    command = model.arm.effects.transmission.length - model.tendon_lengths(q) + stretch
+    lengths = model.tendon_lengths(q)
+    command = model.arm.effects.transmission.length - lengths + stretch
     work = workspace_at(model, q, q_dot)
     tension = actuator_tensions(model.arm, command, work.strain.xi, work.tendons)
-    np.testing.assert_allclose(tension, STIFFNESS * np.maximum(stretch, 0.0))
+    stretched = np.maximum(stretch, 0.0)
+    np.testing.assert_allclose(tension, STIFFNESS * stretched)
     ones = work.ones.tendon
     find_columns(model.arm, work.strain, ones, work.spare.stress, work.tendons.columns)
     B = model.terms(q, q_dot).actuation
@@ -179,5 +193,6 @@ def test_the_stiffness_of_springs_is_made_of_their_columns(workspace_at):
     stiffness = np.zeros((3, 3))
     add_tendon_matrices(model.arm, work, None, damping, stiffness)
     within = (tension > 0.0) & (tension < STRENGTH)
-    np.testing.assert_allclose(stiffness, STIFFNESS * B * within @ B.T, rtol=1e-12)
+    expected = STIFFNESS * B * within @ B.T
+    np.testing.assert_allclose(stiffness, expected, rtol=1e-12)
     assert not damping.any()

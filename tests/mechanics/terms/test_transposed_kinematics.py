@@ -50,10 +50,12 @@ def force_of(model, work, stress):
 def test_the_stress_of_wrenches_has_their_virtual_work(bent):
     """Phi^T stress = J^T f, of a wrench at every node."""
     model, _, _, work = bent
-    wrench = np.random.default_rng(1).normal(size=work.kinematics.eta.size)
+    random = np.random.default_rng(1)
+    wrench = random.normal(size=work.kinematics.eta.size)
     stress = np.zeros_like(work.strain.xi)
     add_wrench_stress(model.arm.rod, wrench, work.strain.xi, work.kinematics, stress)
-    expected = work.kinematics.J.reshape(model.coordinate_count, -1) @ wrench
+    J = work.kinematics.J.reshape(model.coordinate_count, -1)
+    expected = J @ wrench
     np.testing.assert_allclose(
         force_of(model, work, stress), expected, atol=1e-12 * np.abs(expected).max()
     )
@@ -80,14 +82,17 @@ def test_stresses_of_tendons_and_rates_of_tendons_are_transposes(bent):
     stress = np.zeros_like(work.strain.xi)
     tangent = work.strain.tangent
     add_tendon_stress(model.arm.rod, model.arm.tendons, force, tangent, stress)
-    np.testing.assert_allclose(force_of(model, work, stress), -B @ force, atol=1e-14)
-    share = np.ones(3 * work.strain.xi.size // 6)
+    generalised_force = force_of(model, work, stress)
+    np.testing.assert_allclose(generalised_force, -B @ force, atol=1e-14)
+    size = 3 * work.strain.xi.size
+    share = np.ones(size // 6)
     rates = np.empty(3)
     tendon_forces(model.arm.rod, model.arm.tendons, share, tangent, work.strain.xi_dot, rates)
     np.testing.assert_allclose(rates, B.T @ q_dot, atol=1e-13)
     h = 1e-6
     ahead, behind = (model.tendon_lengths(q + s * h * q_dot) for s in (1, -1))
-    np.testing.assert_allclose(rates, (behind - ahead) / (2 * h), rtol=1e-6, atol=1e-9)
+    expected = (behind - ahead) / (2 * h)
+    np.testing.assert_allclose(rates, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_tendons_are_as_long_as_their_curves(bent):
@@ -99,15 +104,18 @@ def test_tendons_are_as_long_as_their_curves(bent):
     poses = model.backbone_at(q, places)
     for tendon, length in zip(model.scene.tendons, lengths, strict=True):
         offset = np.array([0.0, *tendon.routing.offset])
-        path = poses[:, :3, 3] + poses[:, :3, :3] @ offset
-        along = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        rotation = poses[:, :3, :3]
+        path = poses[:, :3, 3] + rotation @ offset
+        steps = np.diff(path, axis=0)
+        along = np.linalg.norm(steps, axis=1).sum()
         assert length == pytest.approx(along, rel=1e-4)
 
 
 def test_stresses_of_sensors_have_the_work_on_the_strains_there(bent):
     model, q, _, work = bent
     interval, distance = model.grid.locate(PLACES)
-    force = np.random.default_rng(3).normal(size=(PLACES.size, 6))
+    random = np.random.default_rng(3)
+    force = random.normal(size=(PLACES.size, 6))
     stress = np.zeros_like(work.strain.xi)
     add_strain_stress(model.grid.length, interval, distance, force, stress)
     _, Phi = model.strain_at(q, PLACES)
@@ -119,7 +127,8 @@ def test_stresses_of_sensors_have_the_work_on_the_strains_there(bent):
 def test_forces_at_stations_have_the_work_on_the_backbone(bent, place):
     model, q, _, work = bent
     places = np.array([place, 0.1])
-    force = np.array([[0.3, -0.7, 0.2], [0.0, 0.0, 0.0]])
+    rows = [[0.3, -0.7, 0.2], [0.0, 0.0, 0.0]]
+    force = np.array(rows)
     stress = np.zeros_like(work.strain.xi)
     wrench = np.zeros_like(work.kinematics.eta)
     stations = model.grid.locate(places)
@@ -132,7 +141,8 @@ def test_forces_at_stations_have_the_work_on_the_backbone(bent, place):
         change = h * np.eye(q.size)[j]
         ahead, behind = (model.backbone_at(q + s * change, places) for s in (1, -1))
         rate = (ahead - behind)[:, :3, 3] / (2 * h)
-        assert found[j] == pytest.approx((force * rate).sum(), rel=1e-6, abs=1e-10)
+        power = (force * rate).sum()
+        assert found[j] == pytest.approx(power, rel=1e-6, abs=1e-10)
 
 
 def test_poses_inside_of_intervals_follow_from_the_strains_there(bent):
@@ -143,9 +153,13 @@ def test_poses_inside_of_intervals_follow_from_the_strains_there(bent):
     behind = model.backbone_at(q, places - h)
     here = model.backbone_at(q, places)
     ahead = model.backbone_at(q, places + h)
-    slope = np.linalg.solve(here, (ahead - behind) / (2 * h))
+    change = (ahead - behind) / (2 * h)
+    slope = np.linalg.solve(here, change)
     # angular and linear strains, from the matrix of the twist
-    angular = np.stack([slope[:, 2, 1], slope[:, 0, 2], slope[:, 1, 0]], axis=1)
+    about_x = slope[:, 2, 1]
+    about_y = slope[:, 0, 2]
+    about_z = slope[:, 1, 0]
+    angular = np.stack([about_x, about_y, about_z], axis=1)
     linear = slope[:, :3, 3]
     strain, _ = model.strain_at(q, places)
     largest = np.abs(strain[:, :3]).max()
