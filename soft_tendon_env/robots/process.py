@@ -38,6 +38,9 @@ LONGEST_LOOK = 0.1
 
 ANSWERS = 3.0 * TRYING
 """Time [s] that an answer may take: longer than any try of the driver's own."""
+ENDING = 20.0
+"""Time [s] that the process may take to end: that of an interpreter on a busy machine. The tendons
+are slack before."""
 
 
 class RobotLetGo(ConnectionError):
@@ -172,7 +175,7 @@ class RobotProcess:
         """Ends the process by closing its pipe. Raises TimeoutError where it goes on."""
         self._requests.close()
         try:
-            self._process.wait(ANSWERS)
+            self._process.wait(ENDING)
         except subprocess.TimeoutExpired:
             # it may be what lets the tendons go, and is not killed
             raise TimeoutError(f"the driver's process, {self._process.pid}, hangs") from None
