@@ -222,12 +222,7 @@ def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
 
 
 def test_policies_that_are_drawn_together_differ():
-    variants = (
-        "filtered:predictive",
-        "filtered:predictive",
-        "robust_predictive",
-        "long_horizon_predictive",
-    )
+    variants = ("filtered:predictive", "robust_predictive", "long_horizon_predictive")
     names = ["predictive", *variants, "ppo", "ppo_long", "arm", "own"]
     found = styles(names)
     assert len({look.colour for look in found.values()}) == len(names)
