@@ -142,10 +142,9 @@ class Choice(NamedTuple):
             extent = f"{100 * bound:.2g} % after {seconds:.2g} s"
             parts.append(extent)
         if len(known) < len(self.growth):
+            last = self.seconds
             if known:
-                last = known[-1][0]
-            else:
-                last = 0.0
+                last = max(last, known[-1][0])
             parts.append(f"not known after {last:.2g} s")
         return ", ".join(parts)
 

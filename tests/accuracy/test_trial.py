@@ -357,7 +357,10 @@ def test_a_preset_that_left_out_inputs_has_no_fewer_coordinates_than_coarser_one
     ("change", "reason"),
     [
         ({"not_unique": 2}, "a trial without 2 inputs under which"),
-        ({"seconds": 0.36, "growth": ((0.2, 4e-4), (0.5, np.inf))}, "for 0.36 s, not known after"),
+        (
+            {"seconds": 0.36, "growth": ((0.2, 4e-4), (0.5, np.inf))},
+            "for 0.36 s, not known after 0.36 s",
+        ),
         ({"seconds": 0.5, "growth": ((0.5, 2e-3), (2.0, 0.031))}, "for 0.5 s, 3.1 % after 2 s"),
         ({"tensions": 0.25}, "under 0.25 of the tensions of the usual motions"),
         ({"error": 0.4, "seconds": 0.1}, "as 'fine' asks.*for 0.1 s"),

@@ -171,8 +171,9 @@ def test_a_slack_tendon_does_not_pull(build):
     ["fast", *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine"))],
 )
 @pytest.mark.filterwarnings(
-    "ignore:'wire' has no coordinates"
-)  # for "fine": 0.066 % in place of 0.05
+    "ignore:'wire' has no coordinates",  # for "fine": 0.066 % in place of 0.05
+    "ignore:.*only in a trial",  # of which jumps of stiff cables are certain in part
+)
 def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
     """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the
     statics has it."""
