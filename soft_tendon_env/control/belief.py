@@ -115,6 +115,7 @@ def _bending_tension(model: Model) -> Array:
     terms = model.terms(rest, rest)
     answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
     # twice the energy that a unit of each stores; none, of a tendon along the axis
-    energy = np.einsum("ij,ij->j", terms.actuation, answer)
-    energy = np.maximum(energy, np.finfo(float).tiny)
-    return np.sqrt(model.bending_energy / energy)
+    energy = (terms.actuation * answer).sum(axis=0)
+    least = np.finfo(float).tiny
+    share = model.bending_energy / np.maximum(energy, least)
+    return np.sqrt(share)

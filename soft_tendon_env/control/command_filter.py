@@ -81,11 +81,14 @@ def weight_slopes(
 ) -> Timing:
     """Derivatives [1/s] of `mean_weights` by latency and by lag, by central differences."""
     arguments = period, history, start, duration
-    later = mean_weights(timing._replace(latency=timing.latency + STEP), *arguments)
-    sooner = mean_weights(timing._replace(latency=timing.latency - STEP), *arguments)
-    slower = mean_weights(timing._replace(lag=timing.lag + 2.0 * STEP), *arguments)
-    quicker = mean_weights(timing, *arguments)
-    return Timing((later - sooner) / (2.0 * STEP), (slower - quicker) / (2.0 * STEP))
+    width = 2.0 * STEP
+    later = timing._replace(latency=timing.latency + STEP)
+    sooner = timing._replace(latency=timing.latency - STEP)
+    by_latency = mean_weights(later, *arguments) - mean_weights(sooner, *arguments)
+    # a lag may be none: its difference is one-sided
+    slower = timing._replace(lag=timing.lag + width)
+    by_lag = mean_weights(slower, *arguments) - mean_weights(timing, *arguments)
+    return Timing(by_latency / width, by_lag / width)
 
 
 def lagged_plan(lag: float, interval: float, intervals: int) -> tuple[Array, Array]:
@@ -95,14 +98,17 @@ def lagged_plan(lag: float, interval: float, intervals: int) -> tuple[Array, Arr
     interval u decays towards its command by s = exp(-h / tau), and its mean differs from the
     command by the share tau (1 - s) / h.
     """
-    kept = np.exp(-interval / max(lag, LEAST_LAG))
-    share = max(lag, LEAST_LAG) * (1.0 - kept) / interval
+    lag = max(lag, LEAST_LAG)
+    kept = np.exp(-interval / lag)
+    reached = 1.0 - kept
+    share = lag * reached / interval
     powers = kept ** np.arange(intervals)
     by_start = share * powers
     by_command = (1.0 - share) * np.eye(intervals)
+    # the command of an interval is reached to 1 - s by its end, and forgotten after it
+    later = share * reached * powers
     for k in range(1, intervals):
-        # the command of interval j is reached to 1 - s by its end
-        by_command[k, :k] = share * (1.0 - kept) * powers[k - 1 :: -1]
+        by_command[k, :k] = later[:k][::-1]
     return by_command, by_start
 
 

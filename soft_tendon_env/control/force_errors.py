@@ -69,15 +69,19 @@ class LoadJacobian:
         sections = np.concatenate([self._points, self.places])
         poses = self._model.backbone_at(q, sections)
         count = self._points.size
-        rotation = poses[:count, :3, :3] * self._weights[:, None, None]
-        turns = rotation @ strain_slope[:, :3]
-        stretches = rotation @ strain_slope[:, 3:]
-        levers = poses[count:, None, :3, 3] - poses[None, :count, :3, 3]
+        rotation = poses[:count, :3, :3]
+        weighted = rotation * self._weights[:, None, None]
+        turns = weighted @ strain_slope[:, :3]
+        stretches = weighted @ strain_slope[:, 3:]
+        points = poses[:count, :3, 3]
+        ends = poses[count:, :3, 3]
         columns = []
-        for place, intervals in enumerate(self._intervals):
+        for end, intervals in zip(ends, self._intervals, strict=True):
             inside = slice(POINTS * intervals)
-            turned = np.cross(turns[inside], levers[place, inside, :, None], axis=1)
-            columns.append((stretches[inside] + turned).sum(axis=0).T)
+            levers = end - points[inside]
+            turned = np.cross(turns[inside], levers[:, :, None], axis=1)
+            velocity = stretches[inside] + turned
+            columns.append(velocity.sum(axis=0).T)
         return np.hstack(columns)
 
 

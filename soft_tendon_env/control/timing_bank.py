@@ -94,9 +94,11 @@ def judged(bank: Bank, innovations: Array, inverse_root: Array, sharp_root: Arra
         inverse_root: (k, k) L^-1, of the innovations' covariance L L^T.
         sharp_root: (k, k) likewise, if the linearisation about the mean left nothing out.
     """
-    sharp_squares = ((sharp_root @ innovations) ** 2).sum(axis=0)
+    sharp = sharp_root @ innovations
+    sharp_squares = (sharp**2).sum(axis=0)
     sharp_weight = _normalised(bank.log_likelihood - 0.5 * sharp_squares)
-    squares = ((inverse_root @ innovations) ** 2).sum(axis=0)
+    whitened = inverse_root @ innovations
+    squares = (whitened**2).sum(axis=0)
     surprise = float(squares.min()) / len(innovations)
     log_likelihood = bank.log_likelihood - 0.5 * squares / max(surprise, 1.0)
     log_likelihood -= log_likelihood.max()

@@ -152,9 +152,13 @@ def test_a_direction_is_off_by_its_angle_whatever_the_roll(model, angle):
 def test_gaps_are_distances_between_surfaces(model):
     """Beside the straight arm's middle, and of a ball that moves."""
     q = np.zeros(model.coordinate_count)
-    middle = model.backbone_at(q, [0.5 * model.length])[0]
-    radius = float(model.discretisation.radius(np.array([0.5 * model.length]))[0])
-    ball = ball_at(middle[:3, 3] + 0.05 * middle[:3, 1], velocity=tuple(0.01 * middle[:3, 1]))
+    half = np.array([0.5 * model.length])
+    (middle,) = model.backbone_at(q, half)
+    (radius,) = model.discretisation.radius(half)
+    place = middle[:3, 3]
+    aside = middle[:3, 1]
+    velocity = 0.01 * aside
+    ball = ball_at(place + 0.05 * aside, velocity=tuple(velocity))
     avoidance = Avoidance(model, [ball], CLEARANCE)
     # samples lie within a radius of the nearest place
     assert avoidance.gaps(q)[0] == pytest.approx(0.05 - 0.02 - radius, abs=1e-4)
