@@ -135,7 +135,13 @@ RUNS = [
         ("--steps", "2_048", "--autoreset", "next_step"),
         lambda said: "root mean square" in said,
     ),
-    ("own_policy.py", FEW, lambda said: re.search(r"own_policy:Bend +\| own +\| [1-9]", said)),
+    (
+        "own_policy.py",
+        FEW,
+        lambda said: re.search(
+            r"^\| position .* \| own_policy:Bend .*\n.*\n\| nominal +\| [1-9]", said, re.MULTILINE
+        ),
+    ),
     (
         "paper_trajectory.py",
         ("--models", "paper", "--duration", "0.2", "--out", "."),
