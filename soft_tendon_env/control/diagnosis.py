@@ -58,8 +58,7 @@ def diagnosis(space: StateSpace, belief: Belief) -> Diagnosis:
     layout = space.layout
     covariance = belief.covariance
     if belief.bank is not None:
-        deviation = belief.bank.deviation
-        covariance = covariance + (deviation * belief.bank.weight) @ deviation.T
+        covariance = covariance + belief.bank.covariance
     deviations = np.sqrt(np.diag(covariance))
 
     def quantity(part: slice, shape: tuple[int, ...], nominal: float = 0.0) -> Quantity:

@@ -207,7 +207,7 @@ class ExtendedKalmanFilter:
             moving = len(predicted.noise)
             if bank is not None:
                 # a measurement tells where the arm is, by whatever timing it came there
-                spread = covariance + (deviations * bank.weight) @ deviations.T
+                spread = covariance + bank.covariance
                 spread_root = _inverse_root(slope, spread, noise)
                 gain[:moving] = _gain(slope, spread[:, :moving], spread_root)
                 sharp_root = _inverse_root(slope, covariance, noise)
@@ -255,7 +255,7 @@ class ExtendedKalmanFilter:
         _, deviations = bank.moments()
         if deviations.latency > CERTAIN_LATENCY or deviations.lag > CERTAIN_LAG:
             return belief._replace(bank=bank)
-        covariance = belief.covariance + (bank.deviation * bank.weight) @ bank.deviation.T
+        covariance = belief.covariance + bank.covariance
         for name, seconds in self.known._asdict().items():
             if seconds is None:
                 part = getattr(self.space.layout, name)

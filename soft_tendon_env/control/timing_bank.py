@@ -37,6 +37,11 @@ class Bank(NamedTuple):
         """Probabilities (H,) of the hypotheses."""
         return _normalised(self.log_likelihood)
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance (m, m) of the states of the hypotheses about their mean."""
+        return np.asarray((self.deviation * self.weight) @ self.deviation.T)
+
     def moments(self) -> tuple[Timing, Timing]:
         """Means and standard deviations [s] of latency and lag."""
         weight = self.weight
