@@ -70,7 +70,10 @@ class BeliefPrediction:
         self.space = space
         self.period = setting.period
         self.history = history
-        self.steps = math.ceil(self.period / timing_bank.LATENCY_STEP)
+        # of a period: as short as hypotheses on the latency differ
+        count = math.ceil(self.period / timing_bank.LATENCY_STEP)
+        self._step = self.period / count
+        self._starts = [k * self._step - self.period for k in range(count)]
         self._simulation = Simulation(space.model)
         # change of the state in a period: the variance of its walks, and what is not forgotten
         walks = space.variances(
@@ -158,17 +161,15 @@ class BeliefPrediction:
     def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
         """Tensions that act over the last period, by the believed timing or by a weight (H,)."""
         timing = self.space.timing(last.mean)
-        duration = self.period / self.steps
-        starts = duration * np.arange(self.steps) - self.period
         slopes = [
-            weight_slopes(timing, self.period, self.history, start, duration)
-            for start in starts.tolist()
+            weight_slopes(timing, self.period, self.history, start, self._step)
+            for start in self._starts
         ]
         hypotheses = None
         if last.bank is None or weight is None:
-            steps = self._means(timing, starts) @ measured.sent
+            steps = self._means(timing) @ measured.sent
         else:
-            hypotheses = self._means(last.bank.timing, starts) @ measured.sent
+            hypotheses = self._means(last.bank.timing) @ measured.sent
             steps = np.einsum("h,hst->st", weight, hypotheses)
         return ActingTension(
             steps=steps,
@@ -176,12 +177,11 @@ class BeliefPrediction:
             hypotheses=hypotheses,
         )
 
-    def _means(self, timing: Timing, starts: Array) -> Array:
-        """Weights (..., S, history) of commands in the means of steps that begin at `starts`."""
-        duration = self.period / self.steps
+    def _means(self, timing: Timing) -> Array:
+        """Weights (..., S, history) of commands in the mean tensions of the steps."""
         weights = [
-            mean_weights(timing, self.period, self.history, start, duration)
-            for start in starts.tolist()
+            mean_weights(timing, self.period, self.history, start, self._step)
+            for start in self._starts
         ]
         return np.stack(weights, axis=-2)
 
@@ -196,8 +196,7 @@ class BeliefPrediction:
         start = measured.time - self.period
         try:
             self._simulation.reset(q, q_dot, time=start, effects=last.effects)
-            duration = self.period / self.steps
-            rollout = corrected_rollout(self._simulation, tension, duration, error)
+            rollout = corrected_rollout(self._simulation, tension, self._step, error)
         except FAILURES:
             return None
         return _period_motion(rollout, np.tile(self.space.scale, 2))
@@ -222,16 +221,16 @@ class BeliefPrediction:
         tip = terms.tip_jacobian[3:]
         gain = 1.0 + last.mean[layout.gain]
         _, last_q_dot = self.space.coordinates(last.mean)
-        duration = self.period / self.steps
+        # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
-        q_dot = np.diff(motion.q, axis=0) / duration
-        q_ddot = np.diff(motion.q_dot, axis=0) / duration
+        q_dot = np.diff(motion.q, axis=0) / self._step
+        q_ddot = np.diff(motion.q_dot, axis=0) / self._step
+        acceleration = [tip_acceleration(terms, last_q_dot, of_step) for of_step in q_ddot]
+        # generalised forces (S, n) by factors and mass
         forces = {
             layout.stiffness.start: -q @ terms.stiffness,
             layout.damping.start: -q_dot @ terms.damping,
-            layout.payload.start: -np.array(
-                [tip.T @ tip_acceleration(terms, last_q_dot, step) for step in q_ddot]
-            ),
+            layout.payload.start: -np.array(acceleration) @ tip,
         }
         by_tension = motion.by_tension.sum(axis=0)
         by_force = motion.by_force.sum(axis=0)

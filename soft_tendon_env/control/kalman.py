@@ -57,11 +57,6 @@ SAME_STATE = 0.5
 """Standard deviations by which a measurement may move the state before it likewise."""
 LEAST_DEVIATION = 1e-9
 """Standard deviation below which a part of the state is known."""
-LINEARISED = 0.2
-"""Share of the variance of hypotheses about their mean that a linearisation leaves out."""
-DOUBT = 2.0
-"""Mean square of the best innovations, in their standard deviations, above which they say less of
-what the model has wrong."""
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
@@ -165,9 +160,9 @@ class ExtendedKalmanFilter:
         """Belief a period later; None where the model has no such motion.
 
         The motion is linearised about the state a period ago as it was believed then, and where the
-        measurement tells another one, about that: a first motion tells a payload of a quarter of the
-        arm's mass, of which a linearisation about none makes half (iterated smoothing, Bell, SIAM J.
-        Optim. 4, 1994). Hypotheses on the timing are linearised about their mean likewise.
+        measurement tells another one, about that: a first motion may tell a payload of a quarter of
+        the arm's mass, of which a linearisation about none makes half (iterated smoothing, Bell,
+        SIAM J. Optim. 4, 1994). Hypotheses on the timing are linearised about their mean likewise.
         """
         bank = last.bank
         weight = None if bank is None else bank.weight
@@ -245,7 +240,7 @@ class ExtendedKalmanFilter:
             return None
         if not is_iterated:
             # where it is far off, a linearisation tells where the arm is, but not why
-            doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
+            doubt = max(1.0, _least_square(inverse_root, innovations))
             gain[moving:] /= doubt
         moved = deviations + gain @ innovations
         likely = innovations[:, 0] if bank is None else innovations @ bank.sharp_weight
@@ -311,12 +306,12 @@ class ExtendedKalmanFilter:
 def _left_out(bank: timing_bank.Bank | None, slope: Array) -> Array:
     """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
 
-    It grows with how far the hypotheses are from their mean, about which all are linearised.
+    As all are linearised about their mean, it is taken for that of their own motions about it.
     """
     if bank is None:
         return np.zeros((len(slope), len(slope)))
     expected = slope @ bank.deviation
-    return LINEARISED * (expected * bank.weight) @ expected.T
+    return np.asarray((expected * bank.weight) @ expected.T)
 
 
 def _gain(slope: Array, covariance: Array, inverse_root: Array) -> Array:
