@@ -73,7 +73,7 @@ class BeliefPrediction:
         # of a period: as short as hypotheses on the latency differ
         count = math.ceil(self.period / timing_bank.LATENCY_STEP)
         self._step = self.period / count
-        self._starts = [k * self._step - self.period for k in range(count)]
+        self._starts = np.linspace(-self.period, 0.0, count, endpoint=False)
         self._simulation = Simulation(space.model)
         # change of the state in a period: the variance of its walks, and what is not forgotten
         walks = space.variances(
@@ -161,29 +161,23 @@ class BeliefPrediction:
     def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
         """Tensions that act over the last period, by the believed timing or by a weight (H,)."""
         timing = self.space.timing(last.mean)
-        slopes = [
-            weight_slopes(timing, self.period, self.history, start, self._step)
-            for start in self._starts
-        ]
+        slopes = weight_slopes(timing, self.period, self.history, self._starts, self._step)
         hypotheses = None
         if last.bank is None or weight is None:
             steps = self._means(timing) @ measured.sent
         else:
-            hypotheses = self._means(last.bank.timing) @ measured.sent
+            latencies, lags = (values[:, None] for values in last.bank.timing)
+            hypotheses = self._means(Timing(latencies, lags)) @ measured.sent
             steps = np.einsum("h,hst->st", weight, hypotheses)
         return ActingTension(
             steps=steps,
-            slopes=np.stack(slopes, axis=1) @ measured.sent,
+            slopes=np.array(slopes) @ measured.sent,
             hypotheses=hypotheses,
         )
 
     def _means(self, timing: Timing) -> Array:
         """Weights (..., S, history) of commands in the mean tensions of the steps."""
-        weights = [
-            mean_weights(timing, self.period, self.history, start, self._step)
-            for start in self._starts
-        ]
-        return np.stack(weights, axis=-2)
+        return mean_weights(timing, self.period, self.history, self._starts, self._step)
 
     def _motion(
         self, last: Belief, measured: Measurement, acting: ActingTension
