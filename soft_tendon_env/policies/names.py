@@ -2,7 +2,7 @@
 
 A name is parsed once into a type.
 
-name = PolicyName.parse("filtered:predictive@fast", "TipPose")
+name = PolicyName.parse("filtered:predictive@standard", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
 policy = name.load(env)
 """

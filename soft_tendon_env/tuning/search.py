@@ -155,7 +155,7 @@ class ControllerSearch(Search):
     with "estimator." before them.
     """
 
-    policy: str  # name of the controller, such as filtered:predictive@fast
+    policy: str  # name of the controller, such as filtered:predictive@standard
     task: TaskName = "TipPose"
     # what is observed, with noise; none: what the controller needs, exactly
     regimes: RegimeNames = ()

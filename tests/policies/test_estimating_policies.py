@@ -106,6 +106,29 @@ def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_l
 
 
 @pytest.mark.parametrize(
+    ("scene", "regime"),
+    [
+        ("three_tendon", "sensors"),
+        *(
+            pytest.param(scene, regime, marks=pytest.mark.slow)
+            for scene in ("helical", "four_tendon")
+            for regime in ("state", "sensors")
+        ),
+    ],
+)
+def test_another_arm_with_everything_wrong_is_tracked(scene, regime):
+    """By a coarse model, whose errors in quick motions last for several periods."""
+    wrong = {
+        "stiffness": [0.8, 1.2],
+        "damping": [0.5, 2.0],
+        "tension_gain": [0.9, 1.1],
+        "latency": [0.0, 0.06],
+    }
+    env, policy = made("filtered:predictive@fast", regime=regime, scene=scene, randomize=wrong)
+    assert position_error(env, policy) < 0.01 * env.unwrapped.model.length
+
+
+@pytest.mark.parametrize(
     ("more", "options"),
     [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})],
 )
