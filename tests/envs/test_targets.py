@@ -122,10 +122,19 @@ def test_what_the_environment_shows_is_the_target_now(target, same):
     np.testing.assert_array_equal(ahead[:-5], shown[5:])
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "three_tendon",
+        "loaded",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("explicit", "loads inside")),
+    ],
+)
 @pytest.mark.parametrize("target", ["random", "ramp", "hold", "circle"], ids=str)
-def test_a_target_is_one_function_of_time(target, arm):
+def test_a_target_is_one_function_of_time(target, kind, arms):
     """The same together, one by one, in any part and any order, far ahead and long before, and in a
     row of many."""
+    arm = arms[kind]
     env = TipPoseEnv(**arm, target=target)
     env.reset(seed=3)
     rng = np.random.default_rng(0)
@@ -259,7 +268,8 @@ hangs down."""
 @pytest.mark.parametrize(
     ("target", "kind"),
     [
-        *(("random", kind) for kind in ("three_tendon", "loaded", "explicit", *LOADED)),
+        *(("random", kind) for kind in ("three_tendon", "loaded", "explicit")),
+        *(pytest.param("random", kind, marks=pytest.mark.slow) for kind in LOADED),
         ("ramp", "loaded"),
         ("ramp", "redundant"),
         ("hold", "explicit"),
