@@ -151,7 +151,7 @@ def test_a_target_is_one_function_of_time(target, kind, arms):
     for part in (order, order[:31], np.array([5]), order[-2:], np.repeat(order[:3], 2)):
         for found, values in zip(env.target_at(times[part]), together, strict=True):
             np.testing.assert_allclose(found, values[part], rtol=1e-11, atol=1e-12)
-    rows = TipPoseVectorEnv(20, threads=2, **arm, target=target)
+    rows = TipPoseVectorEnv(6, threads=2, **arm, target=target)
     rows.reset(seed=0)
     for found, values in zip(rows.episodes.trajectories.at(3, times[order]), together, strict=True):
         np.testing.assert_allclose(found, values[order], rtol=1e-11, atol=1e-12)
