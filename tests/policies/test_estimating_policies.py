@@ -29,7 +29,13 @@ def position_error(env, policy, seed=0, skip=1.0):
     return score.errors["position_error"].rms
 
 
-@pytest.mark.parametrize("regime", REGIMES)
+@pytest.mark.parametrize(
+    "regime",
+    [
+        "sensors",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in REGIMES if name != "sensors"),
+    ],
+)
 @pytest.mark.parametrize(
     ("name", "most"),
     [
