@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import Model, load_scene
-from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs import IDS, starts
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -42,6 +42,8 @@ ARMS = {
         }
     },
 }
+FEW_ARMS = 8
+"""Arms in the bank of an environment with every randomisation."""
 EVERYTHING = {
     "stiffness": [0.8, 1.2],
     "damping": [0.5, 1.5],
@@ -152,9 +154,10 @@ def arm(request):
     return ARMS[request.param]
 
 
-@pytest.fixture(scope="session")
-def everything():
-    """Every randomisation at once."""
+@pytest.fixture
+def everything(monkeypatch):
+    """Every randomisation at once, of arms from a bank of a few: to make 64 takes longest."""
+    monkeypatch.setattr(starts, "BANK", FEW_ARMS)
     return EVERYTHING
 
 

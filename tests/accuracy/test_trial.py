@@ -1,6 +1,7 @@
 """Trials: what is chosen keeps its error on other motions and loads, is found once, and says so
 where nothing does."""
 
+import itertools
 import json
 import re
 import warnings
@@ -424,7 +425,7 @@ def test_a_rod_of_two_parts_has_fields_over_each_and_over_all():
 
 def test_tables_have_the_least_number_of_coordinates_that_is_asked_for():
     counts = []
-    for table in strain_tables(ARM, None, least=20):
+    for table in itertools.islice(strain_tables(ARM, None, least=20), 8):
         model = build_model(ARM.replace({"strain": table}))
         counts.append(model.coordinate_count)
     assert counts[0] >= 20

@@ -16,6 +16,7 @@ from soft_tendon_env.control import (
     Reference,
     controllers_of,
 )
+from soft_tendon_env.control.catalogue import PRESETS
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
@@ -30,7 +31,13 @@ ARMS = {
 }
 FAR = np.array([2.0, 1.0, 0.5])
 CASES = [
-    pytest.param(task, entry, id=f"{task}-{name}")
+    pytest.param(
+        task,
+        entry,
+        id=f"{task}-{name}",
+        # the same laws, with other objectives or numbers
+        marks=[pytest.mark.slow] if task == "Reach" or name in PRESETS else [],
+    )
     for task in ("TipPose", "Reach")
     for name, entry in controllers_of(task).items()
     if entry.make is not PaperTipPose  # unstable at this period

@@ -104,7 +104,14 @@ def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm):
     assert greatest_wrong[1] < 0.1 < greatest_rate
 
 
-@pytest.mark.parametrize("timing", [(0.0, 0.0), (0.013, 0.0), (0.047, 0.0), (0.02, 0.03)])
+@pytest.mark.parametrize(
+    "timing",
+    [
+        (0.013, 0.0),
+        (0.02, 0.03),
+        *(pytest.param(timing, marks=pytest.mark.slow) for timing in ((0.0, 0.0), (0.047, 0.0))),
+    ],
+)
 def test_latency_and_lag_are_found(timing, arm):
     """The sum of both is the delay of slow commands, and is found to a third of a period; smooth
     commands hardly tell one from the other, and neither is below zero."""

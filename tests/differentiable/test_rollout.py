@@ -176,7 +176,7 @@ def test_gradients_of_commands_that_a_rate_cuts_off_go_on_from_those_before(acti
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("periods", [4, 16])
+@pytest.mark.parametrize("periods", [4, pytest.param(16, marks=pytest.mark.slow)])
 def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
     """A cost of errors, actions and, of tips, their speed along eight random directions of the
     policy's parameters: commands stay within limits."""

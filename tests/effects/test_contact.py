@@ -190,7 +190,7 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     assert slid.tip_pose[1, 3] > 0.05
 
 
-@pytest.mark.parametrize("step", RISE)
+@pytest.mark.parametrize("step", [0.02, pytest.param(0.005, marks=pytest.mark.slow), 0.001])
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_energy_never_grows_with_friction(build, solid, step):
     """Of an arm thrown across what it falls on: kinetic, elastic, of gravity and of the obstacle

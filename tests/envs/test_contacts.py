@@ -18,7 +18,14 @@ INSIDE = {
 }
 
 
-@pytest.mark.parametrize("how", INSIDE)
+@pytest.mark.parametrize(
+    "how",
+    [
+        "a ball in its middle",
+        "a plate across",
+        pytest.param("below the ground", marks=pytest.mark.slow),  # searches longest for a start
+    ],
+)
 def test_an_arm_that_would_begin_inside_of_an_obstacle_is_refused(how):
     with pytest.raises(ConfigurationError) as error:
         ReachEnv(

@@ -216,10 +216,11 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
             "segments.0.length is no parameter: it decides where the quadrature points lie",
         ),
         ({}, {"quadrature.intervals": 4}, "quadrature.intervals is an unknown key"),
-        (
+        pytest.param(
             SAGGING,
             {"effects": {"gravity.acceleration.0": {"factor": [1.0, 1e4]}}},
             "cannot begin at rest",
+            marks=pytest.mark.slow,  # after many tries
         ),
     ],
 )

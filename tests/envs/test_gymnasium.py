@@ -33,7 +33,11 @@ def test_the_checker_has_nothing_to_say(mode):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "name", ["three_tendon", "explicit", pytest.param("loads inside", marks=pytest.mark.slow)]
+    "name",
+    [
+        "three_tendon",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("explicit", "loads inside")),
+    ],
 )
 @pytest.mark.parametrize("task", IDS)
 def test_the_checker_has_nothing_to_say_about_random_arms(task, name, arms, everything):

@@ -122,10 +122,19 @@ def test_what_the_environment_shows_is_the_target_now(target, same):
     np.testing.assert_array_equal(ahead[:-5], shown[5:])
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "three_tendon",
+        "loaded",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("explicit", "loads inside")),
+    ],
+)
 @pytest.mark.parametrize("target", ["random", "ramp", "hold", "circle"], ids=str)
-def test_a_target_is_one_function_of_time(target, arm):
+def test_a_target_is_one_function_of_time(target, kind, arms):
     """The same together, one by one, in any part and any order, far ahead and long before, and in a
     row of many."""
+    arm = arms[kind]
     env = TipPoseEnv(**arm, target=target)
     env.reset(seed=3)
     rng = np.random.default_rng(0)
@@ -142,7 +151,7 @@ def test_a_target_is_one_function_of_time(target, arm):
     for part in (order, order[:31], np.array([5]), order[-2:], np.repeat(order[:3], 2)):
         for found, values in zip(env.target_at(times[part]), together, strict=True):
             np.testing.assert_allclose(found, values[part], rtol=1e-11, atol=1e-12)
-    rows = TipPoseVectorEnv(20, threads=2, **arm, target=target)
+    rows = TipPoseVectorEnv(6, threads=2, **arm, target=target)
     rows.reset(seed=0)
     for found, values in zip(rows.episodes.trajectories.at(3, times[order]), together, strict=True):
         np.testing.assert_allclose(found, values[order], rtol=1e-11, atol=1e-12)
@@ -259,7 +268,8 @@ hangs down."""
 @pytest.mark.parametrize(
     ("target", "kind"),
     [
-        *(("random", kind) for kind in ("three_tendon", "loaded", "explicit", *LOADED)),
+        *(("random", kind) for kind in ("three_tendon", "loaded", "explicit")),
+        *(pytest.param("random", kind, marks=pytest.mark.slow) for kind in LOADED),
         ("ramp", "loaded"),
         ("ramp", "redundant"),
         ("hold", "explicit"),

@@ -22,9 +22,9 @@ def payload_of(mass, acceleration=(0.0, 0.0, -9.81)):
     [
         ("four_tendon", 0.5, (0.0, 0.0, -9.81)),
         ("three_tendon", 0.3, (0.0, 0.0, -9.81)),
-        ("paper", 0.5, (0.0, 0.0, -9.81)),
-        ("two_segment_six", 0.4, (0.0, 6.0, -8.0)),
-        ("helical", 0.3, (-1.0, 9.0, 3.0)),
+        pytest.param("paper", 0.5, (0.0, 0.0, -9.81), marks=pytest.mark.slow),
+        pytest.param("two_segment_six", 0.4, (0.0, 6.0, -8.0), marks=pytest.mark.slow),
+        pytest.param("helical", 0.3, (-1.0, 9.0, 3.0), marks=pytest.mark.slow),
         pytest.param("paper moments 0-2", 0.3, (-3.0, 0.0, -9.0), marks=pytest.mark.slow),
     ],
 )
@@ -107,7 +107,13 @@ def test_follower_force_on_a_column(measured, one_segment):
     ).converged  # it has nowhere to rest
 
 
-@pytest.mark.parametrize("name", ["four_tendon", "three_tendon", "paper"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "three_tendon",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("four_tendon", "paper")),
+    ],
+)
 def test_statics_end_where_slow_motion_ends(build, measured, tip_distance, name):
     """Gravity and a payload that folds the arm, tensions that grow over 20 s in a simulation from
     the equilibrium without tension. Expected: after a rest the simulated tip is at the equilibrium

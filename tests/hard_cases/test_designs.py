@@ -82,7 +82,7 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
     assert np.abs(sideways).max() < 1e-12
 
 
-@pytest.mark.parametrize("value", [1.0, 5.0])
+@pytest.mark.parametrize("value", [pytest.param(1.0, marks=pytest.mark.slow), 5.0])
 def test_thirty_tendons(one_segment, measured, value):
     """Thirty tendons, straight ones and spirals with ten different ends: 11 pieces of rod, more
     tendons than strains, dependent columns. Expected: no more coordinates than tendons, statics
@@ -192,7 +192,9 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
         assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
 
 
-@pytest.mark.parametrize("step", [pytest.param(0.005, marks=pytest.mark.slow), 0.01, 0.05])
+@pytest.mark.parametrize(
+    "step", [*(pytest.param(step, marks=pytest.mark.slow) for step in (0.005, 0.01)), 0.05]
+)
 def test_a_hundred_times_the_damping(build, measured, step):
     """Damping of 10 times critical: rates from 1e-1 to 1e6 1/s in one equation. Expected: no
     overshoot, no rejected step, and the tensions are reached after 200 s."""
@@ -209,7 +211,7 @@ def test_a_hundred_times_the_damping(build, measured, step):
 
 @pytest.mark.filterwarnings("ignore:.*coordinates are too many")
 @pytest.mark.parametrize("gap", [1e-3, 1e-4])
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", [pytest.param(0.0005, marks=pytest.mark.slow), 0.01])
 def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, measured, gap, step):
     """Two equal tendons, one of which ends 1 mm (0.1 mm) before the other: a piece of 1 mm, and
     columns equal but for it. Expected: statics converge with q = u; under abrupt 50 N and random
@@ -314,7 +316,9 @@ def column(one_segment):
     return build
 
 
-@pytest.mark.parametrize("part", [3.0, 1.05, 0.95, 0.7, 0.5])
+@pytest.mark.parametrize(
+    "part", [1.05, 0.7, *(pytest.param(part, marks=pytest.mark.slow) for part in (3.0, 0.95, 0.5))]
+)
 def test_column_under_its_own_weight(column, measured, part):
     """Gravity along the axis of an arm that points up: below the critical stiffness the straight
     arm is an equilibrium, but no stable one. Expected: statics stop at the straight equilibrium

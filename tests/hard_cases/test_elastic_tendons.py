@@ -30,7 +30,12 @@ def commands(model, greatest, rows, seed):
 
 
 @pytest.mark.parametrize(
-    "fidelity", ["scene", "fast", "standard", pytest.param("fine", marks=pytest.mark.slow)]
+    "fidelity",
+    [
+        "scene",
+        "fast",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine")),
+    ],
 )
 def test_commands_of_stiff_tendons_that_jump(measured, fidelity):
     """Actuators jump by centimetres: a cable of 2e5 to 1e7 N/m would pull with up to 100 kN and

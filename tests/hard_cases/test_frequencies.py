@@ -130,7 +130,7 @@ def test_tension_that_swings_within_steps(measured):
         ste.simulate(model, lambda t: [2.0 * (t > 0.1), 0.0, 0.0], 0.4, 0.02)
 
 
-@pytest.mark.parametrize("fidelity", ["scene", "standard"])
+@pytest.mark.parametrize("fidelity", ["scene", pytest.param("standard", marks=pytest.mark.slow)])
 def test_actuators_that_arrive_within_a_step(fidelity, measured):
     """Commands redrawn every 20 ms, which actuators of limited rate or short lag reach within the
     step: a kink that no estimate of the error sees. Expected: the tip within 5 % of its motion of

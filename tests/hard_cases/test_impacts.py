@@ -277,7 +277,7 @@ KNOWN = [
 
 
 @pytest.mark.parametrize(
-    "known", [KNOWN[:4], pytest.param(KNOWN[4:], marks=pytest.mark.slow)], ids=["first", "others"]
+    "known", [KNOWN[:2], pytest.param(KNOWN[2:], marks=pytest.mark.slow)], ids=["first", "others"]
 )
 def test_fast_arms_and_obstacles_meet(measured, known):
     """Thin and small things at 0.6 to 30 m/s: in a step of 20 ms they would be past each other, and
@@ -354,7 +354,10 @@ BOUNCES = [
 ]
 
 
-@pytest.mark.parametrize(("scene", "fidelity", "kind", "speed", "more"), BOUNCES)
+@pytest.mark.parametrize(
+    ("scene", "fidelity", "kind", "speed", "more"),
+    [*BOUNCES[:4], *(pytest.param(*bounce, marks=pytest.mark.slow) for bounce in BOUNCES[4:])],
+)
 def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, speed, more):
     """Impacts of soft arms, with the steps of the scene and of 0.025 ms, which half as long ones
     agree with within 0.1 mm. Expected: after 60 ms within 2 mm of each other, at speeds that differ

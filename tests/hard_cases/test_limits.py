@@ -13,6 +13,8 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
 
+STEPS = [pytest.param(0.0005, marks=pytest.mark.slow), 0.01]
+"""Steps [s]: the short ones cost twenty times as much."""
 NAMES_THE_PLACE = re.compile(r"tendon \d+ at arc length [\d.]+ m, with [-\d.e+]+ N, (pulls|pushes)")
 
 
@@ -107,7 +109,7 @@ def test_coordinates_beyond_the_limit(build, measured, pull_limit):
     measured("methods that say so", len(methods))
 
 
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("scene", ["paper", "paper moments 0-2"])
 def test_pull_at_95_percent_of_the_limit(
     build, measured, one_pulled, tip_distance, pull_limit, scene, step
@@ -124,7 +126,7 @@ def test_pull_at_95_percent_of_the_limit(
     assert tip_distance(motion.tip_pose[-1], equilibrium.tip_pose) < 1e-4
 
 
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("scene", ["paper", "paper moments 0-2"])
 def test_slow_ramp_through_the_limit(build, measured, one_pulled, pull_limit, scene, step):
     """The tension of tendon 0 grows by 150 N/s through its limit. Expected: SimulationDiverged just

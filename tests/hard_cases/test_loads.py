@@ -13,6 +13,8 @@ import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
 
 SCENES = ["paper", "paper_16dof", "paper moments 0-2"]
+RICHEST_IS_QUICK = [*(pytest.param(name, marks=pytest.mark.slow) for name in SCENES[:2]), SCENES[2]]
+"""The three, of which a quick test takes the one with the most coordinates that give way."""
 BOUND = 1.5  # |q_a| over the tension applied
 
 
@@ -47,7 +49,7 @@ def test_abrupt_tension(build, measured, scene, step):
     assert greatest < BOUND
 
 
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", [pytest.param(0.0005, marks=pytest.mark.slow), 0.01])
 def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
     """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
     Expected: finite motion, or SimulationDiverged with a finite state, after a bounded number of
@@ -68,7 +70,9 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
     assert failed > 0, "the raw coordinates do not run away any more: this case has lost its point"
 
 
-@pytest.mark.parametrize("tendons", [(0, 1), (0, 3), (5, 8)])
+@pytest.mark.parametrize(
+    "tendons", [(5, 8), *(pytest.param(pair, marks=pytest.mark.slow) for pair in ((0, 1), (0, 3)))]
+)
 def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
     """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields
     were made for. Expected: the tip of the model with moments to quadratic converges with columns
@@ -96,7 +100,7 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
 
 @pytest.mark.parametrize(("step", "most_rejected"), [(0.01, 0.01), (0.02, 0.3)])
 @pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", RICHEST_IS_QUICK)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
     """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained
     agent does. Expected: finite throughout, no coordinate above 1.5 times the greatest tension at
@@ -119,9 +123,8 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
         assert np.abs(after.q[-1]).max() < 1.0
 
 
-@pytest.mark.parametrize(
-    "columns", [1, *(pytest.param(columns, marks=pytest.mark.slow) for columns in (2, 3, 4))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
     """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a
     factor of 500. Expected: finite, and the tip's error (to steps of 0.1 ms with 4 columns) falls
@@ -162,7 +165,7 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
     assert errors[0] < 0.12
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", RICHEST_IS_QUICK)
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
     """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the
     motion calms down. Expected: every tolerance ends near the same tip, the tighter the nearer, and
@@ -219,7 +222,7 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
     assert still.evaluations == 2 * still.steps == 20
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
+@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-5, marks=pytest.mark.slow)])
 def test_order_control_under_random_tensions(build, measured, tolerance):
     """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns.
     Expected: a finite motion, and no step fails for good."""
@@ -232,7 +235,9 @@ def test_order_control_under_random_tensions(build, measured, tolerance):
     assert np.isfinite(motion.tip_pose).all()
 
 
-@pytest.mark.parametrize("which", [0, 3, 5, "all"])
+@pytest.mark.parametrize(
+    "which", [*(pytest.param(tendon, marks=pytest.mark.slow) for tendon in (0, 3, 5)), "all"]
+)
 def test_order_control_through_jumps_under_combined_loads(build, measured, tip_distance, which):
     """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are
     millimetres off, without a word. Expected: with a tolerance of 3e-5 m the tip is within a

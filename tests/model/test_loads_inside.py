@@ -17,7 +17,11 @@ BENT = np.array([10.0, 0.0, 0.0])
 its plane."""
 
 
-@pytest.mark.parametrize("loaded", [slice(0, 3), slice(3, None)], ids=["some", "others"])
+@pytest.mark.parametrize(
+    "loaded",
+    [slice(0, 3), pytest.param(slice(3, None), marks=pytest.mark.slow)],
+    ids=["some", "others"],
+)
 def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
     """With no coordinate beside the tensions, which are the coordinates at rest; at 48 intervals a
     piece."""

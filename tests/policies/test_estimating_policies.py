@@ -29,9 +29,19 @@ def position_error(env, policy, seed=0, skip=1.0):
     return score.errors["position_error"].rms
 
 
-@pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize(
-    ("name", "most"), [("filtered:predictive@fast", 1e-3), ("filtered:tracking@fast", 2e-3)]
+    "regime",
+    [
+        "sensors",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in REGIMES if name != "sensors"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("filtered:predictive@fast", 1e-3),
+        pytest.param("filtered:tracking@fast", 2e-3, marks=pytest.mark.slow),
+    ],
 )
 def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     env, policy = made(name, regime=regime)

@@ -8,7 +8,7 @@ import pytest
 from soft_tendon_env.control.catalogue import controllers_of
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.policies import load_policy, policy_options
-from soft_tendon_env.policies.agent import shipped, trained_folder
+from soft_tendon_env.policies.agent import shipped, shipped_as, trained_folder
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "target": "random", "difficulty": "hard"}
 RATE = 4.0  # [N/s], of tensions up to 5 N
@@ -19,10 +19,9 @@ SINGLE_PRECISION = 1e-6
 CONTROLLERS = [
     (task, name) for task in ("TipPose", "Shape", "Reach") for name in controllers_of(task)
 ]
-# the kernels of water and obstacles are compiled for these agents alone
-OTHER_SCENES = ("apg_obstacles", "apg_water")
 AGENTS = [
-    pytest.param(task, name, marks=pytest.mark.slow if name in OTHER_SCENES else ())
+    # one agent of each task is quick; the kernels of water and obstacles are for two others alone
+    pytest.param(task, name, marks=() if name == shipped_as("agent", task) else pytest.mark.slow)
     for task in ("TipPose", "Shape", "Reach")
     for name in shipped()
     if (trained_folder() / name / task / "config.json").is_file()
