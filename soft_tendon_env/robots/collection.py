@@ -74,14 +74,20 @@ def drawn_commands(
         Commands (holds and releases, n_a) of each motion, in the unit of the arm.
     """
     rest = episodes.start_command
-    most = share * (episodes.actuation.actions.greatest - rest)
+    way = share * (episodes.actuation.actions.greatest - rest)
     total = motions * holds
-    tendons = rest.size
-    strata = [random.permutation(total) for _ in range(tendons)]
-    within = random.uniform(size=(total, tendons))
-    parts = (np.transpose(strata) + within) / total
-    drawn = (rest + parts * most).reshape(motions, holds, tendons)
-    return [_with_releases(commands, rest) for commands in drawn]
+    parts = _stratified(total, rest.size, random)
+    commands = rest + parts * way
+    return [_with_releases(part, rest) for part in np.split(commands, motions)]
+
+
+def _stratified(count: int, columns: int, random: np.random.Generator) -> Array:
+    """Latin hypercube sample (count, columns): of a column, one number in each of `count` parts."""
+    strata = np.empty((count, columns))
+    for column in range(columns):
+        strata[:, column] = random.permutation(count)
+    within = random.uniform(size=strata.shape)
+    return (strata + within) / count
 
 
 def _with_releases(commands: Array, rest: Array) -> Array:
