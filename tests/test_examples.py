@@ -49,6 +49,11 @@ RUNS = [
     ("quick_start.py", (), lambda said: said.count("it is at") + said.count("the tip is at") == 2),
     ("own_robot.py", (), lambda said: "mm from the goal; 100 periods" in said),
     (
+        "foreign_arm.py",
+        ("filtered:predictive", "three_tendon", "--seeds", "1", "--seconds", "1.2"),
+        lambda said: said.count("tendons slack") == 2,
+    ),
+    (
         "circle.py",
         ("--fidelity", "fast", "--seconds", "4", "--out", "."),
         lambda said: numbers(said.split("position error ")[1])[0] < 40.0,

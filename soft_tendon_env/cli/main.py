@@ -61,6 +61,7 @@ _SHIPPED: dict[str, str] = {
         " check it"
     ),
     "run": "run a policy on a robot in real time, with limits, a watchdog and a log",
+    "collect": "collect motions of a robot for identification: drawn holds and releases, a CSV",
     "record": "record policies side by side for the Rerun viewer",
     "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",
     "fields": (

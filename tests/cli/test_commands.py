@@ -19,6 +19,7 @@ from soft_tendon_env.tools import files
 
 ARM = ("--scene", "three_tendon", "--fidelity", "fast")
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
+BRIEF = ("--robot-options", "real_time=false", "--motions", "1", "--holds", "1", "--hold", "0.1")
 HEAVY = (
     "torch",
     "stable_baselines3",
@@ -57,6 +58,11 @@ QUICK = [
         ),
         ["\n| feedforward ", "\n| tracking ", "1 episodes of 0.2 s"],
         ["compare/Shape.csv", "compare/Shape.json"],
+    ),
+    (
+        ("collect", "three_tendon", "--fidelity", "fast", *BRIEF),
+        ["1 motions of 2 commands, 0.1 s each\n", "tendons slack\n"],
+        ["collected/motions.csv", "collected/markers.toml"],
     ),
     (
         ("record", "feedforward", *ARM, *SHORT),
