@@ -63,7 +63,6 @@ def diagnosed(regime, noise, draws):
     [
         ("sensors", {"noise": NOISE}, 4),
         pytest.param("sensors", {"noise": NOISE}, 100, marks=pytest.mark.slow),
-        pytest.param("state", {}, 50, marks=pytest.mark.slow),
     ],
 )
 def test_intervals_contain_what_was_drawn(regime, noise, draws):
