@@ -1,9 +1,7 @@
 """`soft-tendon collect`: motions of a robot under drawn commands, as `soft-tendon identify` reads
 them."""
 
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -11,31 +9,23 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
-from soft_tendon_env.cli.run import SIMULATED, load_robot
+from soft_tendon_env.cli.robot_settings import RobotSettings
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.settings import Seed
 from soft_tendon_env.identification.markers import Marker, MarkerSet
 from soft_tendon_env.robots.collection import collect, collecting_env, drawn_commands, usual_hold
-from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.tools.configuration import parsed_changes, plain
-from soft_tendon_env.tools.types import NotNegative, Positive
+from soft_tendon_env.tools.configuration import plain
+from soft_tendon_env.tools.types import Positive
 
 SHARE = 0.6
 """Share of the range of commands that is used: an arm may be twice as soft as its drawing."""
 
 
-class Collect(ArmSettings):
+class Collect(RobotSettings, ArmSettings):
     """Collect motions of a robot for identification: holds and releases of drawn commands within
     the limits, from rest."""
 
-    robot: str = Field(
-        default=SIMULATED,
-        description="class of the robot, MODULE:CLASS; by default a simulated arm in real time",
-    )
-    robot_options: tuple[str, ...] = Field(
-        default=(), description="keyword arguments of that class, KEY=VALUE with values as in TOML"
-    )
     motions: int = Field(default=4, ge=1, description="number of motions, each from rest")
     holds: int = Field(default=6, ge=1, description="drawn commands in a motion")
     hold: Positive | None = Field(
@@ -43,22 +33,6 @@ class Collect(ArmSettings):
     )
     share: float = Field(
         default=SHARE, gt=0.0, le=1.0, description="of the range of commands that is used"
-    )
-    rate: Positive | None = Field(
-        default=None,
-        description="largest rate of a command [N/s], of displacements [m/s]; unlimited by default",
-    )
-    settle: NotNegative = Field(
-        default=SETTLE, description="time [s] to bring the arm to the pretension"
-    )
-    rest_speed: Positive = Field(
-        default=REST_SPEED,
-        description="greatest speed of the tip at rest, in lengths of the arm per second",
-    )
-    patience: int = Field(
-        default=PATIENCE,
-        ge=1,
-        description="periods without a reading, or late, after which the tendons go slack",
     )
     control_period: Positive = Field(default=0.02, description="time [s] between rows of the log")
     fidelity: str = Field(
@@ -72,7 +46,7 @@ class Collect(ArmSettings):
 
 def run(settings: Collect) -> None:
     """Collect, print and write."""
-    with mistakes(), ExitStack() as on_error:
+    with mistakes():
         scene = settings.changed_scene()
         out = writable_folder(Path(settings.out))
         log = out / "motions.csv"
@@ -84,22 +58,8 @@ def run(settings: Collect) -> None:
         hold = settings.hold
         if hold is None:
             hold = usual_hold(episodes)
-        robot_options = dict[str, Any]()
-        if settings.robot == SIMULATED:
-            robot_options |= {"scene": scene, "fidelity": settings.fidelity}
-        robot_options |= parsed_changes(settings.robot_options)
-        robot = load_robot(settings.robot, robot_options)
-        on_error.callback(robot.close)
-        real = RobotEnv(
-            env,
-            robot,
-            log=log,
-            rate=settings.rate,
-            settle=settings.settle,
-            rest_speed=settings.rest_speed,
-            patience=settings.patience,
-        )
-        on_error.pop_all()
+        of_arm = {"scene": scene, "fidelity": settings.fidelity}
+        real = settings.opened(env, log, of_arm)
     length = episodes.model.length
     print(f"{settings.motions} motions of {len(motions[0])} commands, {hold:.3g} s each")
     try:

@@ -1,7 +1,5 @@
 """`soft-tendon run`: a policy on a robot, real or simulated, with a log of it."""
 
-import importlib
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from tyro.conf import Positional
 
 from soft_tendon_env.cli.errors import mistakes, require
 from soft_tendon_env.cli.options import EnvironmentArguments
+from soft_tendon_env.cli.robot_settings import RobotSettings
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.tracking import error_unit
@@ -22,63 +21,29 @@ from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.environment import (
-    PATIENCE,
-    REST_SPEED,
-    SETTLE,
-    RobotEnv,
     rehearse,
     run_policy,
 )
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.process import RobotProcess
-from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
-from soft_tendon_env.tools.configuration import parsed_changes, shown
-from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.messages import UserError
-from soft_tendon_env.tools.types import NotNegative, Positive
 
-SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
 POLICY = (
     "a controller's name behind filtered:; an agent's folder; agent, ppo, sac, dagger,"
     " apg; module:name"
 )
 
 
-class Run(EnvironmentArguments, EpisodeSettings):
+class Run(RobotSettings, EnvironmentArguments, EpisodeSettings):
     """Run a policy on a robot in real time, print its errors as measured and the jitter of the
     loop, and write a log."""
 
     policy: Positional[str] = Field(description=POLICY)
-    robot: str = Field(
-        default=SIMULATED,
-        description="class of the robot, MODULE:CLASS; by default a simulated arm in real time",
-    )
-    robot_options: tuple[str, ...] = Field(
-        default=(), description="keyword arguments of that class, KEY=VALUE with values as in TOML"
-    )
     task: TaskName = Field(
         default="TipPose",
         description="name of the task: TipPose, Reach, or one that was registered",
     )
     seed: Seed = Field(default=0, description="of the target")
-    rate: Positive | None = Field(
-        default=None,
-        description="largest rate of a command [N/s], of displacements [m/s]; unlimited by default",
-    )
-    settle: NotNegative = Field(
-        default=SETTLE,
-        description="time [s] to bring the arm to the pretension; 0 where it is there",
-    )
-    rest_speed: Positive = Field(
-        default=REST_SPEED,
-        description="greatest speed of the tip at rest, in lengths of the arm per second",
-    )
-    patience: int = Field(
-        default=PATIENCE,
-        ge=1,
-        description="periods without a reading, or late, after which the tendons go slack",
-    )
     beyond_training: bool = Field(
         default=False, description="let an agent act on an arm that is none of its training"
     )
@@ -104,24 +69,8 @@ def run(settings: Run) -> None:
         policy = load_trained(name, env, settings.beyond_training)
         rehearse(policy, env, settings.seed)
 
-        robot_options = dict[str, Any]()
-        if settings.robot == SIMULATED:  # it has the arm of the environment
-            of_arm = {key: options[key] for key in OF_ARM if key in options}
-            robot_options |= of_arm
-        robot_options |= parsed_changes(settings.robot_options)
-        robot = load_robot(settings.robot, robot_options)
-        on_error.callback(robot.close)
-        real: gym.Env[Any, Any] = RobotEnv(
-            env,
-            robot,
-            log=settings.out,
-            rate=settings.rate,
-            settle=settings.settle,
-            rest_speed=settings.rest_speed,
-            patience=settings.patience,
-        )
-        # From here the environment closes the robot.
-        on_error.pop_all()
+        of_arm = {key: options[key] for key in OF_ARM if key in options}
+        real: gym.Env[Any, Any] = settings.opened(env, settings.out, of_arm)
         on_error.callback(real.close)
         if settings.record:
             # Writing meanwhile would take longer than a period.
@@ -168,26 +117,3 @@ def load_trained(name: PolicyName, env: Any, beyond_training: bool) -> Policy:
             " this one act all the same with --beyond-training"
         )
     return name.load(env)
-
-
-def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options.
-
-    One with own_process, see Robot, is made in a process of its own.
-
-    Raises ValueError, and what that raises.
-    """
-    look_in_this_folder()
-    module, _, attribute = name.partition(":")
-    try:
-        make = getattr(importlib.import_module(module), attribute)
-        if getattr(make, "own_process", False):
-            return RobotProcess(make, **options)
-        robot: Robot = make(**options)
-        check_robot(robot)
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(
-            f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS;"
-            f" {error}"
-        ) from error
-    return robot

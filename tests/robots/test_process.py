@@ -10,7 +10,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from soft_tendon_env.cli.run import load_robot
+from soft_tendon_env.cli.robot_settings import load_robot
 from soft_tendon_env.robots import RobotProcess
 from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.process import RobotLetGo, SteppedTime, WatchedDriver, _portable

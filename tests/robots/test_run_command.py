@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.cli.run import load_robot
+from soft_tendon_env.cli.robot_settings import load_robot
 from soft_tendon_env.identification import Marker, MarkerSet
 from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.policies import load_policy, policy_options
