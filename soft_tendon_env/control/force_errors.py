@@ -98,7 +98,7 @@ def held_tension(terms: Terms, force: Array) -> Array:
 
 
 def corrected_rollout(
-    simulation: Simulation, tension: Array, duration: Array | float, error: ForceError | None
+    simulation: Simulation, tension: Array, duration: float, error: ForceError | None
 ) -> Rollout:
     """Rollout of a simulation under tensions and a force that its model lacks.
 
@@ -107,8 +107,8 @@ def corrected_rollout(
 
     Args:
         simulation: from whose state it begins.
-        tension: (N, n_a) [N], or (N, parts, n_a).
-        duration: of a period [s], or of its parts.
+        tension: (N, n_a) [N] of periods.
+        duration: of a period [s].
         error: None: the model lacks nothing, and has no derivatives by forces.
 
     Returns:
@@ -122,7 +122,7 @@ def corrected_rollout(
             return simulation.rollout(tension, duration)
         every_force = np.eye(error.constant.size)
         rollout = simulation.rollout(tension + error.held, duration, forces=every_force)
-    return _corrected(rollout, error, float(np.sum(duration)))
+    return _corrected(rollout, error, duration)
 
 
 def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:

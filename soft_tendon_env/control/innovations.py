@@ -76,6 +76,7 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     """
     length = model.length
     tip = _tip_deviation(model)
+    tip_twist = np.repeat([tip * TURNS, tip * length], 3)
     # of the sensors, and of the model, by field
     sensor_deviations: dict[str, Any] = {
         "tip_pose": np.repeat([noise.rotation, noise.position], 3),
@@ -86,8 +87,8 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     }
     strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
     model_deviations: dict[str, Any] = {
-        "tip_pose": np.repeat([tip * TURNS, tip * length], 3),
-        "tip_twist": RATE * np.repeat([tip * TURNS, tip * length], 3),
+        "tip_pose": tip_twist,
+        "tip_twist": RATE * tip_twist,
         "tendon_length": tip * length,
         "strain": 0.5 * strain_unit,
         "strain_rate": strain_unit,

@@ -11,6 +11,13 @@ from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import NOISE, REGIMES
 
 STEADY = {"target": {"type": "random", "knot_period": 1.5}}
+EVERYTHING = {
+    "stiffness": [0.8, 1.2],
+    "damping": [0.5, 2.0],
+    "tension_gain": [0.9, 1.1],
+    "latency": [0.0, 0.06],
+}
+"""Errors of a model without loads, all at once."""
 
 
 def made(name, task="TipPose", regime=None, seconds=2.0, **options):
@@ -104,13 +111,7 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
 )
 def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_loads(seed, regime):
     """All at once, also the latency, where the first motion bends the arm within 0.2 s."""
-    wrong = {
-        "stiffness": [0.8, 1.2],
-        "damping": [0.5, 2.0],
-        "payload": [0.0, 0.02],
-        "tension_gain": [0.9, 1.1],
-        "latency": [0.0, 0.06],
-    }
+    wrong = {**EVERYTHING, "payload": [0.0, 0.02]}
     env, policy = made("filtered:predictive@fast", regime=regime, randomize=wrong)
     assert position_error(env, policy, seed) < 4e-3
 
@@ -128,13 +129,7 @@ def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_l
 )
 def test_another_arm_with_everything_wrong_is_tracked(scene, regime):
     """By a coarse model, whose errors in quick motions last for several periods."""
-    wrong = {
-        "stiffness": [0.8, 1.2],
-        "damping": [0.5, 2.0],
-        "tension_gain": [0.9, 1.1],
-        "latency": [0.0, 0.06],
-    }
-    env, policy = made("filtered:predictive@fast", regime=regime, scene=scene, randomize=wrong)
+    env, policy = made("filtered:predictive@fast", regime=regime, scene=scene, randomize=EVERYTHING)
     assert position_error(env, policy) < 0.01 * env.unwrapped.model.length
 
 
