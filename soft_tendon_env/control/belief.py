@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.command_filter import Timing
-from soft_tendon_env.control.force_errors import ForceError, LoadJacobian, held_tension
+from soft_tendon_env.control.force_errors import ForceError, LoadJacobian, holding_matrix
 from soft_tendon_env.control.innovations import Layout, layout_of
+from soft_tendon_env.control.rigid_motions import skew
 from soft_tendon_env.control.timing_bank import Bank
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
@@ -25,6 +26,7 @@ class Locality(NamedTuple):
 
     terms: Terms
     load_jacobian: Array  # J^T (n, 3 places)
+    holding: Array  # (n_a, n) tensions nearest to a force, see force_errors.holding_matrix
 
 
 class Belief(NamedTuple):
@@ -76,7 +78,8 @@ class StateSpace:
 
     def locality(self, q: Array, q_dot: Array) -> Locality:
         """Model at coordinates and rates (n,). Raises as the model does."""
-        return Locality(self.model.terms(q, q_dot), self._load_jacobian.at(q))
+        terms = self.model.terms(q, q_dot)
+        return Locality(terms, self._load_jacobian.at(q), holding_matrix(terms))
 
     def force_error(self, mean: Array, locality: Locality) -> ForceError:
         """Force that the model lacks in a state (m,): of loads, and of errors of its numbers.
@@ -98,15 +101,18 @@ class StateSpace:
             stiffness=stiffness,
             damping=mean[layout.damping] * terms.damping,
             inertia=mean[layout.payload] * (tip.T @ tip),
-            held=held_tension(terms, at_rest),
+            held=locality.holding @ at_rest,
         )
 
 
 def tip_acceleration(terms: Terms, q_dot: Array, q_ddot: Array) -> Array:
-    """Acceleration (3,) of the tip in its own frame: J q_ddot + J_dot q_dot + omega x v."""
-    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
-    changing = terms.tip_jacobian[3:] @ q_ddot + terms.tip_bias[3:]
-    return np.asarray(changing + np.cross(angular, linear))
+    """Acceleration (..., 3) of the tip in its own frame: J q_ddot + J_dot q_dot + omega x v.
+
+    It is that of each q_ddot (..., n).
+    """
+    twist = terms.tip_jacobian @ q_dot
+    at_constant_rates = terms.tip_bias[3:] + skew(twist[:3]) @ twist[3:]
+    return np.asarray(q_ddot @ terms.tip_jacobian[3:].T + at_constant_rates)
 
 
 def _bending_tension(model: Model) -> Array:

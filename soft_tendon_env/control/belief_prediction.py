@@ -219,12 +219,12 @@ class BeliefPrediction:
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
         q_dot = np.diff(motion.q, axis=0) / self._step
         q_ddot = np.diff(motion.q_dot, axis=0) / self._step
-        acceleration = [tip_acceleration(terms, last_q_dot, of_step) for of_step in q_ddot]
+        acceleration = tip_acceleration(terms, last_q_dot, q_ddot)
         # generalised forces (S, n) by factors and mass
         forces = {
             layout.stiffness.start: -q @ terms.stiffness,
             layout.damping.start: -q_dot @ terms.damping,
-            layout.payload.start: -np.array(acceleration) @ tip,
+            layout.payload.start: -acceleration @ tip,
         }
         by_tension = motion.by_tension.sum(axis=0)
         by_force = motion.by_force.sum(axis=0)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.control.rigid_motions import moved_pose, skew
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.model.tension_limits import erring_actuators
@@ -33,7 +33,7 @@ class ForceError(NamedTuple):
     stiffness: Array  # S (n, n)
     damping: Array  # D (n, n)
     inertia: Array  # M (n, n)
-    held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see held_tension
+    held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see holding_matrix
 
 
 class LoadJacobian:
@@ -57,8 +57,11 @@ class LoadJacobian:
         ends = grid.start[grid.real] + length
         asked = model.length * np.array(PLACES)
         nearest = np.abs(ends - asked[:, None]).argmin(axis=1)
-        self._intervals = np.unique(nearest) + 1
-        self.places = np.minimum(ends[self._intervals - 1], model.length)
+        borders = np.unique(nearest)
+        self.places = np.minimum(ends[borders], model.length)
+        counts = POINTS * (borders + 1)
+        # (places, points) 1 for points before a place, else 0
+        self._before = (np.arange(self._points.size) < counts[:, None]).astype(float)
 
     def at(self, q: Array) -> Array:
         """The matrix J^T (n, 3 places) at coordinates q (n,).
@@ -73,28 +76,26 @@ class LoadJacobian:
         weighted = rotation * self._weights[:, None, None]
         turns = weighted @ strain_slope[:, :3]
         stretches = weighted @ strain_slope[:, 3:]
-        points = poses[:count, :3, 3]
-        ends = poses[count:, :3, 3]
-        columns = []
-        for end, intervals in zip(ends, self._intervals, strict=True):
-            inside = slice(POINTS * intervals)
-            levers = end - points[inside]
-            turned = np.cross(turns[inside], levers[:, :, None], axis=1)
-            velocity = stretches[inside] + turned
-            columns.append(velocity.sum(axis=0).T)
-        return np.hstack(columns)
+        positions = poses[:, :3, 3]
+        levers = positions[count:, None] - positions[:count]
+        levers *= self._before[:, :, None]
+        # sums over all points before a place: rows (3 places,), as one product each
+        rows = 3 * self.places.size
+        crosses = np.moveaxis(skew(levers), 1, 2).reshape(rows, 3 * count)
+        turned = -crosses @ turns.reshape(3 * count, q.size)
+        stretched = self._before @ stretches.reshape(count, 3 * q.size)
+        return (stretched.reshape(rows, q.size) + turned).T
 
 
-def held_tension(terms: Terms, force: Array) -> Array:
-    """Tensions (n_a,) [N] whose statics are nearest to those of a generalised force (n,).
+def holding_matrix(terms: Terms) -> Array:
+    """Matrix (n_a, n) of the tensions u whose statics are nearest to those of a force Q.
 
-    They are the u of least (Q - B u)^T K^-1 (Q - B u): what of a load tensions can make.
+    They have the least (Q - B u)^T K^-1 (Q - B u): what of a load tensions can make.
     """
     stiffness = terms.stiffness + terms.external_stiffness
-    softened = np.linalg.solve(stiffness, np.column_stack([terms.actuation, force]))
-    compliance = terms.actuation.T @ softened
-    tension, *_ = np.linalg.lstsq(compliance[:, :-1], compliance[:, -1], rcond=1e-6)
-    return np.asarray(tension)
+    softened = np.linalg.solve(stiffness.T, terms.actuation).T
+    compliance = softened @ terms.actuation
+    return np.asarray(np.linalg.pinv(compliance, rcond=1e-6) @ softened)
 
 
 def corrected_rollout(
@@ -129,7 +130,9 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     """Rollout of a model, corrected for a force that it lacks.
 
     Over a period the force is held at Q = c - E_0 x - E_1 x+, of the mean coordinates, rates and
-    accelerations, and x+ = x_m(x) + B Q with the model's x_m is solved for x+.
+    accelerations, and x+ = x_m(x) + B Q with the model's x_m is solved for x+:
+
+        x+ = x_m + G (c - E_0 x - E_1 x_m),    G = B (1 + E_1 B)^-1
     """
     n = rollout.q.shape[1]
     mean = np.hstack([error.stiffness, np.zeros_like(error.damping)]) / 2.0
@@ -139,14 +142,13 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     by_end = mean + change
     motion = np.hstack([rollout.q, rollout.q_dot])
     moved = np.zeros_like(motion)
-    by_force = rollout.by_force
-    inverses = np.linalg.inv(np.eye(2 * n) + by_force @ by_end)
-    for k in range(len(by_force)):
+    feedback = np.eye(n) + by_end @ rollout.by_force
+    by_force = rollout.by_force @ np.linalg.inv(feedback)
+    for k, by_remainder in enumerate(by_force):
         start = motion[k] + moved[k]
-        unforced = motion[k + 1] + rollout.by_state[k] @ moved[k]
-        unforced -= rollout.by_tension[k] @ error.held
-        end = inverses[k] @ (unforced + by_force[k] @ (error.constant - by_start @ start))
-        moved[k + 1] = end - motion[k + 1]
+        unforced = rollout.by_state[k] @ moved[k] - rollout.by_tension[k] @ error.held
+        force = error.constant - by_start @ start - by_end @ (motion[k + 1] + unforced)
+        moved[k + 1] = unforced + by_remainder @ force
     tip_pose = rollout.tip_pose.copy()
     for k in range(1, len(tip_pose)):
         tip_pose[k] = moved_pose(tip_pose[k], rollout.tip_jacobian[k] @ moved[k, :n])
@@ -156,7 +158,7 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
         q=rollout.q + moved[:, :n],
         q_dot=rollout.q_dot + moved[:, n:],
         tip_pose=tip_pose,
-        by_state=inverses @ (rollout.by_state - by_force @ by_start),
-        by_tension=inverses @ rollout.by_tension,
-        by_force=inverses @ by_force,
+        by_state=rollout.by_state - by_force @ (by_start + by_end @ rollout.by_state),
+        by_tension=rollout.by_tension - by_force @ (by_end @ rollout.by_tension),
+        by_force=by_force,
     )

@@ -100,6 +100,7 @@ class ExtendedKalmanFilter:
         )
         self.history = remembered_commands(*self.greatest, setting.period) + 1
         self.space = StateSpace(model)
+        self._least, self._most = self._bounds()
         self._initial = InitialBelief(self.space, setting, tension, self.greatest)
         self._prediction = BeliefPrediction(self.space, setting, self.history)
         self._sensor_model = SensorModel(
@@ -170,25 +171,30 @@ class ExtendedKalmanFilter:
         deviation = np.sqrt(np.diag(last.covariance))
         known = deviation < LEAST_DEVIATION
         updated = None
+        regrouped = 0.0
         for _ in range(MOST_PREDICTIONS):
             prediction = self._prediction.predict(last, measured, weight, point)
             update = None if prediction is None else self._update(prediction.belief, measured)
             if prediction is None or update is None:
                 break
             updated = update.belief
-            smoothed = last.mean + last.covariance @ prediction.transition.T @ update.score
-            regrouped = 0.0
+            smoothed = last.mean + last.covariance @ (prediction.transition.T @ update.score)
             if bank is not None and weight is not None and updated.bank is not None:
                 before = weight
                 weight = updated.bank.sharp_weight
                 smoothed += bank.deviation @ weight
                 regrouped = 0.5 * np.abs(weight - before).sum()
-            self._keep_within_bounds(smoothed)
+            smoothed = self._within_bounds(smoothed)
             moved = np.abs(smoothed - point)[~known] / deviation[~known]
             if regrouped < SAME_WEIGHT and moved.max() < SAME_STATE:
                 break
             point = smoothed
-        return None if updated is None else self._settled(updated)
+        if updated is None:
+            return None
+        if bank is not None and regrouped >= SAME_WEIGHT:
+            # found about another motion than the likeliest, likelihoods say nothing of the timing
+            updated = _weighted_as(updated, bank)
+        return self._settled(updated)
 
     def _begin(self, measured: Measurement) -> Belief:
         """Belief when an episode begins: at rest under the tensions and loads that hold the arm.
@@ -225,16 +231,21 @@ class ExtendedKalmanFilter:
             expected = slope @ (mean - point)
             innovations = (innovation - expected)[:, None] - slope @ deviations
             noise = np.diag(variance)
-            left_out = _left_out(bank, slope)
-            covariance, inverse_root = _plausible(predicted, slope, noise + left_out, innovations)
-            gain = _gain(slope, covariance, inverse_root)
+            left_out = None
+            uncertain = noise
+            if bank is not None:
+                left_out = _left_out(bank, slope)
+                uncertain = noise + left_out
+            covariance, inverse_root = _plausible(predicted, slope, uncertain, innovations)
+            cross = slope @ covariance
+            gain = _gain(cross, inverse_root)
             moving = len(predicted.noise)
             if bank is not None:
                 # a measurement tells where the arm is, by whatever timing it came there
-                spread = covariance + bank.covariance
+                spread = cross + slope @ bank.covariance
                 spread_root = _inverse_root(slope, spread, noise)
-                gain[:moving] = _gain(slope, spread[:, :moving], spread_root)
-                sharp_root = _inverse_root(slope, covariance, noise)
+                gain[:moving] = _gain(spread[:, :moving], spread_root)
+                sharp_root = _inverse_root(slope, cross, noise)
                 bank = timing_bank.judged(bank, innovations, inverse_root, sharp_root)
         except FAILURES:
             return None
@@ -251,10 +262,11 @@ class ExtendedKalmanFilter:
             bank = bank._replace(deviation=moved - change[:, None])
         after = mean + change
         rest = np.eye(mean.size) - gain @ slope
-        erring = gain @ noise @ gain.T
-        erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T
+        erring = (gain * variance) @ gain.T
+        if left_out is not None:
+            erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T
         covariance = rest @ covariance @ rest.T + erring
-        self._keep_within_bounds(after)
+        after = self._within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
         if not is_plausible or not np.isfinite(covariance).all():
             return None
@@ -289,9 +301,11 @@ class ExtendedKalmanFilter:
                 covariance[part, part] += (UNIFORM * timing_bank.LATENCY_STEP) ** 2
         return belief._replace(covariance=covariance, bank=None)
 
-    def _keep_within_bounds(self, mean: Array) -> None:
-        """Cuts factors, payload and timing of a state (m,) off at their bounds, in place."""
+    def _bounds(self) -> tuple[Array, Array]:
+        """Least and greatest states (m,): of factors, payload and timing; infinite otherwise."""
         layout = self.space.layout
+        lower = np.full(layout.size, -np.inf)
+        upper = np.full(layout.size, np.inf)
         for part, least, greatest in (
             (layout.gain, LEAST_FACTOR - 1.0, GREATEST_FACTOR - 1.0),
             (layout.stiffness, LEAST_FACTOR - 1.0, GREATEST_FACTOR - 1.0),
@@ -300,23 +314,38 @@ class ExtendedKalmanFilter:
             (layout.latency, 0.0, self.greatest.latency),
             (layout.lag, 0.0, self.greatest.lag),
         ):
-            mean[part] = np.clip(mean[part], least, greatest)
+            lower[part] = least
+            upper[part] = greatest
+        return lower, upper
+
+    def _within_bounds(self, mean: Array) -> Array:
+        """State (m,) whose factors, payload and timing are cut off at their bounds."""
+        return np.asarray(np.minimum(np.maximum(mean, self._least), self._most))
 
 
-def _left_out(bank: timing_bank.Bank | None, slope: Array) -> Array:
+def _weighted_as(belief: Belief, last: timing_bank.Bank) -> Belief:
+    """Belief with the probabilities of hypotheses that a bank of as many had before."""
+    bank = belief.bank
+    if bank is None:
+        return belief
+    bank = bank._replace(log_likelihood=last.log_likelihood)
+    change = bank.deviation @ bank.weight
+    bank = bank._replace(deviation=bank.deviation - change[:, None])
+    return belief._replace(mean=belief.mean + change, bank=bank)
+
+
+def _left_out(bank: timing_bank.Bank, slope: Array) -> Array:
     """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
 
     As all are linearised about their mean, it is taken for that of their own motions about it.
     """
-    if bank is None:
-        return np.zeros((len(slope), len(slope)))
     expected = slope @ bank.deviation
     return np.asarray((expected * bank.weight) @ expected.T)
 
 
-def _gain(slope: Array, covariance: Array, inverse_root: Array) -> Array:
-    """Gain (p, k) of p states, of whose covariance the columns (m, p) are given."""
-    return (inverse_root.T @ (inverse_root @ (slope @ covariance))).T
+def _gain(cross: Array, inverse_root: Array) -> Array:
+    """Gain (p, k) of p states, of their covariance (k, p) with the measurements, and L^-1."""
+    return (inverse_root.T @ (inverse_root @ cross)).T
 
 
 def _plausible(
@@ -328,20 +357,20 @@ def _plausible(
     forces of the last period are taken for as much greater. Raises LinAlgError.
     """
     covariance = predicted.covariance
-    inverse_root = _inverse_root(slope, covariance, noise)
+    inverse_root = _inverse_root(slope, slope @ covariance, noise)
     whitened = inverse_root @ innovations
     best = int((whitened**2).sum(axis=0).argmin())
     # a command that comes at another time than is believed looks like a jump
     is_timed = predicted.bank is None
     if is_timed and _evidence(inverse_root @ slope @ predicted.jump, whitened[:, best]) > EVIDENCE:
         covariance = covariance + predicted.jump @ predicted.jump.T
-        inverse_root = _inverse_root(slope, covariance, noise)
+        inverse_root = _inverse_root(slope, slope @ covariance, noise)
     surprise = _least_square(inverse_root, innovations)
     if surprise > SURPRISE:
         motion = slice(len(predicted.noise))
         covariance = covariance.copy()
         covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
-        inverse_root = _inverse_root(slope, covariance, noise)
+        inverse_root = _inverse_root(slope, slope @ covariance, noise)
     return covariance, inverse_root
 
 
@@ -359,13 +388,14 @@ def _evidence(jump: Array, innovation: Array) -> float:
     return float(0.5 * whitened @ whitened - np.log(np.diag(root)).sum())
 
 
-def _inverse_root(slope: Array, covariance: Array, noise: Array) -> Array:
-    """L^-1 of the innovations' covariance H P H^T + R = L L^T. Raises LinAlgError."""
-    innovation_covariance = slope @ covariance @ slope.T + noise
+def _inverse_root(slope: Array, cross: Array, noise: Array) -> Array:
+    """L^-1 of the innovations' covariance C H^T + R = L L^T, C = H P. Raises LinAlgError."""
+    innovation_covariance = cross @ slope.T + noise
     root = np.linalg.cholesky(innovation_covariance)
     if not np.isfinite(root).all():
         raise np.linalg.LinAlgError("the covariance of the innovations is not finite")
-    return np.asarray(solve_triangular(root, np.eye(len(noise)), lower=True))
+    unit = np.eye(len(noise))
+    return np.asarray(solve_triangular(root, unit, lower=True, check_finite=False))
 
 
 def _least_square(inverse_root: Array, innovations: Array) -> float:

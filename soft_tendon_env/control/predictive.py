@@ -41,8 +41,10 @@ class Plan(NamedTuple):
     multipliers: Array  # of their program
     disturbance: Array  # (n_a,) [N]
     response: Array  # (n, n_a) of the rates now to tensions over the period that has passed
-    rates: Array | None  # (n,) predicted for now, if they could be
-    effects: Array | None  # (m,) internal states of the effects likewise
+    # (n,) predicted for now, if they could be, where disturbances are observed
+    rates: Array | None
+    # (m,) internal states of the effects likewise, where there are any
+    effects: Array | None
 
 
 class Tuning(NamedTuple):
@@ -52,12 +54,12 @@ class Tuning(NamedTuple):
     """
 
     # [s] within which errors that are there now are planned to fall to 2 %
-    settling_time: float = 0.3
-    horizon: int = 6  # intervals to plan
+    settling_time: float = 0.2
+    horizon: int = 12  # intervals to plan
     # control periods that an interval lasts, in which tensions stay as they are (move blocking)
     hold: int = 1
     effort: float = 3e-3  # weight of tensions against that of errors
-    smoothness: float = 0.42  # the same of their changes from period to period
+    smoothness: float = 0.3  # the same of their changes from period to period
     # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
     observer: float = 0.25
 
@@ -110,6 +112,7 @@ class Predictive(ModelController):
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
+        self._has_states = model.arm.effects.state.size > 0
 
     def act(self, now: ControllerInput, memory: Plan | None = None) -> ControllerOutput:
         """First tensions of the improved plan.
@@ -131,7 +134,9 @@ class Predictive(ModelController):
         multipliers = None if memory is None else memory.multipliers
         allocation = self._improvement(rollout, plan, last, error.gain, now, multipliers)
         better = plan + allocation.x.reshape(plan.shape)
-        rates, effects = self._predicted(self._acting(better, error, now)[0])
+        rates, effects = None, None
+        if self._has_states or now.input_error is None:
+            rates, effects = self._predicted(self._acting(better, error, now)[0])
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,

@@ -63,15 +63,12 @@ def adjoint_of_twist(twist: Array) -> Array:
 
 
 def skew(x: Array) -> Array:
-    """x~ (3, 3) with x~ y = x × y."""
-    a, b, c = x
-    return np.array(
-        [
-            [0.0, -c, b],
-            [c, 0.0, -a],
-            [-b, a, 0.0],
-        ]
-    )
+    """x~ (..., 3, 3) with x~ y = x × y, of vectors x (..., 3)."""
+    out = np.zeros((*x.shape, 3))
+    out[..., 2, 1] = x[..., 0]
+    out[..., 0, 2] = x[..., 1]
+    out[..., 1, 0] = x[..., 2]
+    return out - np.swapaxes(out, -1, -2)
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme
 from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
-from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
+from soft_tendon_env.mechanics.motion.period_map import Plan, linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch, make_tape
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
 from soft_tendon_env.model.model import Model
@@ -186,6 +186,7 @@ class Simulation:
         limits = model.scene.effects.command_limits(tension_limits)
         self._limits = limits.tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
+        self._plan: Plan | None = None  # of the last rollout, for others of its shape
         self.reset()
         if state is not None:
             self.state = state
@@ -430,7 +431,7 @@ class Simulation:
         whole = float(parts.sum())
         checked_number("duration", whole, SHORTEST, "a positive number of seconds")
         periods = checked_count("commands", len(played), 1)
-        plan = make_plan(model.arm, periods, parts.size, others)
+        plan = self._plan_of(periods, parts.size, others)
         plan.command[:] = played.reshape(plan.command.shape)
         plan.duration[:] = parts
         warn_beyond_limits(self._limits, plan.command, self._unit)
@@ -454,8 +455,23 @@ class Simulation:
                 " singular"
             )
         borders = [2 * n, 2 * n + n_a]
-        by = np.split(plan.jacobian, borders, axis=2)
-        return Rollout(plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian, *by)
+        by = np.split(plan.jacobian.copy(), borders, axis=2)
+        outcome = (plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian)
+        return Rollout(*(values.copy() for values in outcome), *by)
+
+    def _plan_of(self, periods: int, parts: int, forces: Array) -> Plan:
+        """Plan with forces (n, k) besides those of the tendons: the last one if it has its shape.
+
+        To make one takes as long as two steps of a period.
+        """
+        inputs = self.model.tendon_count + forces.shape[1]
+        plan = self._plan
+        has_shape = plan is not None and plan.command.shape[:2] == (periods, parts)
+        if plan is not None and has_shape and plan.forces.shape[1] == inputs:
+            plan.forces[:, self.model.tendon_count :] = forces
+        else:
+            plan = self._plan = make_plan(self.model.arm, periods, parts, forces)
+        return plan
 
     @property
     def tip_pose(self) -> Array:

@@ -37,6 +37,7 @@ from soft_tendon_env.tools.configuration import (
     not_registered,
     shown,
 )
+from soft_tendon_env.tools.linear_algebra import one_thread
 from soft_tendon_env.tools.registry import Registry
 from soft_tendon_env.tools.types import Array
 
@@ -408,7 +409,8 @@ class ControllerPolicy:
                 q=_target_coordinates(groups, len(self._ahead)),
             )
             before = self._fresh(groups) if memory is None else memory
-            action, next_memory = self._decide(groups, poses[row], target, before)
+            with one_thread():  # matrices are small
+                action, next_memory = self._decide(groups, poses[row], target, before)
             actions.append(action)
             after.append(next_memory)
         if np.ndim(flat) == 1:

@@ -8,7 +8,7 @@ from soft_tendon_env.control.force_errors import (
     ForceError,
     LoadJacobian,
     corrected_rollout,
-    held_tension,
+    holding_matrix,
 )
 from soft_tendon_env.model.simulation import Simulation
 
@@ -72,7 +72,7 @@ def test_motions_under_a_load_are_those_of_a_model_that_has_it(model, motion, is
     constant = LoadJacobian(model).at(q)[:, -3:] @ FORCE
     held = np.zeros(3)
     if is_split:
-        held = held_tension(model.terms(q, q_dot), constant)
+        held = holding_matrix(model.terms(q, q_dot)) @ constant
     error = lacking(model, q, constant=constant, held=held)
     simulation = Simulation(model)
     simulation.reset(q, q_dot)
@@ -112,9 +112,11 @@ def test_tensions_hold_what_tensions_make(model, motion):
     q, q_dot = motion
     terms = model.terms(q, q_dot)
     tension = np.array([0.3, -0.2, 0.5])
-    np.testing.assert_allclose(held_tension(terms, terms.actuation @ tension), tension, atol=1e-6)
+    np.testing.assert_allclose(
+        holding_matrix(terms) @ terms.actuation @ tension, tension, atol=1e-6
+    )
     force = LoadJacobian(model).at(q)[:, -2]
-    held = held_tension(terms, force)
+    held = holding @ force
     left = force - terms.actuation @ held
     np.testing.assert_allclose(
         terms.actuation.T @ np.linalg.solve(terms.stiffness, left), 0.0, atol=1e-8
