@@ -54,9 +54,14 @@ def test_innovations_that_surprise_everybody_tell_less():
     bank = timing_bank.first_bank(2, Timing(None, 0.0), GREATEST, 0.0)
     innovations = np.full((3, bank.timing.latency.size), 20.0)
     innovations[:, 0] = 10.0
-    judged = timing_bank.judged(bank, innovations, np.eye(3), np.eye(3))
-    # as if innovations were a tenth as large
-    assert judged.weight[1] / judged.weight[0] == pytest.approx(np.exp(-0.5 * 3 * (4.0 - 1.0)))
+    root = np.eye(3)
+    judged = timing_bank.judged(bank, innovations, root, root)
+    # as if innovations were a tenth as large: 2 and 1 in each of three components
+    square = 3 * 2.0**2
+    least_square = 3 * 1.0**2
+    likelihood_ratio = np.exp(-0.5 * (square - least_square))
+    weight_ratio = judged.weight[1] / judged.weight[0]
+    assert weight_ratio == pytest.approx(likelihood_ratio)
     assert judged.sharp_weight[0] == pytest.approx(1.0)
 
 
