@@ -26,7 +26,7 @@ POLICIES = (
     "feedforward",
     "tracking",
     "predictive",
-    "filtered:predictive@fast",
+    "filtered:predictive@standard",
     "apg",
 )
 SETTING_NAMES = ("nominal", "hard")

@@ -13,7 +13,7 @@ import numpy as np
 
 from soft_tendon_env.control import timing_bank
 from soft_tendon_env.control.belief import Belief, StateSpace, tip_acceleration
-from soft_tendon_env.control.command_filter import mean_weights, weight_slopes, whole_periods
+from soft_tendon_env.control.command_filter import Timing, mean_weights, weight_slopes
 from soft_tendon_env.control.force_errors import corrected_rollout
 from soft_tendon_env.control.protocol import FAILURES, Measurement
 from soft_tendon_env.control.uncertainty import Setting
@@ -27,33 +27,33 @@ UNIFORM = 1.0 / np.sqrt(12.0)
 class ActingTension(NamedTuple):
     """Tensions that act over the last period, before gains and offsets.
 
-    The period has S steps of equal length: one where the timing is found, and as many as hypotheses
-    on the latency differ by within it.
+    The period has S steps of equal length.
     """
 
-    steps: Array  # (S, parts, n_a) [N] means of parts of the steps
-    seconds: Array  # (parts,) [s] that the parts of every step last
-    slopes: Array  # (2, n_a) [N/s] of the mean over the period, by latency and lag
+    steps: Array  # (S, n_a) [N] means of the steps
+    slopes: Array  # (2, S, n_a) [N/s] of them, by latency and lag
     hypotheses: Array | None  # (H, S, n_a) [N] means of steps by hypothesis, where there is a bank
-
-    @property
-    def means(self) -> Array:
-        """Means (S, n_a) [N] of the steps."""
-        return np.einsum("p,spt->st", self.seconds / self.seconds.sum(), self.steps)
 
 
 class PeriodMotion(NamedTuple):
-    """Motion over a period of S steps, and its derivatives by what acts throughout it.
+    """Motion over a period of S steps, and its derivatives by what acts in them.
 
-    Derivatives are of scaled coordinates and rates at its end.
+    Derivatives are of scaled coordinates and rates at the end of the period.
     """
 
-    q: Array  # (2, n) when it begins and ends
-    q_dot: Array  # (2, n)
+    q: Array  # (S + 1, n) when the period begins, and the steps end
+    q_dot: Array  # (S + 1, n)
     effects: Array  # internal states of the effects at its end
     by_state: Array  # (2 n, 2 n) by scaled coordinates and rates
     by_tension: Array  # (S, 2 n, n_a) by tensions in each of the steps
-    by_force: Array  # (2 n, n) by generalised forces
+    by_force: Array  # (S, 2 n, n) by generalised forces
+
+
+class Prediction(NamedTuple):
+    """Belief after a period, before what is measured then."""
+
+    belief: Belief
+    transition: Array  # F (m, m) of deviations over the period
 
 
 class BeliefPrediction:
@@ -70,6 +70,10 @@ class BeliefPrediction:
         self.space = space
         self.period = setting.period
         self.history = history
+        # of a period: as short as hypotheses on the latency differ
+        count = math.ceil(self.period / timing_bank.LATENCY_STEP)
+        self._step = self.period / count
+        self._starts = np.linspace(-self.period, 0.0, count, endpoint=False)
         self._simulation = Simulation(space.model)
         # change of the state in a period: the variance of its walks, and what is not forgotten
         walks = space.variances(
@@ -97,47 +101,53 @@ class BeliefPrediction:
         self._inertial = uncertainty.inertial
         self._jump = uncertainty.load_jump * space.weight
 
-    def predict(self, last: Belief, measured: Measurement, weight: Array | None) -> Belief | None:
-        """Belief after a period; None where the model has no such motion.
+    def predict(
+        self, last: Belief, measured: Measurement, weight: Array | None, point: Array
+    ) -> Prediction | None:
+        """Prediction of a belief; None where the model has no such motion.
 
         Args:
             last: belief a period ago.
             measured: now, of which the commands are used.
             weight: (H,) of hypotheses, under whose mean command the motion is linearised; None:
                 there is no bank.
+            point: state (m,) a period ago, about which the motion is linearised.
 
         Returns:
-            The belief.
+            The belief at the end of the period, and the transition.
         """
         layout = self.space.layout
-        acting = self._acting(last, measured, weight)
-        motion = self._motion(last, measured, acting)
+        about = last._replace(mean=point)
+        acting = self._acting(about, measured, weight)
+        motion = self._motion(about, measured, acting)
         if motion is None:
             return None
         moving = slice(layout.v.stop)
-        gain = 1.0 + last.mean[layout.gain]
+        gain = 1.0 + point[layout.gain]
         by_tension = motion.by_tension.sum(axis=0)
-        transition = self._transition(last, motion, acting)
+        transition = self._transition(about, motion, acting)
         white_tension = self._white_tension
         bank = last.bank
         if acting.hypotheses is not None and bank is not None:
             # what lies between two hypotheses
-            between = UNIFORM * timing_bank.LATENCY_STEP * gain * acting.slopes[0]
+            between = UNIFORM * timing_bank.LATENCY_STEP * gain * acting.slopes[0].mean(axis=0)
             white_tension = np.hypot(white_tension, between)
             deviation = transition @ bank.deviation
-            apart = gain * (acting.hypotheses - acting.means)
+            apart = gain * (acting.hypotheses - acting.steps)
             deviation[moving] += np.einsum("sit,hst->ih", motion.by_tension, apart)
             bank = bank._replace(deviation=deviation)
         white_force = self._white_forces(last, motion)
-        moved = np.column_stack([by_tension * white_tension, motion.by_force * white_force])
+        by_force = motion.by_force.sum(axis=0)
+        moved = np.column_stack([by_tension * white_tension, by_force * white_force])
         noise = moved @ moved.T
         covariance = transition @ last.covariance @ transition.T
         covariance[moving, moving] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        mean = self._keep * last.mean
-        mean[layout.z] = motion.q[1] / self.space.scale
-        mean[layout.v] = motion.q_dot[1] / self.space.scale
-        return Belief(
+        mean = self._keep * point
+        mean[layout.z] = motion.q[-1] / self.space.scale
+        mean[layout.v] = motion.q_dot[-1] / self.space.scale
+        mean += transition @ (last.mean - point)
+        belief = Belief(
             mean=mean,
             covariance=covariance,
             noise=noise,
@@ -146,40 +156,28 @@ class BeliefPrediction:
             bank=bank,
             locality=last.locality,
         )
+        return Prediction(belief, transition)
 
     def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
         """Tensions that act over the last period, by the believed timing or by a weight (H,)."""
-        period = self.period
         timing = self.space.timing(last.mean)
-        slopes = np.array(weight_slopes(timing, period, self.history, -period, period))
+        slopes = weight_slopes(timing, self.period, self.history, self._starts, self._step)
         hypotheses = None
         if last.bank is None or weight is None:
-            # before and after a command arrives
-            _, rest = whole_periods(timing.latency, period)
-            starts = (-period, rest - period)
-            seconds = np.array([rest, period - rest])
-            weights = [
-                mean_weights(timing, period, self.history, start, duration)
-                for start, duration in zip(starts, seconds.tolist(), strict=True)
-            ]
-            steps = (np.array(weights) @ measured.sent)[None]
+            steps = self._means(timing) @ measured.sent
         else:
-            count = math.ceil(period / timing_bank.LATENCY_STEP)
-            seconds = np.array([period / count])
-            of_bank = [
-                mean_weights(
-                    last.bank.timing, period, self.history, k * seconds[0] - period, seconds[0]
-                )
-                for k in range(count)
-            ]
-            hypotheses = np.stack(of_bank, axis=1) @ measured.sent
-            steps = np.einsum("h,hst->st", weight, hypotheses)[:, None]
+            latencies, lags = (values[:, None] for values in last.bank.timing)
+            hypotheses = self._means(Timing(latencies, lags)) @ measured.sent
+            steps = np.einsum("h,hst->st", weight, hypotheses)
         return ActingTension(
             steps=steps,
-            seconds=seconds,
-            slopes=slopes @ measured.sent,
+            slopes=np.array(slopes) @ measured.sent,
             hypotheses=hypotheses,
         )
+
+    def _means(self, timing: Timing) -> Array:
+        """Weights (..., S, history) of commands in the mean tensions of the steps."""
+        return mean_weights(timing, self.period, self.history, self._starts, self._step)
 
     def _motion(
         self, last: Belief, measured: Measurement, acting: ActingTension
@@ -192,7 +190,7 @@ class BeliefPrediction:
         start = measured.time - self.period
         try:
             self._simulation.reset(q, q_dot, time=start, effects=last.effects)
-            rollout = corrected_rollout(self._simulation, tension, acting.seconds, error)
+            rollout = corrected_rollout(self._simulation, tension, self._step, error)
         except FAILURES:
             return None
         return _period_motion(rollout, np.tile(self.space.scale, 2))
@@ -202,7 +200,7 @@ class BeliefPrediction:
 
         These are a mean over all coordinates, in units of those that bend the arm by 1 rad.
         """
-        change = (motion.q_dot[1] - motion.q_dot[0]) / self.period
+        change = (motion.q_dot[-1] - motion.q_dot[0]) / self.period
         shares = last.locality.terms.mass @ change / self._force_unit
         inertial = self._inertial * np.sqrt(np.mean(shares**2))
         return np.hypot(self._white_force, inertial) * self._force_unit
@@ -217,41 +215,47 @@ class BeliefPrediction:
         tip = terms.tip_jacobian[3:]
         gain = 1.0 + last.mean[layout.gain]
         _, last_q_dot = self.space.coordinates(last.mean)
-        q = motion.q.mean(axis=0)
-        q_dot = motion.q_dot.mean(axis=0)
-        q_ddot = (motion.q_dot[1] - motion.q_dot[0]) / self.period
+        # means of the steps (S, n)
+        q = 0.5 * (motion.q[1:] + motion.q[:-1])
+        q_dot = np.diff(motion.q, axis=0) / self._step
+        q_ddot = np.diff(motion.q_dot, axis=0) / self._step
+        acceleration = [tip_acceleration(terms, last_q_dot, of_step) for of_step in q_ddot]
+        # generalised forces (S, n) by factors and mass
         forces = {
-            layout.stiffness.start: -terms.stiffness @ q,
-            layout.damping.start: -terms.damping @ q_dot,
-            layout.payload.start: -tip.T @ tip_acceleration(terms, last_q_dot, q_ddot),
+            layout.stiffness.start: -q @ terms.stiffness,
+            layout.damping.start: -q_dot @ terms.damping,
+            layout.payload.start: -np.array(acceleration) @ tip,
         }
         by_tension = motion.by_tension.sum(axis=0)
+        by_force = motion.by_force.sum(axis=0)
         transition = np.eye(layout.size)
         moving = slice(layout.v.stop)
         transition[moving, moving] = motion.by_state
         transition[moving, layout.offset] = by_tension
-        transition[moving, layout.gain] = np.einsum("sit,st->it", motion.by_tension, acting.means)
-        transition[moving, layout.load] = motion.by_force @ last.locality.load_jacobian
+        transition[moving, layout.gain] = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        transition[moving, layout.load] = by_force @ last.locality.load_jacobian
         for column, force in forces.items():
-            transition[moving, column] = motion.by_force @ force
+            transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)
         if last.bank is None:
             timing = slice(layout.latency.start, layout.lag.stop)
-            transition[moving, timing] = by_tension @ (gain * acting.slopes).T
+            transition[moving, timing] = np.einsum(
+                "sit,pst->ip", motion.by_tension, gain * acting.slopes
+            )
         return transition * self._keep[:, None]
 
 
 def _period_motion(rollout: Rollout, unit: Array) -> PeriodMotion:
     """Motion over all steps of a rollout together, in units (2 n,) of coordinates and rates."""
     by_tension = rollout.by_tension.copy()
+    by_force = rollout.by_force.copy()
     by_state = np.eye(unit.size)
-    by_force = np.zeros_like(rollout.by_force[0])
     for k, step in enumerate(rollout.by_state):
         by_state = step @ by_state
-        by_force = step @ by_force + rollout.by_force[k]
         by_tension[:k] = step @ by_tension[:k]
+        by_force[:k] = step @ by_force[:k]
     return PeriodMotion(
-        q=rollout.q[[0, -1]],
-        q_dot=rollout.q_dot[[0, -1]],
+        q=rollout.q,
+        q_dot=rollout.q_dot,
         effects=rollout.effects[-1],
         by_state=by_state * unit / unit[:, None],
         by_tension=by_tension / unit[:, None],

@@ -44,7 +44,7 @@ def remembered_commands(latency: float, lag: float, period: float) -> int:
 
 
 def mean_weights(
-    timing: Timing, period: float, history: int, start: float, duration: float
+    timing: Timing, period: float, history: int, start: float | Array, duration: float
 ) -> Array:
     """Weights (..., history) of past commands in the mean tension of an interval.
 
@@ -52,10 +52,10 @@ def mean_weights(
     (G(b - t_i) - G(a - t_i)) / (b - a) with G(t) = t - tau (1 - exp(-t / tau)).
 
     Args:
-        timing: latency and lag, of any shape.
+        timing: latency and lag, of any shape that goes with that of `start`.
         period: [s] for which every command is held.
         history: number of commands, the newest last; it was sent a period ago.
-        start: a [s] of the interval, from now.
+        start: a [s] of the interval, from now, or those of several (...).
         duration: b - a [s]; 0 asks for the tension at that instant.
 
     Returns:
@@ -64,7 +64,8 @@ def mean_weights(
     # ages of the commands, the newest last: when the step of each arrives
     ages = period * np.arange(history, 0, -1)
     lag = np.maximum(np.asarray(timing.lag)[..., None], LEAST_LAG)
-    since = start + ages - np.asarray(timing.latency)[..., None]
+    arrival = np.asarray(timing.latency)[..., None] - ages
+    since = np.asarray(start)[..., None] - arrival
     if duration > 0.0:
         before = _ramp_response(since, lag)
         steps = (_ramp_response(since + duration, lag) - before) / duration
@@ -77,7 +78,7 @@ def mean_weights(
 
 
 def weight_slopes(
-    timing: Timing, period: float, history: int, start: float, duration: float
+    timing: Timing, period: float, history: int, start: float | Array, duration: float
 ) -> Timing:
     """Derivatives [1/s] of `mean_weights` by latency and by lag, by central differences."""
     arguments = period, history, start, duration

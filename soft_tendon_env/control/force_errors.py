@@ -128,12 +128,13 @@ def corrected_rollout(
 def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     """Rollout of a model, corrected for a force that it lacks.
 
-    Over a period the force is held at Q = c - E_0 x - E_1 x+, of the mean motion and the mean
-    acceleration, and x+ = x_m(x) + B Q with the model's x_m is solved for x+.
+    Over a period the force is held at Q = c - E_0 x - E_1 x+, of the mean coordinates, rates and
+    accelerations, and x+ = x_m(x) + B Q with the model's x_m is solved for x+.
     """
     n = rollout.q.shape[1]
-    mean = np.hstack([error.stiffness, error.damping]) / 2.0
-    change = np.hstack([np.zeros_like(error.inertia), error.inertia]) / period
+    mean = np.hstack([error.stiffness, np.zeros_like(error.damping)]) / 2.0
+    # within a period rates may rise and fall: their mean is the change of the coordinates
+    change = np.hstack([error.damping, error.inertia]) / period
     by_start = mean - change
     by_end = mean + change
     motion = np.hstack([rollout.q, rollout.q_dot])

@@ -15,7 +15,16 @@ from soft_tendon_env.tools.types import Array
 
 # relative model noise added to measured velocities, for the neglected dependence of the Jacobian on
 # q
-CHANGING = 0.05
+CHANGING = 0.2
+LEAST_TIP_DEVIATION = 1e-4
+"""Standard deviation of the model's tip as a share of the rod's length, at least."""
+TOLERANCES = 4.0
+"""Standard deviation of the model's tip in tolerances of its time steps: a preset's tolerance is a
+hundredth to a twentieth of the error that it promises in motion."""
+TURNS = 10.0
+"""Angle [rad] by which the tip is turned where it is off by the rod's length."""
+RATE = 10.0
+"""[1/s] Standard deviation of the model's tip twist in those of its pose."""
 VELOCITIES = ("tip_twist", "strain_rate")  # among the fields of Measurement
 
 
@@ -51,11 +60,11 @@ def layout_of(model: Model, places: int) -> Layout:
 def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
     """Returns the variances of measurements by their fields in Measurement.
 
-    They are those of the sensors, and of what a reduced model does not know.
-
-    At a point its strains are far less exact than poses and lengths, their integrals: in bending
-    the paper's arm at "fast" is off by 0.11 over its length, and its tip by 0.0002 of it. Unknown
-    loads add to that.
+    They are those of the sensors, and of what a reduced model does not know. Its errors last for
+    many periods, where those of sensors are new in each: as these they count for more, or they
+    would be taken for loads. At a point its strains are far less exact than poses and lengths,
+    their integrals: in bending the paper's arm at "fast" is off by 0.11 over its length, and its
+    tip by 0.0002 of it. In quick motions arms at "fast" are off by up to 0.005 of their length.
 
     Args:
         model: of the filter.
@@ -66,6 +75,7 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
         Variances, each (k,) or a number for all k entries of the field.
     """
     length = model.length
+    tip = _tip_deviation(model)
     # of the sensors, and of the model, by field
     sensor_deviations: dict[str, Any] = {
         "tip_pose": np.repeat([noise.rotation, noise.position], 3),
@@ -76,17 +86,25 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     }
     strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
     model_deviations: dict[str, Any] = {
-        "tip_pose": np.repeat([1e-3, 1e-4 * length], 3),
-        "tip_twist": np.repeat([1e-2, 1e-3 * length], 3),
-        "tendon_length": 1e-4 * length,
-        "strain": 0.1 * strain_unit,
-        "strain_rate": 0.2 * strain_unit,
+        "tip_pose": np.repeat([tip * TURNS, tip * length], 3),
+        "tip_twist": RATE * np.repeat([tip * TURNS, tip * length], 3),
+        "tendon_length": tip * length,
+        "strain": 0.5 * strain_unit,
+        "strain_rate": strain_unit,
     }
     variances = dict[str, Array]()
     for name, deviation in sensor_deviations.items():
         sensor_variance = np.asarray(deviation) ** 2
         variances[name] = sensor_variance + np.asarray(model_deviations[name]) ** 2
     return variances
+
+
+def _tip_deviation(model: Model) -> float:
+    """Standard deviation of the model's tip, as a share of the rod's length."""
+    tolerance = model.scene.integrator.tolerance
+    if tolerance is None:
+        return LEAST_TIP_DEVIATION
+    return max(LEAST_TIP_DEVIATION, TOLERANCES * tolerance / model.length)
 
 
 class SensorModel:

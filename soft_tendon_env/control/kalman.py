@@ -14,6 +14,8 @@ It holds for any K: innovations that no hypothesis explains change less of what 
 or a quick motion, of which a linearisation is far off, would be taken for loads and lag.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -48,18 +50,24 @@ GREATEST_DAMPING = 4.0
 FIRST_ITERATIONS = 4
 """Gauss-Newton steps of the first update, before which loads have bent the arm far."""
 MOST_PREDICTIONS = 5
-"""Predictions of a period, each about the mean of the hypotheses that the last one found."""
+"""Predictions of a period, each about the state and the hypotheses that the last one found."""
 SAME_WEIGHT = 0.2
 """Probability that may go from hypotheses to others without another prediction."""
-LINEARISED = 0.2
-"""Share of the variance of hypotheses about their mean that a linearisation leaves out."""
-DOUBT = 2.0
-"""Mean square of the best innovations, in their standard deviations, above which they say less of
-what the model has wrong."""
+SAME_STATE = 0.5
+"""Standard deviations by which a measurement may move the state before it likewise."""
+LEAST_DEVIATION = 1e-9
+"""Standard deviation below which a part of the state is known."""
 CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
 """Standard deviation [s] of its lags, likewise."""
+
+
+class Update(NamedTuple):
+    """Belief after a measurement, and what the measurement says of the time before it."""
+
+    belief: Belief
+    score: Array  # (m,) H^T S^-1 of the innovation: the slope of the log likelihood by the mean
 
 
 class ExtendedKalmanFilter:
@@ -115,7 +123,8 @@ class ExtendedKalmanFilter:
         if last is not None:
             belief = self._next(last.memory, measured)
             if belief is None:
-                belief = self._update(self._initial.lost(last.memory), measured)
+                update = self._update(self._initial.lost(last.memory), measured)
+                belief = None if update is None else update.belief
         if belief is None:
             belief = self._begin(measured)
         mean = belief.mean
@@ -150,20 +159,35 @@ class ExtendedKalmanFilter:
     def _next(self, last: Belief, measured: Measurement) -> Belief | None:
         """Belief a period later; None where the model has no such motion.
 
-        Hypotheses on the timing are linearised about their mean. Where a measurement shows that it
-        was far off, the prediction is made anew about the mean that is found.
+        The motion is linearised about the state a period ago as it was believed then, and where the
+        measurement tells another one, about that: a first motion may tell a payload of a quarter of
+        the arm's mass, of which a linearisation about none makes half (iterated smoothing, Bell,
+        SIAM J. Optim. 4, 1994). Hypotheses on the timing are linearised about their mean likewise.
         """
-        weight = None if last.bank is None else last.bank.weight
+        bank = last.bank
+        weight = None if bank is None else bank.weight
+        point = last.mean
+        deviation = np.sqrt(np.diag(last.covariance))
+        known = deviation < LEAST_DEVIATION
         updated = None
         for _ in range(MOST_PREDICTIONS):
-            predicted = self._prediction.predict(last, measured, weight)
-            updated = None if predicted is None else self._update(predicted, measured)
-            if updated is None or updated.bank is None or weight is None:
-                return updated
-            before = weight
-            weight = updated.bank.sharp_weight
-            if 0.5 * np.abs(weight - before).sum() < SAME_WEIGHT:
+            prediction = self._prediction.predict(last, measured, weight, point)
+            update = None if prediction is None else self._update(prediction.belief, measured)
+            if prediction is None or update is None:
                 break
+            updated = update.belief
+            smoothed = last.mean + last.covariance @ prediction.transition.T @ update.score
+            regrouped = 0.0
+            if bank is not None and weight is not None and updated.bank is not None:
+                before = weight
+                weight = updated.bank.sharp_weight
+                smoothed += bank.deviation @ weight
+                regrouped = 0.5 * np.abs(weight - before).sum()
+            self._keep_within_bounds(smoothed)
+            moved = np.abs(smoothed - point)[~known] / deviation[~known]
+            if regrouped < SAME_WEIGHT and moved.max() < SAME_STATE:
+                break
+            point = smoothed
         return None if updated is None else self._settled(updated)
 
     def _begin(self, measured: Measurement) -> Belief:
@@ -175,18 +199,18 @@ class ExtendedKalmanFilter:
         belief = first
         point = None
         for _ in range(FIRST_ITERATIONS):
-            updated = self._update(first, measured, point)
-            if updated is None:
+            update = self._update(first, measured, point)
+            if update is None:
                 break
-            belief = updated
-            point = updated.mean
+            belief = update.belief
+            point = belief.mean
             q, _ = self.space.coordinates(point)
             first = self._initial.at_rest(q)
         return belief
 
     def _update(
         self, predicted: Belief, measured: Measurement, point: Array | None = None
-    ) -> Belief | None:
+    ) -> Update | None:
         """Update: the belief after a measurement; None where there is no such state.
 
         What is expected is linearised about a state `point` (m,), by default the predicted mean.
@@ -216,9 +240,11 @@ class ExtendedKalmanFilter:
             return None
         if not is_iterated:
             # where it is far off, a linearisation tells where the arm is, but not why
-            doubt = max(1.0, _least_square(inverse_root, innovations) / DOUBT)
+            doubt = max(1.0, _least_square(inverse_root, innovations))
             gain[moving:] /= doubt
         moved = deviations + gain @ innovations
+        likely = innovations[:, 0] if bank is None else innovations @ bank.sharp_weight
+        score = slope.T @ (inverse_root.T @ (inverse_root @ likely))
         change = moved[:, 0]
         if bank is not None:
             change = moved @ bank.weight
@@ -236,12 +262,13 @@ class ExtendedKalmanFilter:
             locality = self.space.locality(*self.space.coordinates(after))
         except FAILURES:  # the model has no such shape
             return None
-        return predicted._replace(
+        belief = predicted._replace(
             mean=after,
             covariance=0.5 * (covariance + covariance.T),  # symmetric, also after round-off
             bank=bank,
             locality=locality,
         )
+        return Update(belief, score)
 
     def _settled(self, belief: Belief) -> Belief:
         """Belief whose bank has lost the unlikely hypotheses.
@@ -279,12 +306,12 @@ class ExtendedKalmanFilter:
 def _left_out(bank: timing_bank.Bank | None, slope: Array) -> Array:
     """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
 
-    It grows with how far the hypotheses are from their mean, about which all are linearised.
+    As all are linearised about their mean, it is taken for that of their own motions about it.
     """
     if bank is None:
         return np.zeros((len(slope), len(slope)))
     expected = slope @ bank.deviation
-    return LINEARISED * (expected * bank.weight) @ expected.T
+    return np.asarray((expected * bank.weight) @ expected.T)
 
 
 def _gain(slope: Array, covariance: Array, inverse_root: Array) -> Array:
