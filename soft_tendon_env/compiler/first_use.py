@@ -19,7 +19,7 @@ from numba import config, types
 from numba.core import event
 from numba.core.compiler_lock import global_compiler_lock
 
-from soft_tendon_env.compiler.kept_code import KeptCode, is_of_package
+from soft_tendon_env.compiler.kept_code import KeptCode, KernelLocator, is_of_package
 from soft_tendon_env.tools.forks import hold_over_forks
 from soft_tendon_env.tools.messages import describe, say_once, warn_once
 
@@ -62,7 +62,7 @@ class KeptKernel:
                 after.callback(setattr, config, name, getattr(config, name))
             config.CACHE_DIR = str(self._kept.folder)
             # Or numba would go on to folders of its own, where code outlives its version.
-            config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"
+            config.CACHE_LOCATOR_CLASSES = f"{KernelLocator.__module__}.{KernelLocator.__name__}"
             try:
                 return numba.njit(**self._options, cache=True)(self._function)
             except RuntimeError as error:

@@ -26,6 +26,7 @@ from soft_tendon_env.tools.files import (
     check_digests,
     data_folders,
     digests,
+    make_writable,
     new_data_folder,
     read_json,
     replacing,
@@ -46,6 +47,50 @@ def is_of_package(named: Any) -> bool:
     """
     package = (named.__module__ or "").partition(".")[0]
     return package == PACKAGE.name and "<locals>" not in named.__qualname__
+
+
+class KernelLocator:
+    """Tells numba where the machine code of one kernel lies: in the folder that it is given.
+
+    numba's own locators add a folder for the path of the source file, so that every clone and every
+    virtual environment would compile the same sources anew. numba asks for these methods.
+    """
+
+    def __init__(self, folder: Path, line: int) -> None:
+        self._folder = folder
+        self._line = line
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> "KernelLocator | None":
+        """Locator for a function with the folder in numba's `CACHE_DIR`.
+
+        None: that cannot be written.
+        """
+        locator = cls(Path(config.CACHE_DIR), function.__code__.co_firstlineno)
+        try:
+            locator.ensure_cache_path()
+        except OSError:
+            return None
+        return locator
+
+    def ensure_cache_path(self) -> None:
+        """Creates the folder when missing.
+
+        Raises OSError where it cannot be written.
+        """
+        make_writable(self._folder)
+
+    def get_cache_path(self) -> str:
+        """Folder of numba's files."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Version of the sources, which is the same for every file of a folder."""
+        return self._folder.parent.name
+
+    def get_disambiguator(self) -> str:
+        """Part of a file's name for functions of one name: the line."""
+        return str(self._line)
 
 
 @functools.cache

@@ -20,7 +20,8 @@ from soft_tendon_env.tools.types import NotNegative, Number, Positive
 FINEST = 1.0 / 8.0  # of the longest step
 MOST_WAITING = 10_000  # commands
 STEEPEST = 100.0  # mu phi along the stress-free arm
-LEAST_SPEED = 1e-12  # [m/s] of stiction: rates of sliding have some round-off
+# [m/s] of stiction, which steps hold: it is some 1,000 times the round-off of rates of sliding
+LEAST_SPEED = 1e-12
 SAME = 1e-9  # of a number of steps, by which another one may differ and be the same
 
 

@@ -230,13 +230,17 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
     Raises ValueError, OSError.
     """
     if isinstance(policy, Controller):
-        return policy.options({}, None if policy.estimator is None else regime)
+        # without an estimator a controller observes what it needs, whatever the regime
+        own_regime = None if policy.estimator is None else regime
+        return policy.options({}, own_regime)
+    own = policy.options({})
     if isinstance(policy, Agent):
-        return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
+        return {key: value for key, value in own.items() if key in INTERFACE}
     allowed = REGIMES[regime]
-    observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
+    groups_of_task = TASKS[policy.task].observable
+    observable = [name for name in allowed.groups if name in groups_of_task]
     sensors = allowed.sensors or ()
-    return {"observation": observable, "sensors": sensors, **policy.options({})}
+    return {"observation": observable, "sensors": sensors, **own}
 
 
 def misfit(

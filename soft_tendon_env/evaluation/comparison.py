@@ -145,11 +145,14 @@ def compare(
     """
     seeds = EVALUATION_SEEDS[: settings.episodes]
     labels = [(policy, TIME) for policy in arms]
-    erroneous = [(policy, error) for policy in arms for error in settings.errors]
-    labels += erroneous
+    for policy in arms:
+        of_policy = [(policy, error) for error in settings.errors]
+        labels += of_policy
     cells = dict[tuple[str, str], Cell]()
     for policy, error in labels:
-        cells[policy, error] = make_cell(settings, seeds, task, policy, arms[policy], error)
+        arm = arms[policy]
+        cell = make_cell(settings, seeds, task, policy, arm, error)
+        cells[policy, error] = cell
     return Experiment(cells, folder)
 
 
@@ -160,21 +163,28 @@ def standings_of(
 
     Raises ValueError, OSError.
     """
-    names = (error for _, error in experiment.cells)
+    names = (error for _, error in experiment.cells if error != TIME)
+    # each once, in their order
     errors = dict.fromkeys(names)
     standings = dict[tuple[str, str], Standing]()
     summaries = dict[tuple[str, str], Summary]()
     for name, by_seed in files.items():
-        alone = [experiment.scores((file, TIME)) for file in by_seed.values()]
-        time = summarise(Standing(alone).episodes).action_time
+        alone = _standing(experiment, by_seed, TIME)
+        time = summarise(alone.episodes).action_time
         for error in errors:
-            if error != TIME:
-                scores = [experiment.scores((file, error)) for file in by_seed.values()]
-                standing = Standing(scores)
-                standings[name, error] = standing
-                summary = summarise(standing.episodes)
-                summaries[name, error] = replace(summary, action_time=time)
+            standing = _standing(experiment, by_seed, error)
+            standings[name, error] = standing
+            summary = summarise(standing.episodes)
+            summaries[name, error] = replace(summary, action_time=time)
     return standings, summaries
+
+
+def _standing(
+    experiment: Experiment[tuple[str, str]], by_seed: Mapping[int | None, str], error: str
+) -> Standing:
+    """Standing of a policy, with an agent for each seed, under a model error."""
+    scores = [experiment.scores((file, error)) for file in by_seed.values()]
+    return Standing(scores)
 
 
 def numbers_table(

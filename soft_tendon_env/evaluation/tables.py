@@ -130,10 +130,14 @@ def error_table(standings: Standings) -> str:
     heading = f"{error_unit(first.error).heading} RMS"
     rows = dict[str, dict[str, str]]()
     for (policy, condition), standing in standings.items():
-        first_cell = {heading: _name_with_seeds(policy, standing)}
-        row = first_cell | dict.fromkeys(conditions, "-")
-        rows.setdefault(policy, row)[condition] = error_text(standing)
-    return record_table([*rows.values()])
+        if policy not in rows:
+            name = _name_with_seeds(policy, standing)
+            not_played = dict.fromkeys(conditions, "-")
+            rows[policy] = {heading: name, **not_played}
+        row = rows[policy]
+        row[condition] = error_text(standing)
+    records = list(rows.values())
+    return record_table(records)
 
 
 def number_tables(standings: Standings) -> list[str]:

@@ -151,14 +151,17 @@ def disturbances(options: Options) -> set[str]:
     scene = given_scene(options.scene)
     is_disturbance: dict[str, bool] = {}
     for drawn in options.randomize.ranges(scene):
+        least_values = drawn.changes(drawn.least)
         for key, value in zip(drawn.keys, drawn.values, strict=True):
             table, name, number, *_ = key.split(".")
-            if table == "effects":
-                begins = value in (0.0, drawn.changes(drawn.least)[key])
-                alone = not _has_other_strength(getattr(scene.effects, name), number)
-                # still water is there without a current
-                before = is_disturbance.get(name, True)
-                is_disturbance[name] = before and begins and alone
+            if table != "effects":
+                continue
+            begins = value in (0.0, least_values[key])
+            effect = getattr(scene.effects, name)
+            # still water is there without a current
+            alone = not _has_other_strength(effect, number)
+            before = is_disturbance.get(name, True)
+            is_disturbance[name] = before and begins and alone
     return {name for name, holds in is_disturbance.items() if holds}
 
 

@@ -124,8 +124,11 @@ class DynamixelRobot:
 
     def _check_ids(self) -> None:
         """Raises ValueError for ids that no motors have, or two of them."""
-        are_ids = all(isinstance(motor, int) and 0 <= motor <= GREATEST_ID for motor in self.ids)
-        if not self.ids or not are_ids or len({*self.ids}) < len(self.ids):
+        allowed = range(GREATEST_ID + 1)
+        are_ids = all(isinstance(motor, int) and motor in allowed for motor in self.ids)
+        different = set(self.ids)
+        are_different = len(different) == len(self.ids)
+        if not self.ids or not are_ids or not are_different:
             raise ValueError(
                 f"ids is {shown(list(self.ids))}: it should be a different number from 0 to"
                 f" {GREATEST_ID} for each motor"

@@ -282,9 +282,13 @@ def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
     dotted = re.sub(r"\[(\d+|\*)\]", r".\1", name)
     escaped = re.escape(dotted)
     with_any_part = escaped.replace(r"\*", r"[^.]+")
-    pattern = re.compile(with_any_part.replace(r"\|", "|"))
-    matches = [key for key in entries if pattern.fullmatch(key)]
-    return [key for key in matches if not _misfit(key, entries[key])]
+    with_alternatives = with_any_part.replace(r"\|", "|")
+    pattern = re.compile(with_alternatives)
+    keys = list[str]()
+    for key, value in entries.items():
+        if pattern.fullmatch(key) and not _misfit(key, value):
+            keys.append(key)
+    return keys
 
 
 def _misfit(key: str, value: Any) -> str:

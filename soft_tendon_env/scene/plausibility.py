@@ -102,7 +102,9 @@ BOUNDS = {
     "tendon stiffness": Bound(0.05, 1e9, "of the arm's, as the tendon meets it", "is it N/mm?"),
     "displacement": Bound(0.0, 1.0, "lengths of the arm", "is it mm?"),
     "friction": Bound(0.0, 3.0, "", "is it %?"),
-    "stiction speed": Bound(0.0, 0.05, "m/s", "is it mm/s?"),
+    "stiction speed": Bound(
+        0.0, 0.5, "of the speed at which its tendons slide in the slowest vibration", "is it mm/s?"
+    ),
     # surroundings
     "fluid": Bound(0.02, 20e3, "kg/m^3", "is it g/cm^3?"),
     "water": Bound(0.0, 0.5, "", "is it g/cm^3? Water has 1000 kg/m^3"),
@@ -472,7 +474,10 @@ def _of_actuation(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:
         coefficient = friction.coefficient
         yield Quantity("friction", f"{key}.coefficient", coefficient, coefficient)
         speed = friction.stiction_speed
-        yield Quantity("stiction speed", f"{key}.stiction_speed", speed, speed)
+        # where a vibration of the arm has an amplitude of a radian
+        sliding_speed = arm.radius * arm.rate
+        speed_share = speed / sliding_speed
+        yield Quantity("stiction speed", f"{key}.stiction_speed", speed, speed_share)
 
 
 def _of_actuators(actuators: Actuators, arm: ArmScales) -> Iterator[Quantity]:

@@ -60,10 +60,14 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
 
     Raises TypeError or ValueError.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        message = f"{name} should be {allowed}, not {type(value).__name__}"
-        raise TypeError(message)
-    if not (np.isfinite(value) and value >= least):
+    # a bool is an int to Python
+    is_bool = isinstance(value, bool)
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    if is_bool or not is_number:
+        kind = type(value).__name__
+        raise TypeError(f"{name} should be {allowed}, not {kind}")
+    is_finite = np.isfinite(value)
+    if not is_finite or value < least:
         raise ValueError(f"{name} should be {allowed}, not {value}")
     return float(value)
 

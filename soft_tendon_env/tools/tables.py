@@ -157,12 +157,17 @@ def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
     An empty line is before it, and its sample rate alone in the one after.
     """
     last_row = len(lines) - 1
-    if not 0 < i < last_row or any(_cells(lines[i - 1], separator)):
+    if not 0 < i < last_row:
         return False
-    both = lines[i : i + 2]
-    title, rate = ([cell for cell in _cells(line, separator) if cell] for line in both)
-    are_single = len(title) == len(rate) == 1
-    return are_single and _is_number(rate[0]) and not _is_number(title[0])
+    before = _cells(lines[i - 1], separator)
+    if any(before):
+        return False
+    titles = [cell for cell in _cells(lines[i], separator) if cell]
+    rates = [cell for cell in _cells(lines[i + 1], separator) if cell]
+    are_single = len(titles) == 1 and len(rates) == 1
+    if not are_single:
+        return False
+    return _is_number(rates[0]) and not _is_number(titles[0])
 
 
 def _is_number(text: str) -> bool:

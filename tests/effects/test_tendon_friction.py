@@ -265,6 +265,28 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
     np.testing.assert_allclose(angles, coulomb_angles(coefficient, turn, pulls), rtol=0.02)
 
 
+@pytest.mark.parametrize(("name", "coefficient"), [("helical", 0.5), ("two_segment_six", 0.8)])
+def test_steps_hold_the_least_stiction_speed_while_tensions_jump(name, coefficient):
+    """Steps of 20 ms stay whole but for some, and what they lead to is what a larger speed has."""
+    scene = load_scene(name)
+    tips = []
+    for speed in (1e-12, 1e-9):
+        friction = {"coefficient": coefficient, "stiction_speed": speed}
+        model = build_model(scene.replace({"effects.tendon_friction": friction}), "scene")
+        simulation = Simulation(model)
+        simulation.reset_at_rest()
+        random = np.random.default_rng(0)
+        greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
+        rejected = 0
+        for _ in range(10):
+            tension = greatest * random.uniform(size=greatest.size)
+            for _ in range(5):
+                rejected += simulation.step(tension, 0.02).rejected
+        assert rejected <= 20
+        tips.append(simulation.tip_pose[:3, 3])
+    np.testing.assert_allclose(tips[0], tips[1], atol=0.01 * model.length)
+
+
 def test_a_stiction_speed_below_round_off_is_refused():
     changes = {"effects.tendon_friction": {"coefficient": 0.1, "stiction_speed": 1e-13}}
     with pytest.raises(ConfigurationError, match=r"stiction_speed.*greater than or equal to"):

@@ -159,6 +159,25 @@ def test_the_arm_itself_and_scenes_that_ship_get_none():
         assert not [*implausible(load_scene(name))]
 
 
+@pytest.mark.parametrize("size", [0.05, 1.0, 20.0])
+def test_a_stiction_speed_is_beside_the_speed_of_the_arm_s_own_tendons(size):
+    """Arms of one shape and material, of any size, slide at one speed."""
+    tables = silicone_arm()
+    (segment,) = tables["segments"]
+    segment["length"] *= size
+    segment["radius"] *= size
+    segment["damping"] *= size
+    for tendon in tables["tendons"]:
+        tendon["routing"]["offset"] = [size * offset for offset in tendon["routing"]["offset"]]
+        tendon["tension_limits"] = [0.0, 6.0 * size**2]
+    # 3.516 sqrt(E I / (m L^4)) by a radius: lengths cancel
+    sliding_speed = 3.516 * math.sqrt(MODULUS / DENSITY) * 0.5 * (RADIUS / LENGTH) ** 2
+    for share in (0.4, 0.6):
+        friction = {"coefficient": 0.2, "stiction_speed": share * sliding_speed}
+        text = words_of({**tables, "effects": {"tendon_friction": friction}})
+        assert ("stiction_speed" in text) == (share > 0.5), text
+
+
 def test_scales_are_those_of_a_cantilever():
     scales = scales_of(Scene.parse(silicone_arm(), "arm"))
     mass = DENSITY * AREA * LENGTH

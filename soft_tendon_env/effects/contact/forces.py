@@ -122,16 +122,23 @@ class Contact(Effect):
         if any(obstacle.moves for obstacle in self.obstacles):
             raise ValueError("contact with obstacles that move has no potential energy")
         rotations = arm.pose[:, :3, :3].reshape(-1, 9)
-        pose = node_field(np.concatenate([rotations, arm.pose[:, :3, 3]], axis=1))
-        at_rest = np.zeros(pose.size // 2)
-        base = np.append(arm.base, np.zeros(12))
-        nodes = nodes_with(pose, at_rest, base, 0.0)
+        positions = arm.pose[:, :3, 3]
+        pose_rows = np.concatenate([rotations, positions], axis=1)
+        pose = node_field(pose_rows)
+        # a twist has 6 numbers where a pose has 12
+        twists_at_rest = np.zeros(pose.size // 2)
+        base_at_rest = np.zeros(12)
+        base = np.append(arm.base, base_at_rest)
+        nodes = nodes_with(pose, twists_at_rest, base, 0.0)
         parameters = self.parameters(arm.rod)
+        # what is read besides the energy
         count = len(parameters.samples)
-        gap = np.empty((len(self.obstacles), count))
+        obstacle_count = len(self.obstacles)
+        gap = np.empty((obstacle_count, count))
         position = np.empty((count, 3))
-        force = np.empty((*gap.shape, 3))
-        return float(read_contacts(parameters, nodes, gap, position, force))
+        force = np.empty((obstacle_count, count, 3))
+        energy = read_contacts(parameters, nodes, gap, position, force)
+        return float(energy)
 
     def gaps(self, rod: Discretisation, poses: Array, time: float = 0.0) -> Array:
         """Gaps (obstacles, samples) [m] between the surfaces of obstacles and of samples.

@@ -243,10 +243,14 @@ class Directed(Obstacle):
 
     @property
     def orientation(self) -> Array:
-        z = np.array(self.axis) / np.linalg.norm(self.axis)
+        length = np.linalg.norm(self.axis)
+        z = np.array(self.axis) / length
         # across it, from the world axis that is farthest from it
-        farthest = np.argmin(np.abs(z))
-        x = np.cross(np.eye(3)[farthest], z)
+        along_world_axes = np.abs(z)
+        farthest = np.argmin(along_world_axes)
+        world_axis = np.zeros(3)
+        world_axis[farthest] = 1.0
+        x = np.cross(world_axis, z)
         x /= np.linalg.norm(x)
         y = np.cross(z, x)
         return np.stack([x, y, z], axis=1)

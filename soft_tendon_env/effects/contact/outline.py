@@ -140,16 +140,23 @@ def turned_back(body, sample, r, y_axis, z_axis, angle, share):
 
     It is a difference of eccentric angles, in (-pi, pi].
     """
-    y = share * sample.half_y * math.cos(angle)
-    z = share * sample.half_z * math.sin(angle)
-    offset = plus(times(y, y_axis), times(z, z_axis))
-    _, _, out = place_in(body, plus(r, offset))
+    width_y = share * sample.half_y
+    width_z = share * sample.half_z
+    along_y = times(width_y * math.cos(angle), y_axis)
+    along_z = times(width_z * math.sin(angle), z_axis)
+    offset = plus(along_y, along_z)
+    point = plus(r, offset)
+    _, _, out = place_in(body, point)
     n = rotate(body.R, out)
     # the eccentric angle of the point that has this normal
-    along_y = -sample.half_y * dot(n, y_axis)
-    along_z = -sample.half_z * dot(n, z_axis)
-    turn = math.atan2(along_z, along_y) - angle
-    return math.atan2(math.sin(turn), math.cos(turn))
+    n_y = dot(n, y_axis)
+    n_z = dot(n, z_axis)
+    opposite_angle = math.atan2(-sample.half_z * n_z, -sample.half_y * n_y)
+    turn = opposite_angle - angle
+    # within (-pi, pi]
+    sine = math.sin(turn)
+    cosine = math.cos(turn)
+    return math.atan2(sine, cosine)
 
 
 @kernel

@@ -11,6 +11,13 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 MOST_AT_ONCE = 12  # solutions before each of which all unknowns beyond a bound are moved to it
 MOST_ONE_BY_ONE = 200  # solutions after those, before each of which one such unknown is moved
 
+SMALL_PIVOT = 1e-3  # of the largest entry below it, under which a pivot's row is interchanged
+
+SINGULAR = 0
+INDEFINITE = 1
+POSITIVE = 2
+"""Pivots of solve_columns(): one is zero or not finite, some are negative or small, none is."""
+
 AT_LEAST = -1
 BETWEEN = 0
 AT_GREATEST = 1
@@ -132,23 +139,31 @@ def _substitute_back(a, n, x):
 
 @kernel
 def solve_columns(a, n, wide, columns):
-    """Overwrites right-hand sides of a system by its solutions, by elimination without pivoting.
+    """Overwrites right-hand sides of a system by its solutions, by elimination with pivoting.
 
-    False if a pivot is not positive. Row i of `a` begins at i * wide, whole packs, and has n
-    coefficients and `columns` right-hand sides. For matrices whose symmetric part is positive
-    definite.
+    Returns what the pivots were: POSITIVE for every matrix whose symmetric part is positive
+    definite and well scaled, without interchanges of rows. Row i of `a` begins at i * wide, whole
+    packs, and has n coefficients and `columns` right-hand sides.
     """
     used = row_stride(n + columns)
+    pivots = POSITIVE
     for j in range(n):
-        pivot = a[j * wide + j]
-        if not (pivot > 0.0 and pivot < math.inf):
-            return False
+        # whole packs: left of the diagonal too, where nothing is read
+        first = j // LANES * LANES
         pivot_row = j * wide
+        largest = _largest_below(a, n, wide, j)
+        if a[pivot_row + j] < SMALL_PIVOT * abs(a[largest * wide + j]):
+            pivots = INDEFINITE
+            _exchange_rows(a, pivot_row, largest * wide, (first, used))
+        pivot = a[pivot_row + j]
+        if pivot == 0.0 or not abs(pivot) < math.inf:
+            return SINGULAR
+        if pivot < 0.0:
+            pivots = INDEFINITE
         for i in range(j + 1, n):
             row = i * wide
             share = -a[row + j] / pivot
-            # whole packs: left of the diagonal too, where nothing is read
-            for m in range(j // LANES * LANES, used, LANES):
+            for m in range(first, used, LANES):
                 reduced = load(a, row + m) + share * load(a, pivot_row + m)
                 store(a, row + m, reduced)
     # substitution from the last unknown to the first
@@ -159,7 +174,30 @@ def solve_columns(a, n, wide, columns):
             for k in range(i + 1, n):
                 x -= a[row + k] * a[k * wide + c]
             a[row + c] = x / a[row + i]
-    return True
+    return pivots
+
+
+@kernel
+def _largest_below(a, n, wide, j):
+    """Row, from the diagonal on, in which column j has its largest entry."""
+    largest = j
+    most = abs(a[j * wide + j])
+    for i in range(j + 1, n):
+        size = abs(a[i * wide + j])
+        if size > most:
+            most = size
+            largest = i
+    return largest
+
+
+@kernel
+def _exchange_rows(a, row, other_row, columns):
+    """Exchanges two rows, which begin at `row` and `other_row`, from one column to another."""
+    begin, end = columns
+    for m in range(begin, end, LANES):
+        kept = load(a, row + m)
+        store(a, row + m, load(a, other_row + m))
+        store(a, other_row + m, kept)
 
 
 @kernel

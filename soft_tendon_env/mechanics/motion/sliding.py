@@ -11,6 +11,10 @@ and P. Mulet, SIAM J. Sci. Comput. 20, 1999): it converges in a few steps howeve
 where Newton's method for dv alone goes in circles. At its end the power of friction is negative at
 every border.
 
+The matrix of a step need not be positive definite: where a tendon sticks at one place and slides
+behind it, what a direction changes behind outweighs what the place there resists. Its pivots may
+be negative then; that A alone is positive definite tells a stable step.
+
 The tensions of elastic tendons at the end of the substep solve a complementarity problem within
 each step, see implicit_euler.
 """
@@ -19,7 +23,15 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, spread, store
-from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_columns
+from soft_tendon_env.mechanics.algebra.linear import (
+    INDEFINITE,
+    SINGULAR,
+    copy,
+    product,
+    row_stride,
+    solve_columns,
+    solve_positive_definite,
+)
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK, UNSETTLED
 from soft_tendon_env.mechanics.motion.tendon_ends import add_answers, bound_tensions
 from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_speed
@@ -47,11 +59,19 @@ def slide_tendons(arm, command, balance, h, scratch):
     wide = sliding.system.size // sliding.change.size
     begin_sliding(arm, balance, h, scratch)
     sliding.status[0] = UNSETTLED
+    is_stable = False
     for repeat in range(MOST):
         # without slopes steps may go in circles
         saturated = SATURATED if repeat < FIRST else 0.0
         fill_sliding(arm, balance, h, columns, saturated, scratch)
-        if not solve_columns(sliding.system, n, wide, columns):
+        pivots = solve_columns(sliding.system, n, wide, columns)
+        if pivots == INDEFINITE and not is_stable:
+            is_stable = has_positive_system(scratch)
+            if is_stable:
+                # once more: the system has been overwritten
+                continue
+            pivots = SINGULAR
+        if pivots == SINGULAR:
             sliding.status[0] = NOT_POSITIVE
             return
         take_change(n, sliding)
@@ -90,6 +110,15 @@ def begin_sliding(arm, balance, h, scratch):
             rate = row_product(rows, k, ahead)
             rates[k] = rate
             directions[k] = rate / smooth_speed(rate, slow)
+
+
+@kernel
+def has_positive_system(scratch):
+    """Whether scratch.system, without friction, is positive definite; overwrites sliding.system."""
+    n = scratch.delta.size
+    sliding = scratch.sliding
+    copy(scratch.system, sliding.system[: scratch.system.size])
+    return solve_positive_definite(sliding.system, n, sliding.change)
 
 
 @kernel(inline=True)
