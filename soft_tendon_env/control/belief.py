@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.command_filter import Timing
-from soft_tendon_env.control.force_errors import ForceError, LoadJacobian, holding_matrix
+from soft_tendon_env.control.force_errors import ArmGeometry, ForceError, holding_matrix
 from soft_tendon_env.control.innovations import Layout, layout_of
+from soft_tendon_env.control.protocol import InputError
 from soft_tendon_env.control.rigid_motions import skew
 from soft_tendon_env.control.timing_bank import Bank
 from soft_tendon_env.model.model import Model
@@ -19,6 +20,8 @@ from soft_tendon_env.tools.types import Array
 
 GRAVITY = 9.81
 """[m/s^2], by which the mass of the arm makes the unit of loads."""
+SLIDING_SPEED = 5e-3
+"""Speed of a tendon at its base [m/s], above which its friction is whole in the filter."""
 
 
 class Locality(NamedTuple):
@@ -27,6 +30,7 @@ class Locality(NamedTuple):
     terms: Terms
     load_jacobian: Array  # J^T (n, 3 places)
     holding: Array  # (n_a, n) tensions nearest to a force, see force_errors.holding_matrix
+    loss: Array  # (n_a,) shares of tensions that a coefficient of friction of 1 takes
 
 
 class Belief(NamedTuple):
@@ -51,8 +55,9 @@ class StateSpace:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._load_jacobian = LoadJacobian(model)
-        self.places = self._load_jacobian.places
+        self._geometry = ArmGeometry(model)
+        self.places = self._geometry.places
+        self._turn = model.discretisation.tendon_turn  # (n_a,) [rad] of the paths by themselves
         self.layout: Layout = layout_of(model, self.places.size)
         self.scale = model.coordinate_scale()
         self.tension = _bending_tension(model)  # (n_a,) [N] by which one tendon bends it by 1 rad
@@ -79,7 +84,22 @@ class StateSpace:
     def locality(self, q: Array, q_dot: Array) -> Locality:
         """Model at coordinates and rates (n,). Raises as the model does."""
         terms = self.model.terms(q, q_dot)
-        return Locality(terms, self._load_jacobian.at(q), holding_matrix(terms))
+        bent = self._geometry.at(q)
+        # by the capstan equation, of each place that a tendon reaches: half of it over the arm
+        turn = np.hypot(self._turn, bent.bending)
+        sliding = np.tanh(terms.actuation.T @ q_dot / SLIDING_SPEED)
+        return Locality(
+            terms=terms,
+            load_jacobian=bent.load_jacobian,
+            holding=holding_matrix(terms),
+            loss=0.5 * turn * sliding,
+        )
+
+    def input_error(self, mean: Array, locality: Locality) -> InputError:
+        """Errors of tensions in a state (m,): their gains less what friction takes, and offsets."""
+        layout = self.layout
+        kept = 1.0 - mean[layout.friction] * locality.loss
+        return InputError((1.0 + mean[layout.gain]) * kept, mean[layout.offset])
 
     def force_error(self, mean: Array, locality: Locality) -> ForceError:
         """Force that the model lacks in a state (m,): of loads, and of errors of its numbers.

@@ -86,6 +86,7 @@ class BeliefPrediction:
             stiffness=uncertainty.stiffness,
             damping=uncertainty.damping,
             payload=uncertainty.payload * space.mass,
+            friction=uncertainty.friction,
             latency=uncertainty.latency if setting.latency is None else 0.0,
             lag=uncertainty.lag if setting.lag is None else 0.0,
         )
@@ -183,10 +184,10 @@ class BeliefPrediction:
         self, last: Belief, measured: Measurement, acting: ActingTension
     ) -> PeriodMotion | None:
         """Motion over the last period; None where the model has none."""
-        layout = self.space.layout
         q, q_dot = self.space.coordinates(last.mean)
         error = self.space.force_error(last.mean, last.locality)
-        tension = (1.0 + last.mean[layout.gain]) * acting.steps + last.mean[layout.offset]
+        input_error = self.space.input_error(last.mean, last.locality)
+        tension = input_error.gain * acting.steps + input_error.offset
         start = measured.time - self.period
         try:
             self._simulation.reset(q, q_dot, time=start, effects=last.effects)
@@ -232,7 +233,9 @@ class BeliefPrediction:
         moving = slice(layout.v.stop)
         transition[moving, moving] = motion.by_state
         transition[moving, layout.offset] = by_tension
-        transition[moving, layout.gain] = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        by_gain = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        transition[moving, layout.gain] = by_gain
+        transition[moving, layout.friction.start] = -by_gain @ (gain * last.locality.loss)
         transition[moving, layout.load] = by_force @ last.locality.load_jacobian
         for column, force in forces.items():
             transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)

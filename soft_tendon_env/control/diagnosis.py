@@ -42,6 +42,7 @@ class Diagnosis(NamedTuple):
     stiffness: Quantity  # () factor
     damping: Quantity  # () factor
     payload: Quantity  # () [kg] mass at the tip, by its inertia; its weight is a load
+    friction: Quantity  # () coefficient of friction of the tendons
     tip: Quantity  # (6,) [rad, m] body displacement from the model's tip to the arm's
 
 
@@ -79,6 +80,7 @@ def diagnosis(space: StateSpace, belief: Belief) -> Diagnosis:
         stiffness=quantity(layout.stiffness, (), nominal=1.0),
         damping=quantity(layout.damping, (), nominal=1.0),
         payload=quantity(layout.payload, ()),
+        friction=quantity(layout.friction, ()),
         tip=quantity(layout.tip, (6,)),
     )
 

@@ -36,10 +36,18 @@ class ForceError(NamedTuple):
     held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see holding_matrix
 
 
-class LoadJacobian:
-    """Jacobian of loads at places: generalised forces J^T f of forces f in the world frame.
+class BentArm(NamedTuple):
+    """Geometry of an arm at its coordinates."""
 
-    The velocity of a place X is the integral of R(s) (xi_dot + phi_dot x ...), over 0 <= s <= X:
+    load_jacobian: Array  # J^T (n, 3 places)
+    bending: float  # [rad] integral of the curvature, without torsion
+
+
+class ArmGeometry:
+    """Geometry of a bent arm: where loads act on it, and how far its tendons turn.
+
+    Forces f in the world frame are generalised forces J^T f. The velocity of a place X is the
+    integral of R(s) (xi_dot + phi_dot x ...), over 0 <= s <= X:
 
         p_dot(X) = int_0^X R v_dot + (R kappa_dot) x (p(X) - p(s)) ds
 
@@ -63,12 +71,13 @@ class LoadJacobian:
         # (places, points) 1 for points before a place, else 0
         self._before = (np.arange(self._points.size) < counts[:, None]).astype(float)
 
-    def at(self, q: Array) -> Array:
-        """The matrix J^T (n, 3 places) at coordinates q (n,).
+    def at(self, q: Array) -> BentArm:
+        """The matrix J^T, and how far the rod is bent, at coordinates q (n,).
 
         Raises StrainLimitError.
         """
-        _, strain_slope = self._model.strain_at(q, self._points)
+        strain, strain_slope = self._model.strain_at(q, self._points)
+        curvature = np.hypot(strain[:, 1], strain[:, 2])
         sections = np.concatenate([self._points, self.places])
         poses = self._model.backbone_at(q, sections)
         count = self._points.size
@@ -84,7 +93,8 @@ class LoadJacobian:
         crosses = np.moveaxis(skew(levers), 1, 2).reshape(rows, 3 * count)
         turned = -crosses @ turns.reshape(3 * count, q.size)
         stretched = self._before @ stretches.reshape(count, 3 * q.size)
-        return (stretched.reshape(rows, q.size) + turned).T
+        velocity = stretched.reshape(rows, q.size) + turned
+        return BentArm(load_jacobian=velocity.T, bending=float(self._weights @ curvature))
 
 
 def holding_matrix(terms: Terms) -> Array:

@@ -59,6 +59,7 @@ class InitialBelief:
             stiffness=start.stiffness_start,
             damping=start.damping_start,
             payload=start.payload_start * space.mass,
+            friction=start.friction_start,
             latency=0.0,
             lag=0.0,
         )

@@ -40,6 +40,7 @@ class Layout(NamedTuple):
     stiffness: slice  # (1,) its factor, less 1
     damping: slice  # (1,) likewise
     payload: slice  # (1,) [kg] at the tip, without its weight
+    friction: slice  # (1,) coefficient of friction of the tendons
     latency: slice  # (1,) [s]
     lag: slice  # (1,) [s]
 
@@ -53,7 +54,7 @@ def layout_of(model: Model, places: int) -> Layout:
     """Layout of the state of a model's filter, with loads at so many places."""
     n = model.coordinate_count
     n_a = model.tendon_count
-    borders = np.cumsum([0, n, n, n_a, n_a, 6, 3 * places, 1, 1, 1, 1, 1]).tolist()
+    borders = np.cumsum([0, n, n, n_a, n_a, 6, 3 * places, 1, 1, 1, 1, 1, 1]).tolist()
     return Layout(*map(slice, borders[:-1], borders[1:]))
 
 

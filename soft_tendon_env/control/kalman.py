@@ -1,9 +1,9 @@
 """Extended Kalman filter on the reduced model, for the state of an arm.
 
 It takes whatever is measured of the arm, and estimates what the model has wrong, as slow random
-walks: loads along the arm, stiffness, damping, a payload, offsets and gains of the tendons
-(offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), the displacement between the
-model's tip and the measured one, latency and lag of the actuators.
+walks: loads along the arm, stiffness, damping, a payload, friction of the tendons, their offsets
+and gains (offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), the displacement
+between the model's tip and the measured one, latency and lag of the actuators.
 
 What is measured updates the belief in Joseph's form, which keeps the covariance symmetric and
 positive definite, with the slope H of what is expected and the variances R of its noise:
@@ -26,7 +26,7 @@ from soft_tendon_env.control.command_filter import Timing, remembered_commands
 from soft_tendon_env.control.diagnosis import Diagnosis, diagnosis
 from soft_tendon_env.control.initial_belief import InitialBelief
 from soft_tendon_env.control.innovations import SensorModel
-from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
+from soft_tendon_env.control.protocol import FAILURES, Estimate, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.uncertainty import GREATEST_LAG, GREATEST_LATENCY, Setting
 from soft_tendon_env.model.model import Model
@@ -47,6 +47,8 @@ LEAST_DAMPING = 0.2
 """Least factor of the damping."""
 GREATEST_DAMPING = 4.0
 """Greatest of it."""
+GREATEST_FRICTION = 1.0
+"""Greatest coefficient of friction of the tendons."""
 FIRST_ITERATIONS = 4
 """Gauss-Newton steps of the first update, before which loads have bent the arm far."""
 MOST_PREDICTIONS = 5
@@ -61,6 +63,8 @@ CERTAIN_LATENCY = 2e-3
 """Standard deviation [s] of the bank's latencies, below which one filter goes on alone."""
 CERTAIN_LAG = 4e-3
 """Standard deviation [s] of its lags, likewise."""
+TIMED = 5e-3
+"""Standard deviation [s] of latency and lag together, below which loads may be seen to jump."""
 
 
 class Update(NamedTuple):
@@ -131,18 +135,14 @@ class ExtendedKalmanFilter:
         mean = belief.mean
         layout = self.space.layout
         q, q_dot = self.space.coordinates(mean)
-        spread = 0.0
-        if belief.bank is not None:
-            _, deviations = belief.bank.moments()
-            spread = float(np.hypot(*deviations))
         return Estimate(
             q=q,
             q_dot=q_dot,
             tip_pose=moved_pose(belief.locality.terms.tip_pose, mean[layout.tip]),
-            input_error=InputError(1.0 + mean[layout.gain], mean[layout.offset]),
+            input_error=self.space.input_error(mean, belief.locality),
             force_error=self.space.force_error(mean, belief.locality),
             timing=self.space.timing(mean) if None in self.known else None,
-            timing_spread=spread,
+            timing_spread=_timing_spread(belief.bank),
             memory=belief,
         )
 
@@ -302,7 +302,7 @@ class ExtendedKalmanFilter:
         return belief._replace(covariance=covariance, bank=None)
 
     def _bounds(self) -> tuple[Array, Array]:
-        """Least and greatest states (m,): of factors, payload and timing; infinite otherwise."""
+        """Least and greatest states (m,), infinite of what has no bounds."""
         layout = self.space.layout
         lower = np.full(layout.size, -np.inf)
         upper = np.full(layout.size, np.inf)
@@ -311,6 +311,7 @@ class ExtendedKalmanFilter:
             (layout.stiffness, LEAST_FACTOR - 1.0, GREATEST_FACTOR - 1.0),
             (layout.damping, LEAST_DAMPING - 1.0, GREATEST_DAMPING - 1.0),
             (layout.payload, 0.0, self.space.mass),
+            (layout.friction, 0.0, GREATEST_FRICTION),
             (layout.latency, 0.0, self.greatest.latency),
             (layout.lag, 0.0, self.greatest.lag),
         ):
@@ -319,8 +320,16 @@ class ExtendedKalmanFilter:
         return lower, upper
 
     def _within_bounds(self, mean: Array) -> Array:
-        """State (m,) whose factors, payload and timing are cut off at their bounds."""
+        """State (m,) that is cut off at its bounds."""
         return np.asarray(np.minimum(np.maximum(mean, self._least), self._most))
+
+
+def _timing_spread(bank: timing_bank.Bank | None) -> float:
+    """Standard deviation [s] of latency and lag together, of a bank."""
+    if bank is None:
+        return 0.0
+    _, deviations = bank.moments()
+    return float(np.hypot(*deviations))
 
 
 def _weighted_as(belief: Belief, last: timing_bank.Bank) -> Belief:
@@ -361,7 +370,7 @@ def _plausible(
     whitened = inverse_root @ innovations
     best = int((whitened**2).sum(axis=0).argmin())
     # a command that comes at another time than is believed looks like a jump
-    is_timed = predicted.bank is None
+    is_timed = _timing_spread(predicted.bank) < TIMED
     if is_timed and _evidence(inverse_root @ slope @ predicted.jump, whitened[:, best]) > EVIDENCE:
         covariance = covariance + predicted.jump @ predicted.jump.T
         inverse_root = _inverse_root(slope, slope @ covariance, noise)

@@ -46,6 +46,8 @@ class Uncertainty(NamedTuple):
     damping_start: float = 0.3
     payload: float = 0.001  # mass at the tip, as a share of the arm's
     payload_start: float = 0.1
+    friction: float = 0.002  # coefficient of friction of the tendons
+    friction_start: float = 0.05
     latency: float = 5e-4  # [s]
     lag: float = 5e-4  # [s]
     lag_share: float = 0.3  # probability that the actuators lag

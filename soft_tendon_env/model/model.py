@@ -21,7 +21,7 @@ from soft_tendon_env.mechanics.terms.evaluate import (
     configure,
     equation_of_motion,
 )
-from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
+from soft_tendon_env.mechanics.terms.kinematics import columns_inside, poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
@@ -269,10 +269,9 @@ class Model:
             strain_from_guess(self.arm, q, TOLERANCE, strain, work.kinematics)
             strain_columns(self.arm, no_tension, q, still, strain, work.kinematics)
             columns = strain.Phi.reshape(q.size, -1)
-            fields = [strain.xi, *columns]
             located = self.grid.locate(places)
-            for values, out in zip(fields, rows, strict=True):
-                strains_inside(self.grid.length, *located, values, out)
+            strains_inside(self.grid.length, *located, strain.xi, rows[0])
+            columns_inside(self.grid.length, *located, columns, rows[1:])
         derivatives = np.moveaxis(rows[1:], 0, 2)
         return rows[0], derivatives
 

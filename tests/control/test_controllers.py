@@ -108,7 +108,7 @@ def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, l
 
 
 @pytest.mark.parametrize(
-    ("name", "ahead"), [("predictive", 7), ("long_horizon_predictive", 25), ("feedforward", 2)]
+    ("name", "ahead"), [("predictive", 13), ("long_horizon_predictive", 25), ("feedforward", 2)]
 )
 def test_plans_look_as_far_ahead_as_their_horizon(name, ahead):
     """Six intervals of one period, twelve of two, and the period that begins."""

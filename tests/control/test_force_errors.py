@@ -5,8 +5,8 @@ import pytest
 
 from soft_tendon_env.control.belief import tip_acceleration
 from soft_tendon_env.control.force_errors import (
+    ArmGeometry,
     ForceError,
-    LoadJacobian,
     corrected_rollout,
     holding_matrix,
 )
@@ -39,23 +39,23 @@ def lacking(model, q, **parts):
 def test_loads_at_the_tip_have_its_jacobian(model, motion):
     q, q_dot = motion
     terms = model.terms(q, q_dot)
-    jacobian = LoadJacobian(model)
-    assert jacobian.places[-1] == pytest.approx(model.length)
+    geometry = ArmGeometry(model)
+    assert geometry.places[-1] == pytest.approx(model.length)
     in_world = terms.tip_pose[:3, :3] @ terms.tip_jacobian[3:]
-    off = jacobian.at(q)[:, -3:].T - in_world
+    off = geometry.at(q).load_jacobian[:, -3:].T - in_world
     assert np.abs(off).max() < 0.01 * np.abs(in_world).max()
 
 
 def test_loads_along_the_arm_have_the_slopes_of_its_backbone(model, motion):
     q, _ = motion
-    jacobian = LoadJacobian(model)
-    rows = jacobian.at(q)
+    geometry = ArmGeometry(model)
+    rows = geometry.at(q).load_jacobian
     steps = 1e-5 * model.coordinate_scale()
     for column, step in enumerate(steps):
         change = np.zeros(q.size)
         change[column] = step
-        ahead = model.backbone_at(q + change, jacobian.places)
-        behind = model.backbone_at(q - change, jacobian.places)
+        ahead = model.backbone_at(q + change, geometry.places)
+        behind = model.backbone_at(q - change, geometry.places)
         positions_moved = ahead[:, :3, 3] - behind[:, :3, 3]
         slope = positions_moved / (2.0 * step)
         off = rows[column].reshape(-1, 3) - slope
@@ -69,7 +69,7 @@ def test_motions_under_a_load_are_those_of_a_model_that_has_it(model, motion, is
     simulation = Simulation(loaded)
     simulation.reset(q, q_dot)
     expected = simulation.rollout(TENSION, PERIOD)
-    constant = LoadJacobian(model).at(q)[:, -3:] @ FORCE
+    constant = ArmGeometry(model).at(q).load_jacobian[:, -3:] @ FORCE
     held = np.zeros(3)
     if is_split:
         held = holding_matrix(model.terms(q, q_dot)) @ constant
@@ -112,10 +112,9 @@ def test_tensions_hold_what_tensions_make(model, motion):
     q, q_dot = motion
     terms = model.terms(q, q_dot)
     tension = np.array([0.3, -0.2, 0.5])
-    np.testing.assert_allclose(
-        holding_matrix(terms) @ terms.actuation @ tension, tension, atol=1e-6
-    )
-    force = LoadJacobian(model).at(q)[:, -2]
+    holding = holding_matrix(terms)
+    np.testing.assert_allclose(holding @ terms.actuation @ tension, tension, atol=1e-6)
+    force = ArmGeometry(model).at(q).load_jacobian[:, -2]
     held = holding @ force
     left = force - terms.actuation @ held
     np.testing.assert_allclose(

@@ -79,7 +79,7 @@ def test_the_layout_has_every_entry_once(model):
     """In the order of its fields."""
     layout = layout_of(model, PLACES)
     sizes = [part.stop - part.start for part in layout]
-    assert sizes == [3, 3, 3, 3, 6, 3 * PLACES, 1, 1, 1, 1, 1]
+    assert sizes == [3, 3, 3, 3, 6, 3 * PLACES, 1, 1, 1, 1, 1, 1]
     assert layout.z.start == 0
     assert all(a.stop == b.start for a, b in zip(layout, layout[1:], strict=False))
 

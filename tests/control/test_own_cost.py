@@ -174,8 +174,8 @@ def test_what_keeps_clear_costs_nothing(model):
 
 
 def test_predictive_control_keeps_its_clearance(model, limits_of, holding, drive):
-    """A target behind the surface of a ball: with the objective the arm stops before it, all the
-    way there; without, it goes in."""
+    """A target behind the surface of a ball: with the objective the arm stops before it, and uses
+    little of the clearance on the way there; without, it goes in."""
     target = holding(model, [2.5, 0.0, 0.0])
     tip = target.tip_position[0]
     away = tip - model.tip_pose(np.zeros(model.coordinate_count))[:3, 3]
@@ -189,8 +189,11 @@ def test_predictive_control_keeps_its_clearance(model, limits_of, holding, drive
     ):
         controller = Predictive(model, limits_of(model), PERIOD, objectives)
         motion = drive(controller, model, target, 50)
-        least[name] = min(avoidance.gaps(q)[0] for q in motion.q)
-    assert least["careful"] > 0.95 * CLEARANCE
+        gaps = [avoidance.gaps(q)[0] for q in motion.q]
+        least[name] = min(gaps)
+        if name == "careful":
+            assert gaps[-1] > 0.95 * CLEARANCE
+    assert least["careful"] > 0.8 * CLEARANCE
     assert least["careless"] < -0.5 * depth
 
 

@@ -13,7 +13,7 @@ from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.dynamics import implicit_inertia
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
-from soft_tendon_env.control.predictive import Plan, Predictive, Tuning
+from soft_tendon_env.control.predictive import DEFAULT, Plan, Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
 from soft_tendon_env.policies import make_policy, observation_options
 
@@ -59,7 +59,7 @@ def near(model, holding, seed):
     return ControllerInput(q, np.zeros(10), model.tip_pose(q), tension, target)
 
 
-def predicted_cost(model, objective, now, plan, settling_time=0.3):
+def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_time):
     """Half the squared errors at the ends of the periods, each less what may be left of the present
     one, by the simulation."""
 

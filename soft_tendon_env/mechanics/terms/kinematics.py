@@ -266,6 +266,13 @@ def strains_inside(length, interval, distance, field, out):
         write_twist(twist_sum(first, second), out[m])
 
 
+@kernel
+def columns_inside(length, interval, distance, columns, out):
+    """Fields (n, ...) over points as out (n, m, 6), each as in `strains_inside`."""
+    for k in range(len(columns)):
+        strains_inside(length, interval, distance, columns[k], out[k])
+
+
 class IntervalOperators(NamedTuple):
     """Operators of the intervals of a pack, pairs (A, C), in the base frame.
 
