@@ -35,7 +35,7 @@ from soft_tendon_env.tools.types import Array
 
 IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates, beyond which a filter has lost the arm."""
-EVIDENCE = 5.0
+EVIDENCE = 4.0
 """Logarithm of the likelihood ratio above which loads have jumped, though they seldom do."""
 SURPRISE = 4.0
 """Mean square of the innovations, in their standard deviations, above which forces were greater."""

@@ -59,7 +59,7 @@ class Tuning(NamedTuple):
     # control periods that an interval lasts, in which tensions stay as they are (move blocking)
     hold: int = 1
     effort: float = 3e-3  # weight of tensions against that of errors
-    smoothness: float = 0.3  # the same of their changes from period to period
+    smoothness: float = 0.25  # the same of their changes from period to period
     # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
     observer: float = 0.25
 
