@@ -124,7 +124,7 @@ class BeliefPrediction:
         if motion is None:
             return None
         moving = slice(layout.v.stop)
-        gain = 1.0 + point[layout.gain]
+        gain = self.space.input_error(point, last.locality).gain
         by_tension = motion.by_tension.sum(axis=0)
         transition = self._transition(about, motion, acting)
         white_tension = self._white_tension
@@ -214,7 +214,9 @@ class BeliefPrediction:
         layout = self.space.layout
         terms = last.locality.terms
         tip = terms.tip_jacobian[3:]
-        gain = 1.0 + last.mean[layout.gain]
+        gain = self.space.input_error(last.mean, last.locality).gain
+        own_gain = 1.0 + last.mean[layout.gain]
+        kept = 1.0 - last.mean[layout.friction] * last.locality.loss
         _, last_q_dot = self.space.coordinates(last.mean)
         # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
@@ -233,9 +235,9 @@ class BeliefPrediction:
         moving = slice(layout.v.stop)
         transition[moving, moving] = motion.by_state
         transition[moving, layout.offset] = by_tension
-        by_gain = np.einsum("sit,st->it", motion.by_tension, acting.steps)
-        transition[moving, layout.gain] = by_gain
-        transition[moving, layout.friction.start] = -by_gain @ (gain * last.locality.loss)
+        by_share = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        transition[moving, layout.gain] = by_share * kept
+        transition[moving, layout.friction.start] = -by_share @ (own_gain * last.locality.loss)
         transition[moving, layout.load] = by_force @ last.locality.load_jacobian
         for column, force in forces.items():
             transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)

@@ -34,6 +34,7 @@ def moving(estimator):
     mean[layout.v] = [2.0, 1.0, -1.0]
     mean[layout.load] = 0.01
     mean[layout.payload] = 0.1 * estimator.space.mass
+    mean[layout.friction] = 0.1
     mean[layout.latency] = 0.03
     mean[layout.lag] = 0.01
     locality = estimator.space.locality(*estimator.space.coordinates(mean))
@@ -56,6 +57,7 @@ PARTS = {
     "stiffness": 0.1,
     "damping": 0.3,
     "payload": 0.003,
+    "friction": 0.1,
     "latency": 0.001,
     "lag": 0.001,
 }

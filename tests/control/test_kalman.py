@@ -143,6 +143,19 @@ def test_gains_of_the_tendons_are_found(arm):
     np.testing.assert_allclose(estimates[-1].input_error.gain, gain, atol=0.06)
 
 
+@pytest.mark.parametrize("coefficient", [0.0, 0.15])
+def test_friction_of_the_tendons_is_found(coefficient, build, arm):
+    """To a third: in the filter all of an arm's tendons lose the same share along their turns."""
+    rubbing = arm
+    if coefficient > 0.0:
+        changes = {"effects.tendon_friction.coefficient": coefficient}
+        rubbing = build("three_tendon", {"quadrature.intervals": 4, **changes})
+    found = filter_of(arm, EVERYTHING)
+    estimates, *_ = live(found, rubbing, 150)
+    friction = found.diagnosis(estimates[-1]).friction
+    assert friction.value[()] == pytest.approx(coefficient, rel=1.0 / 3.0, abs=0.01)
+
+
 def test_a_load_is_told_by_the_sag_that_it_makes(arm):
     """By the first measurement, of an arm at rest, to a tenth."""
     force = np.array([0.01, -0.03, 0.04])
