@@ -20,6 +20,8 @@ from soft_tendon_env.tools.types import Array
 
 GRAVITY = 9.81
 """[m/s^2], by which the mass of the arm makes the unit of loads."""
+LEAST_KEPT = 0.2
+"""Least share of a tension that friction leaves, whatever coefficient is estimated."""
 SLIDING_SPEED = 5e-3
 """Speed of a tendon at its base [m/s], above which its friction is whole in the filter."""
 
@@ -85,7 +87,7 @@ class StateSpace:
         """Model at coordinates and rates (n,). Raises as the model does."""
         terms = self.model.terms(q, q_dot)
         bent = self._geometry.at(q)
-        # by the capstan equation, of each place that a tendon reaches: half of it over the arm
+        # by the capstan equation a tendon loses this share up to its end, half of it on average
         turn = np.hypot(self._turn, bent.bending)
         sliding = np.tanh(terms.actuation.T @ q_dot / SLIDING_SPEED)
         return Locality(
@@ -98,8 +100,13 @@ class StateSpace:
     def input_error(self, mean: Array, locality: Locality) -> InputError:
         """Errors of tensions in a state (m,): their gains less what friction takes, and offsets."""
         layout = self.layout
-        kept = 1.0 - mean[layout.friction] * locality.loss
-        return InputError((1.0 + mean[layout.gain]) * kept, mean[layout.offset])
+        gain = (1.0 + mean[layout.gain]) * self.kept(mean, locality)
+        return InputError(gain, mean[layout.offset])
+
+    def kept(self, mean: Array, locality: Locality) -> Array:
+        """Shares (n_a,) of the tensions that friction leaves in a state (m,)."""
+        left = 1.0 - mean[self.layout.friction] * locality.loss
+        return np.asarray(np.maximum(left, LEAST_KEPT))
 
     def force_error(self, mean: Array, locality: Locality) -> ForceError:
         """Force that the model lacks in a state (m,): of loads, and of errors of its numbers.

@@ -216,7 +216,7 @@ class BeliefPrediction:
         tip = terms.tip_jacobian[3:]
         gain = self.space.input_error(last.mean, last.locality).gain
         own_gain = 1.0 + last.mean[layout.gain]
-        kept = 1.0 - last.mean[layout.friction] * last.locality.loss
+        kept = self.space.kept(last.mean, last.locality)
         _, last_q_dot = self.space.coordinates(last.mean)
         # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])

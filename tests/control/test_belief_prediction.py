@@ -96,3 +96,28 @@ def test_what_is_not_moved_is_predicted_alike_about_any_state(estimator, moving)
     about_point = predicted(estimator, belief, measured, point)
     still = slice(layout.v.stop, None)
     np.testing.assert_allclose(about_point[still], about_mean[still], rtol=1e-12, atol=1e-15)
+
+
+def test_friction_takes_a_share_of_the_tensions_that_are_pulled_in(estimator, moving):
+    """By the coefficient and the turns of the tendons; what slides outwards has more at its end.
+    However large the coefficient, a part of every tension is left."""
+    space = estimator.space
+    belief, _ = moving
+    mean = belief.mean.copy()
+    terms = belief.locality.terms
+    _, q_dot = space.coordinates(mean)
+    pulled_in = terms.actuation.T @ q_dot
+    loss = belief.locality.loss
+    np.testing.assert_array_equal(np.sign(loss), np.sign(pulled_in))
+    assert np.abs(loss).max() > 0.1
+    np.testing.assert_allclose(space.kept(mean, belief.locality), 1.0 - 0.1 * loss, rtol=1e-12)
+    mean[space.layout.friction] = 1.0
+    steep = belief.locality._replace(loss=10.0 * np.ones_like(loss))
+    assert (space.kept(mean, steep) > 0.0).all()
+
+
+def test_an_arm_at_rest_has_no_friction_to_tell(estimator, moving):
+    belief, _ = moving
+    q, q_dot = estimator.space.coordinates(belief.mean)
+    resting = estimator.space.locality(q, 0.0 * q_dot)
+    np.testing.assert_array_equal(resting.loss, 0.0)

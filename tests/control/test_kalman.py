@@ -4,7 +4,14 @@ within the deviations that it says."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Setting, Uncertainty
+from soft_tendon_env.control import (
+    ExtendedKalmanFilter,
+    Measurement,
+    Setting,
+    Uncertainty,
+    kalman,
+    timing_bank,
+)
 from soft_tendon_env.control.command_filter import Timing, mean_weights
 from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
@@ -261,6 +268,51 @@ def test_an_unknown_timing_does_not_hide_where_the_arm_is(arm):
     estimates, q, q_dot = live(found, arm, 12, (0.03, 0.0))
     assert estimates[3].memory.bank is not None
     assert np.abs(scaled_errors(arm, estimates, q, q_dot)[:, 0]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("latencies", "has_jumped"), [((0.0, 0.004), True), ((0.0, 0.04), False)])
+def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, arm):
+    """A push is found then; before that, a late command looks like one."""
+    found = filter_of(arm, latency=None, lag=None)
+    estimates, *_ = live(found, arm, 3)
+    belief = estimates[-1].memory
+    bank = timing_bank.Bank(
+        timing=Timing(np.array(latencies), np.zeros(2)),
+        deviation=np.zeros((belief.mean.size, 2)),
+        log_likelihood=np.zeros(2),
+        sharp_weight=np.full(2, 0.5),
+    )
+    load = found.space.layout.load
+    slope = np.zeros((6, belief.mean.size))
+    slope[:, :6] = np.eye(6)
+    jump = np.zeros_like(belief.jump)
+    jump[:6, :6] = np.eye(6)
+    jump[load] = 0.1 * np.eye(jump.shape[1])
+    predicted = belief._replace(bank=bank, jump=jump)
+    innovations = np.full((6, 2), 0.5)
+    noise = 1e-6 * np.eye(6)
+    covariance, _ = kalman._plausible(predicted, slope, noise, innovations)
+    before = np.diag(belief.covariance)[load]
+    after = np.diag(covariance)[load]
+    assert (after > before + 0.005).all() == has_jumped
+
+
+def test_a_period_that_settles_on_no_motion_says_nothing_of_the_timing(arm):
+    """Hypotheses keep their probabilities, and the mean is theirs."""
+    found = filter_of(arm, latency=None, lag=None)
+    estimates, *_ = live(found, arm, 3)
+    last = estimates[-1].memory
+    rng = np.random.default_rng(0)
+    deviation = rng.normal(size=last.bank.deviation.shape)
+    log_likelihood = rng.normal(size=last.bank.log_likelihood.size)
+    judged = last._replace(
+        bank=last.bank._replace(deviation=deviation, log_likelihood=log_likelihood)
+    )
+    kept = kalman._weighted_as(judged, last.bank)
+    np.testing.assert_allclose(kept.bank.weight, last.bank.weight)
+    np.testing.assert_allclose(kept.bank.deviation @ kept.bank.weight, 0.0, atol=1e-12)
+    states = last.mean[:, None] + deviation
+    np.testing.assert_allclose(kept.mean[:, None] + kept.bank.deviation, states)
 
 
 @pytest.mark.parametrize(
