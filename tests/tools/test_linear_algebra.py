@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from soft_tendon_env.control import ControllerOutput
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.policies.controller_policy import ControllerPolicy
 from soft_tendon_env.policies.network import MOST_ROWS, PolicyNetwork
 from soft_tendon_env.tools import linear_algebra
 from soft_tendon_env.tools.linear_algebra import one_thread
@@ -75,4 +78,26 @@ def test_policy_networks_act_on_a_few_rows_with_one_thread(rows, threads):
     actions, _ = network.predict(observations)
     np.testing.assert_array_equal(actions, np.clip(observations, -1.0, 1.0))
     assert seen == [{threads}]
+    assert counts() == {2}
+
+
+class Counter:
+    """A controller that asks for no tensions, and looks at the threads."""
+
+    def __init__(self):
+        self.seen = set()
+
+    def act(self, now, memory=None):
+        self.seen |= counts()
+        return ControllerOutput(np.zeros(3), memory)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_a_controller_decides_with_one_thread():
+    env = gym.make(IDS["Reach"], scene="three_tendon", fidelity="fast", action="tension")
+    controller = Counter()
+    policy = ControllerPolicy(controller, env)
+    observation, _ = env.reset(seed=0)
+    policy.predict(observation)
+    assert controller.seen == {1}
     assert counts() == {2}
