@@ -204,6 +204,29 @@ def test_errors_are_within_the_filter_s_own_deviations(noisy_life, arm):
     assert 0.01 < np.mean(sizes) < 1.5
 
 
+@pytest.mark.parametrize("gain", [1.0, np.array([1.1, 0.9, 1.0])], ids=["as it is", "gains wrong"])
+def test_innovations_are_white(gain, arm, monkeypatch):
+    """Those of a period tell nothing of the next ones: correlations are those of 150 numbers."""
+    found = filter_of(arm, noise=NOISE)
+    expect = found._sensor_model.innovations
+    by_time = {}
+
+    def kept(mean, measured):
+        innovation, *rest = expect(mean, measured)
+        by_time[measured.time] = innovation  # the last one, where a prediction is repeated
+        return innovation, *rest
+
+    monkeypatch.setattr(found._sensor_model, "innovations", kept)
+    live(found, arm, 180, gain=gain, rng=np.random.default_rng(3))
+    innovations = np.array(list(by_time.values())[30:])
+    innovations -= innovations.mean(axis=0)
+    deviation = innovations.std(axis=0)
+    for lag in (1, 2, 3):
+        products = innovations[lag:] * innovations[:-lag]
+        correlation = products.mean(axis=0) / deviation**2
+        assert np.abs(correlation).max() < 3.5 / np.sqrt(len(innovations))
+
+
 def test_covariances_are_symmetric_and_positive_definite(noisy_life):
     estimates, *_ = noisy_life
     for estimate in estimates[::10]:
