@@ -42,7 +42,9 @@ class Diagnosis(NamedTuple):
     stiffness: Quantity  # () factor
     damping: Quantity  # () factor
     payload: Quantity  # () [kg] mass at the tip, by its inertia; its weight is a load
-    friction: Quantity  # () coefficient of friction of the tendons
+    # () coefficient of friction of the tendons, with one direction of sliding for all of a tendon,
+    # which its deviation does not include
+    friction: Quantity
     tip: Quantity  # (6,) [rad, m] body displacement from the model's tip to the arm's
 
 
