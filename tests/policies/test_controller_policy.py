@@ -7,10 +7,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerOutput
+from soft_tendon_env.control import ControllerOutput, Shape, TipPose, TipPosition
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
+from soft_tendon_env.policies.names import policy_options
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -228,3 +229,28 @@ def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(
     else:
         with pytest.raises(ConfigurationError, match=told):
             make_policy(controller, env, latency=latency)
+
+
+class Elsewhere:
+    """An objective that follows what no task tells."""
+
+    follows = ("moon",)
+
+    def linear_error(self, posture):
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("task", "objective", "told"),
+    [
+        ("TipPose", TipPose(), "tip_pose"),
+        ("Reach", TipPosition(), "tip_position"),
+        ("Shape", Shape, "q"),
+    ],
+)
+def test_objectives_follow_what_a_task_tells(task, objective, told):
+    arm = {"scene": "three_tendon", "fidelity": "fast"}
+    env = gym.make(IDS[task], **policy_options("predictive", task, arm))
+    assert make_policy("predictive", env, objectives=[objective]) is not None
+    with pytest.raises(ValueError, match=f"this environment tells {told} alone"):
+        make_policy("predictive", env, objectives=[Elsewhere()])
