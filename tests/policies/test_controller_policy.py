@@ -79,6 +79,7 @@ def assert_told(now, env, row, seconds):
     """What a controller is told of a row is what its episode has."""
     episodes = env.unwrapped.episodes
     state, pose = episodes.state(row), episodes.arms.reading.tip_pose[row]
+    assert now.time == pytest.approx(seconds)
     np.testing.assert_allclose(now.q, state.q, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.q_dot, state.q_dot, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(now.tip_pose, pose, **SINGLE_PRECISION)
@@ -131,6 +132,7 @@ def test_rows_that_begin_forget_and_the_others_do_not():
     policy.predict(observation, state, np.array([False, True, False]))
     told = probe.seen[3:]
     assert [memory for _, memory in told] == [1, None, 1]
+    assert [now.time for now, _ in told] == pytest.approx([0.02, 0.0, 0.02])
     for row in range(3):
         expected = env.unwrapped.episodes.start_tension if row == 1 else state[row].tension
         np.testing.assert_array_equal(told[row][0].tension, expected)
