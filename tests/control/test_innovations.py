@@ -143,13 +143,19 @@ def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
     """Curvatures by its length, lengths in shares of it; a rod four times as long."""
     longer = build("three_tendon", {"quadrature.intervals": 4, "segments.0.length": 1.2})
     assert longer.length == pytest.approx(4.0 * model.length)
-    short, long = (noise_variances(each, SensorNoise(), 1) for each in (model, longer))
-    ratio = {name: np.sqrt(long[name] / short[name]) for name in short}
-    np.testing.assert_allclose(ratio["tip_pose"], [1, 1, 1, 4, 4, 4])
-    np.testing.assert_allclose(ratio["tip_twist"], [1, 1, 1, 4, 4, 4])
+    of_short = noise_variances(model, SensorNoise(), 1)
+    of_long = noise_variances(longer, SensorNoise(), 1)
+    ratio = {}
+    for name, variance in of_short.items():
+        ratio[name] = np.sqrt(of_long[name] / variance)
+
+    rotation_then_position = [1, 1, 1, 4, 4, 4]
+    np.testing.assert_allclose(ratio["tip_pose"], rotation_then_position)
+    np.testing.assert_allclose(ratio["tip_twist"], rotation_then_position)
     np.testing.assert_allclose(ratio["tendon_length"], 4.0)
-    for name in ("strain", "strain_rate"):
-        np.testing.assert_allclose(ratio[name], [0.25] * 3 + [1.0] * 3)
+    curvature_then_stretch = [0.25, 0.25, 0.25, 1.0, 1.0, 1.0]
+    np.testing.assert_allclose(ratio["strain"], curvature_then_stretch)
+    np.testing.assert_allclose(ratio["strain_rate"], curvature_then_stretch)
 
 
 def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mean):

@@ -8,11 +8,12 @@ import pytest
 
 from soft_tendon_env import load_scene
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.envs import IDS, ReachEnv, ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs import IDS, Options, ReachEnv, ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.scene.scene import scene_to_dict
+from soft_tendon_env.scene.scene import extrapolation_columns, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -255,3 +256,24 @@ def test_bad_actions_are_refused_before_anything_changes(everything, live, same)
         with pytest.raises((ValueError, TypeError), match="^action should"):
             env.step(action)
         assert same(env.step(np.full(3, 0.3)), twin.step(np.full(3, 0.3)))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "columns"),
+    [
+        ({}, 3),
+        ({"damping": [1.0, 2.0], "stiffness": [0.5, 1.0]}, 3),
+        # a twentieth of the damping beside the stiffness is too little for three
+        ({"damping": [0.05, 1.0]}, 2),
+        ({"stiffness": [1.0, 20.0]}, 2),
+    ],
+)
+def test_columns_of_extrapolation_suit_the_stiffest_and_least_damped_arm(drawn, columns):
+    table = {
+        "scene": {"scene": "paper", "segments.0.damping": 300.0},
+        "fidelity": "scene",
+        "randomize": drawn,
+    }
+    options = Options.parse(table, "options")
+    scene = resolved_scene(options)
+    assert extrapolation_columns(scene) == columns

@@ -13,9 +13,11 @@ import pytest
 from soft_tendon_env.cli.arena import Arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
+from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import trained_alike
+from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore
+from soft_tendon_env.evaluation.summaries import Standing
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent import find_agent
 from soft_tendon_env.policies.names import PolicyName
@@ -207,6 +209,41 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
         assert [*there.scene.effects.chosen()] == effects
         assert believed.coordinate_count < there.coordinate_count
     assert (told.key("code") == untold.key("code")) == (effect is None)
+
+
+def standing(error):
+    """Standing of two episodes with an error [m] on a rod of 1 m."""
+    scores = []
+    for seed in range(2):
+        episode = EpisodeScore(
+            seed=seed,
+            steps=10,
+            errors={"position_error": ErrorScore(error, error)},
+            settled=False,
+            metrics={},
+            total_reward=-error,
+            reached=None,
+            diverged=None,
+            action_time=0.001,
+            length=1.0,
+        )
+        scores.append(episode)
+    return Standing([scores])
+
+
+@pytest.mark.parametrize(("other", "kind"), [("ppo", "learned policy"), (STILL, "other policy")])
+def test_gaps_are_of_who_is_no_controller_to_the_controllers(other, kind):
+    played = benchmark(other, "filtered:tracking", settings=("nominal",))
+    standings = {
+        (other, "nominal"): standing(0.001),
+        ("filtered:tracking", "nominal"): standing(0.003),
+    }
+    text = benchmark_tables(played, {"state": standings})
+    assert f"The best {kind} beside the best controller:" in text
+    assert "- By position: ahead in all." in text
+    assert "- By return: ahead in all." in text
+    assert "-2.00 (-2.00 to -2.00)" in text
+    assert f"best {kind} minus best controller" in text
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):

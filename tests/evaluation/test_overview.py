@@ -110,6 +110,17 @@ def test_numbers_stand_as_they_came(known, axes):
     assert {text.get_text() for text in axes.texts} == {"circle\n[mm]", *OFF, "0", "1", "200"}
 
 
+def test_the_overview_has_its_headline_above_four_drawings(known, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(overview, "save_figure", lambda figure, path: drawn.append(figure))
+    overview.draw_overview(known, tmp_path / "demo.png")
+    (figure,) = drawn
+    assert figure.get_suptitle() == known.headline
+    assert len(figure.axes) == 4
+    assert all(axes.lines or axes.texts for axes in figure.axes)
+    plt.close(figure)
+
+
 @pytest.mark.slow  # it draws
 def test_the_picture_is_upright_and_of_the_width_of_a_phone_times_three(known, tmp_path):
     overview.draw_overview(known, tmp_path / "demo.png")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.drawing.palette import styles
+from soft_tendon_env.evaluation import pictures
 from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore
-from soft_tendon_env.evaluation.pictures import SPREAD, _draw_panel
+from soft_tendon_env.evaluation.pictures import SPREAD, _draw_panel, draw_errors
 from soft_tendon_env.evaluation.summaries import Standing
 
 
@@ -51,3 +52,18 @@ def test_policies_stand_below_one_another_in_every_condition(axes):
     assert axes.get_ylim() == (1.5, -0.5)
     assert axes.get_xscale() == "log"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["x", "y"]
+
+
+def test_panels_have_their_titles_and_share_a_legend(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    panels = {
+        "tip": {("a", "x"): standing(0.001)},
+        "state": {("a", "x"): standing(0.001), ("b", "x"): standing(0.002)},
+    }
+    draw_errors(panels, tmp_path / "errors.png")
+    (figure,) = drawn
+    assert [axes.get_title() for axes in figure.axes] == ["tip", "state"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    plt.close(figure)

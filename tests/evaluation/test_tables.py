@@ -1,11 +1,13 @@
 """Tables and verdicts of evaluations: numbers as people read them, cases worked out by hand."""
 
+import json
 import math
 
 import pytest
 
 from soft_tendon_env.evaluation.benchmark import gaps, verdict
 from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore
+from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Summary
 from soft_tendon_env.evaluation.tables import (
     error_table,
@@ -18,6 +20,7 @@ from soft_tendon_env.evaluation.tables import (
     summary_cells,
     summary_table,
     with_seeds,
+    write_markdown,
 )
 
 RMS = "position_error_rms"
@@ -217,3 +220,13 @@ def test_verdicts_say_where_intervals_leave_out_zero():
     assert verdict({"position": {}}) == []
     sentence, _ = verdict({"return": {"x": behind}}, "other policy")
     assert sentence.startswith("The best other policy")
+
+
+def test_files_are_written_into_folders_that_are_made(tmp_path, capsys):
+    page = tmp_path / "pages" / "of today" / "page.md"
+    numbers = tmp_path / "numbers" / "of today" / "numbers.json"
+    write_markdown(page, "# Results")
+    write_json(numbers, {"errors": [0.5, math.nan, -math.inf], "name": "nan"})
+    assert page.read_text() == "# Results\n"
+    assert json.loads(numbers.read_text()) == {"errors": [0.5, None, None], "name": "nan"}
+    assert capsys.readouterr().out.split("\n")[:2] == [f"written: {page}", f"written: {numbers}"]

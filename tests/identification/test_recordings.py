@@ -7,7 +7,11 @@ import pytest
 from soft_tendon_env import ConfigurationError, load_scene
 from soft_tendon_env.identification import Marker, MarkerSet, load_markers
 from soft_tendon_env.identification.clusters import clusters, same_commands, split
-from soft_tendon_env.identification.recordings import Recording, read_recordings
+from soft_tendon_env.identification.recordings import (
+    Recording,
+    check_commands,
+    read_recordings,
+)
 
 HEADER = ["hold", "tension_0", "tension_1", "tension_2", "m_x", "m_y", "m_z"]
 NUMBERS = np.array(
@@ -82,7 +86,7 @@ def test_a_share_or_a_column_is_held_out(arm, holds, placed):
     [
         ("-1", "a share from 0"),
         ("weight", "no column of that name with numbers"),
-        ("1.5", "a share"),
+        ("1.0", "a share from 0 to below 1"),
     ],
 )
 def test_bad_shares_are_told(arm, holds, placed, held_out, message):
@@ -125,6 +129,13 @@ def test_repeats_stay_together_when_some_are_held_out(share, count):
     seen, unseen = ({int(one.name) % 4 for one in part} for part in parts)
     assert len(parts[1]) == count
     assert not seen & unseen
+
+
+def test_the_unit_of_commands_is_guessed_by_the_largest():
+    """A ramp from zero in grams-force: 400 of them are 3.9 N of the 5 N that the arm takes."""
+    (ramp,) = recordings_of([[0.0, 0.0, 0.0], [0.0, 400.0, 0.0]], period=0.1)
+    with pytest.raises(ValueError, match=r"tension_1 is 400 N: .* to 5 N; is it in .*g"):
+        check_commands(ramp, load_scene("three_tendon"))
 
 
 def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):

@@ -455,3 +455,20 @@ def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(
     texts = [str(warning.message) for warning in found if warning.category is agent.TrainingWarning]
     assert len(texts) == (said is not None)
     assert all(f"{said}" in text and "policy_options()" in text for text in texts)
+
+
+def test_agents_are_those_of_their_folders_and_of_the_repository(tmp_path, monkeypatch):
+    """Of a wheel that has an agent near by and knows of one that it lacks."""
+    table = ['TipPose = "near"', "[repository_alone]", 'TipPose = ["far"]', "Reach = []"]
+    (tmp_path / "agents.toml").write_text("\n".join(table))
+    folder = tmp_path / "near" / "TipPose"
+    folder.mkdir(parents=True)
+    (folder / WEIGHTS).write_bytes(b"")
+    monkeypatch.setattr(agent, "trained_folder", lambda: tmp_path)
+    assert agent.shipped() == ("agent", "far", "near")
+    assert agent.is_shipped("far")
+    assert agent.shipped_as("agent", "TipPose") == "near"
+    with pytest.raises(FileNotFoundError, match="'far' for TipPose is not in a wheel"):
+        agent.shipped_as("far", "TipPose")
+    with pytest.raises(FileNotFoundError, match="'far' does not ship for Reach; what does: none"):
+        agent.shipped_as("far", "Reach")

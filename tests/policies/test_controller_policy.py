@@ -7,10 +7,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerOutput
+from soft_tendon_env.control import ControllerOutput, Shape, TipPose, TipPosition
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
+from soft_tendon_env.policies.names import policy_options
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -78,6 +79,7 @@ def assert_told(now, env, row, seconds):
     """What a controller is told of a row is what its episode has."""
     episodes = env.unwrapped.episodes
     state, pose = episodes.state(row), episodes.arms.reading.tip_pose[row]
+    assert now.time == pytest.approx(seconds)
     np.testing.assert_allclose(now.q, state.q, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.q_dot, state.q_dot, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(now.tip_pose, pose, **SINGLE_PRECISION)
@@ -130,6 +132,7 @@ def test_rows_that_begin_forget_and_the_others_do_not():
     policy.predict(observation, state, np.array([False, True, False]))
     told = probe.seen[3:]
     assert [memory for _, memory in told] == [1, None, 1]
+    assert [now.time for now, _ in told] == pytest.approx([0.02, 0.0, 0.02])
     for row in range(3):
         expected = env.unwrapped.episodes.start_tension if row == 1 else state[row].tension
         np.testing.assert_array_equal(told[row][0].tension, expected)
@@ -228,3 +231,28 @@ def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(
     else:
         with pytest.raises(ConfigurationError, match=told):
             make_policy(controller, env, latency=latency)
+
+
+class Elsewhere:
+    """An objective that follows what no task tells."""
+
+    follows = ("moon",)
+
+    def linear_error(self, posture):
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("task", "objective", "told"),
+    [
+        ("TipPose", TipPose(), "tip_pose"),
+        ("Reach", TipPosition(), "tip_position"),
+        ("Shape", Shape, "q"),
+    ],
+)
+def test_objectives_follow_what_a_task_tells(task, objective, told):
+    arm = {"scene": "three_tendon", "fidelity": "fast"}
+    env = gym.make(IDS[task], **policy_options("predictive", task, arm))
+    assert make_policy("predictive", env, objectives=[objective]) is not None
+    with pytest.raises(ValueError, match=f"this environment tells {told} alone"):
+        make_policy("predictive", env, objectives=[Elsewhere()])

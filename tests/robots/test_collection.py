@@ -49,6 +49,22 @@ def test_every_tendon_pulls_in_every_part_of_its_range_and_is_released(env):
         assert sorted(column) == [*range(15)]
 
 
+def test_pulls_are_shares_of_the_way_from_the_first_command_to_the_greatest():
+    """Of tendons that are never slack: from 1 N, two fifths of the way to 5 N are 2.6 N."""
+    scene = {"scene": "three_tendon"}
+    for tendon in range(3):
+        scene[f"tendons.{tendon}.tension_limits"] = [1.0, 5.0]
+    env = collecting_env(scene, "fast", PERIOD)
+    random = np.random.default_rng(0)
+    (commands,) = drawn_commands(episodes_of(env), motions=1, holds=20, share=0.4, random=random)
+    assert commands.min() == 1.0
+    # the strongest pull of a tendon is in the last twentieth of the way
+    strongest = commands.max(axis=0)
+    assert (strongest <= 2.6).all()
+    assert (strongest >= 1.0 + 0.95 * 1.6).all()
+    env.close()
+
+
 def test_a_hold_is_as_long_as_a_swing(env):
     episodes = episodes_of(env)
     assert usual_hold(episodes) == pytest.approx(2.0 * half_swing(episodes))

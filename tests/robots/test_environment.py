@@ -271,6 +271,24 @@ def test_a_slow_rate_is_no_rest_before_the_pretension(arm_of_test, drawing):
     env.close()
 
 
+def test_the_first_command_is_reached_evenly_from_slack(arm_of_test, drawing):
+    """Displacements rise from the least one, where tendons are let out, to that of rest."""
+    arm = arm_of_test()
+    arm.command_unit = "m"
+    env = RobotEnv(drawing(scene=ELASTIC, action="tension"), arm, settle=0.1, rate=0.05)
+    env.reset(seed=0)
+    slack = np.array([-0.01, -0.01, -0.01])
+    rest = env.unwrapped.episodes.start_command
+    sent = np.array([command for _, command in arm.sent])
+    np.testing.assert_allclose(sent[-1], rest, atol=1e-12)
+    changes = np.diff(sent, axis=0)
+    rising = changes[changes[:, 0] > 1e-12]
+    assert len(rising) > 5
+    np.testing.assert_allclose(rising, rising[0] * np.ones((len(rising), 1)), atol=1e-12)
+    np.testing.assert_allclose(sent[0], slack + rising[0], atol=1e-12)
+    env.close()
+
+
 def test_motion_is_told_from_noise():
     """A drift has its own speed, a swing 2 pi f A / sqrt(2)."""
     time = 0.01 * np.arange(400)

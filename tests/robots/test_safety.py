@@ -270,6 +270,8 @@ def measurement_of_a_tip(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0
             "is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by 0.2",
         ),
         (measurement_of_a_tip(turned=[1.0, -1.0, 1.0]), "by 2"),
+        # orthogonal axes, one of them too long: 1.1^2 - 1
+        (measurement_of_a_tip(turned=[1.0, 1.1, 1.0]), "by 0.21"),
         (
             measurement_of_a_tip(at=(180.0, 90.0, 0.0)),
             "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m",

@@ -193,6 +193,24 @@ def test_scales_are_those_of_a_cantilever():
     assert (scales.length, scales.radius) == (LENGTH, RADIUS)
 
 
+def swinging_base(frequency):
+    return loads("moving_base", amplitude=[1e-9, 0, 0], frequency=frequency)
+
+
+def swinging_force(frequency):
+    signal = {"type": "sine", "frequency": frequency}
+    return loads("disturbance", loads=[{"at": LENGTH, "force": [0, 1e-4, 0], "signal": signal}])
+
+
+@pytest.mark.parametrize("swinging", [swinging_base, swinging_force])
+def test_frequencies_may_be_a_thousand_times_the_arm_s_own(swinging):
+    rate = scales_of(Scene.parse(silicone_arm(), "arm")).rate
+    own_frequency = rate / (2.0 * math.pi)
+    assert words_of({**silicone_arm(), **swinging(900.0 * own_frequency)}) == ""
+    text = words_of({**silicone_arm(), **swinging(1100.0 * own_frequency)})
+    assert "is it rad/s, or 1/min?" in text
+
+
 FAMILIES = {
     # length [m], radius over length, modulus [Pa], density [kg/m^3], offset over radius
     "silicone": ((0.08, 0.6), (0.02, 0.09), (5e4, 2e6), (950, 1250), (0.5, 0.95)),

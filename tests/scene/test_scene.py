@@ -5,12 +5,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.effects import Effect
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import SHIPPED, load_scene, save_scene, scene_names
 from soft_tendon_env.scene.routing import LinearTaper, StraightRouting
 from soft_tendon_env.scene.scene import (
+    Base,
     Scene,
     Segment,
     Tendon,
@@ -305,3 +307,16 @@ def test_bad_file_is_named_with_its_mistake(tmp_path, content, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_scene(path)
     assert all(line.startswith(f"{path}: ") for line in str(caught.value).splitlines())
+
+
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (30.0, -50.0, 70.0), (0.0, 200.0, 0.0)])
+def test_a_base_is_turned_by_its_quaternion_and_then_about_the_axes_of_the_world(rotation):
+    position = (1.0, 2.0, 3.0)
+    base = Base(position=position, quaternion=(0.5, 0.1, -0.7, 0.5), rotation=rotation)
+    # scipy has the real part last
+    first = Rotation.from_quat([0.1, -0.7, 0.5, 0.5])
+    further = Rotation.from_rotvec(rotation, degrees=True)
+    expected = np.eye(4)
+    expected[:3, :3] = (further * first).as_matrix()
+    expected[:3, 3] = position
+    np.testing.assert_allclose(base.pose, expected, atol=1e-12)

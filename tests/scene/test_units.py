@@ -106,7 +106,8 @@ def said(scene):
         (
             {**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4, "limit": 0.01},
             MM,
-            ["bend the rod by at most", "lengths in mm?"],
+            # T o L / (E I) of the rod of 12 m, with I = pi r^4 / 4
+            ["bend the rod by at most 2e-06 rad", "lengths in mm?"],
         ),
         (
             {**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4},
