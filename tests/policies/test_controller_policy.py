@@ -201,7 +201,7 @@ def test_preview_times_increase(preview):
             "robust_predictive",
             0.03,
             (0.02, 0.04, 0.06, 0.08, 0.12, 0.14, 0.16, 0.18),
-            "up to 0.3 s",
+            "up to 0.18 s",
         ),
         ("Shape", "feedforward", 0.0, (0.02,), "it is needed at every control period up to 0.04 s"),
         (
