@@ -30,7 +30,8 @@ class Avoidance(Objective):
         model: of the arm.
         obstacles: those of `effects.contact.obstacles`, or tables as a scene has them; they move as
             they do there.
-        clearance: distance [m] between the surfaces that is kept.
+        clearance: distance [m] between the surfaces that is kept. On its way to a target behind an
+            obstacle an arm uses up to a fifth of it.
         weight: of a metre against that of other objectives.
     """
 

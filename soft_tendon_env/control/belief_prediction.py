@@ -214,9 +214,9 @@ class BeliefPrediction:
         layout = self.space.layout
         terms = last.locality.terms
         tip = terms.tip_jacobian[3:]
-        gain = self.space.input_error(last.mean, last.locality).gain
         own_gain = 1.0 + last.mean[layout.gain]
         kept = self.space.kept(last.mean, last.locality)
+        gain = own_gain * kept
         _, last_q_dot = self.space.coordinates(last.mean)
         # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
