@@ -26,6 +26,8 @@ HEAD = """# Scenes that ship
 A scene describes an arm: geometry, material, tendons, effects. Name one in
 `gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or `load_scene("three_tendon")`.
 `soft-tendon scenes NAME` prints it as TOML, as a start for your own.
+
+The pictures show each arm at rest while its first tendon, in orange, pulls with half of its limit.
 """
 
 
