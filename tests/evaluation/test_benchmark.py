@@ -162,7 +162,7 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
     [
         (
             {"entrants": ({"policy": "predictive"},)},
-            "predictive can play in no regime .*coordinates.*does not depend on the discretisation",
+            r"predictive is left out: no regime has what it needs \(state: it observes coordinates",
         ),
         (
             {"entrants": ({"policy": "nobody"},)},
