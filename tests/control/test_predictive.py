@@ -76,7 +76,10 @@ def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_t
     return cost
 
 
-@pytest.mark.parametrize("kind", OBJECTIVES)
+@pytest.mark.parametrize(
+    "kind",
+    ["pose", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("position", "shape"))],
+)
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2))]
 )
@@ -271,6 +274,7 @@ def test_predictive_control_that_is_told_of_the_inputs_needs_no_observer(model, 
     assert off[1] > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [1, 2])
 def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, hold):
     """Two newtons too many in every tendon: found, and the target is held all the same."""
@@ -321,7 +325,13 @@ def test_what_is_predicted_is_what_happens(build, kind):
     assert np.abs(memory.disturbance).max() < 1e-3
 
 
-@pytest.mark.parametrize(("controller", "greatest"), [("tracking", 5e-4), ("predictive", 1e-3)])
+@pytest.mark.parametrize(
+    ("controller", "greatest"),
+    [
+        pytest.param("tracking", 5e-4, marks=pytest.mark.slow),
+        ("predictive", 1e-3),
+    ],
+)
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on: two episodes of 3 s, the first
     second left out."""
