@@ -145,7 +145,14 @@ LARGEST = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
 def chosen_under(effects, coordinates=3, error=0.0):
     """A choice that was tried under effects of this table."""
     return Choice(
-        bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, coordinates, error, 0, 0, 20, effects
+        strain=bare_rod(ARM),
+        quadrature={"least": 6},
+        integrator={"tolerance": 1e-5},
+        coordinates=coordinates,
+        error=error,
+        inputs=20,
+        loads=effects,
+        reach=REACH,
     )
 
 
@@ -198,6 +205,23 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
         assert choose(changed, PRESETS["fast"]).coordinates == coordinates, changes
     assert len(tried) == 4
     assert len([*cache.glob("*.json")]) == 4
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_loads_within_the_range_begin_no_trial_at_any_preset(cache, monkeypatch, preset):
+    """Nor one of a coarser preset, which would have to be compared only for the part that the first
+    is not certain of."""
+    tried = []
+
+    def made(scene, asked, least):
+        tried.append(asked)
+        return chosen_under(LARGEST)
+
+    monkeypatch.setattr(module, "search", made)
+    for factor in (1.0, 0.5, 1.2, 0.0):
+        loads = scaled_effects(ARM.effects, factor)
+        at_fidelity(ARM.replace({"effects": loads}), preset)
+    assert tried == [PRESETS[preset]]
 
 
 def test_a_trial_has_loads_up_to_its_range(monkeypatch):
