@@ -168,13 +168,51 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     assert choose(ARM, PRESETS["fast"]) == choice
     path.write_bytes(path.read_bytes()[:-9])  # damaged
     assert choose(ARM, PRESETS["fast"]).coordinates == 99
-    assert json.loads(path.read_text())["coordinates"] == 99
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 99
 
     def cannot(name):
         raise OSError(30, "read-only")
 
     monkeypatch.setattr(kept_trials, "new_data_folder", cannot)
     assert choose(ARM, PRESETS["fine"]).coordinates == 99
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[1, 2]",
+        b'{"choice": {"coordinates": 3}, "digest": "0"}',
+        b"[" * 100_000,
+    ],
+    ids=["empty", "no text", "a list", "another digest", "deep"],
+)
+def test_a_damaged_file_of_a_trial_is_made_anew(cache, monkeypatch, content):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    path.write_bytes(content)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 7
+
+
+@pytest.mark.parametrize("coordinates", [None, "7", 8])
+def test_a_changed_number_of_a_trial_is_noticed(cache, monkeypatch, coordinates):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    file = json.loads(path.read_text())
+    file["choice"]["coordinates"] = coordinates
+    path.write_text(json.dumps(file))
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+
+
+def test_a_trial_that_cannot_be_locked_is_made(cache, monkeypatch):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    key = trial_digest(ARM, PRESETS["fast"])
+    (cache / f"{key}.lock").mkdir(parents=True)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
 
 
 def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, monkeypatch):
