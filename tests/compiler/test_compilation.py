@@ -203,13 +203,16 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     found = kept_code.cache_folder.__wrapped__()
     assert found.parent == writable / "soft_tendon_env"
     (found / "code.nbc").touch()
+    (found / "kernel").mkdir(mode=0o500)
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "new", writable])
     assert not (kept_code.cache_folder.__wrapped__() / "code.nbc").exists(), (
         "that folder can be written: it is for others"
     )
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "newer", writable])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert (kept_code.cache_folder.__wrapped__() / "code.nbc").exists()
+    copied = kept_code.cache_folder.__wrapped__()
+    assert (copied / "code.nbc").exists()
+    assert (copied / "kernel").stat().st_mode & 0o700 == 0o700, "numba writes into it"
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked])
     assert kept_code.cache_folder.__wrapped__() is None
     assert (
