@@ -67,7 +67,7 @@ class PolicyNetwork:
             nothing = plain[:, :0]
             action, _ = self._act(plain, nothing)
             return (action if many else action[0]), state
-        is_first = bool(np.any(episode_start))
+        is_first = episode_start is not None and bool(np.asarray(episode_start).any())
         self._lost.notice(state is None and not is_first)
         memory = self._read_memory(state, len(plain))
         if is_first:
@@ -99,6 +99,7 @@ class PolicyNetwork:
 
     def _bounded(self, mean: Single) -> Single:
         """Actions (rows, n_a) within the action space."""
+        mean = np.ascontiguousarray(mean)
         low, high = self._bounds
         if self.actor.squashes:
             share = HALF * (np.tanh(mean) + ONE)

@@ -145,7 +145,14 @@ LARGEST = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
 def chosen_under(effects, coordinates=3, error=0.0):
     """A choice that was tried under effects of this table."""
     return Choice(
-        bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, coordinates, error, 0, 0, 20, effects
+        strain=bare_rod(ARM),
+        quadrature={"least": 6},
+        integrator={"tolerance": 1e-5},
+        coordinates=coordinates,
+        error=error,
+        inputs=20,
+        loads=effects,
+        reach=REACH,
     )
 
 
@@ -161,13 +168,51 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     assert choose(ARM, PRESETS["fast"]) == choice
     path.write_bytes(path.read_bytes()[:-9])  # damaged
     assert choose(ARM, PRESETS["fast"]).coordinates == 99
-    assert json.loads(path.read_text())["coordinates"] == 99
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 99
 
     def cannot(name):
         raise OSError(30, "read-only")
 
     monkeypatch.setattr(kept_trials, "new_data_folder", cannot)
     assert choose(ARM, PRESETS["fine"]).coordinates == 99
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[1, 2]",
+        b'{"choice": {"coordinates": 3}, "digest": "0"}',
+        b"[" * 100_000,
+    ],
+    ids=["empty", "no text", "a list", "another digest", "deep"],
+)
+def test_a_damaged_file_of_a_trial_is_made_anew(cache, monkeypatch, content):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    path.write_bytes(content)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 7
+
+
+@pytest.mark.parametrize("coordinates", [None, "7", 8])
+def test_a_changed_number_of_a_trial_is_noticed(cache, monkeypatch, coordinates):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    file = json.loads(path.read_text())
+    file["choice"]["coordinates"] = coordinates
+    path.write_text(json.dumps(file))
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+
+
+def test_a_trial_that_cannot_be_locked_is_made(cache, monkeypatch):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    key = trial_digest(ARM, PRESETS["fast"])
+    (cache / f"{key}.lock").mkdir(parents=True)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
 
 
 def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, monkeypatch):
@@ -198,6 +243,23 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
         assert choose(changed, PRESETS["fast"]).coordinates == coordinates, changes
     assert len(tried) == 4
     assert len([*cache.glob("*.json")]) == 4
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_loads_within_the_range_begin_no_trial_at_any_preset(cache, monkeypatch, preset):
+    """Nor one of a coarser preset, which would have to be compared only for the part that the first
+    is not certain of."""
+    tried = []
+
+    def made(scene, asked, least):
+        tried.append(asked)
+        return chosen_under(LARGEST)
+
+    monkeypatch.setattr(module, "search", made)
+    for factor in (1.0, 0.5, 1.2, 0.0):
+        loads = scaled_effects(ARM.effects, factor)
+        at_fidelity(ARM.replace({"effects": loads}), preset)
+    assert tried == [PRESETS[preset]]
 
 
 def test_a_trial_has_loads_up_to_its_range(monkeypatch):
