@@ -17,7 +17,7 @@ from soft_tendon_env.envs.targets.shipped import (
     Rise,
     Stepped,
 )
-from soft_tendon_env.envs.targets.statics import Tensions
+from soft_tendon_env.envs.targets.statics import MARGIN, NoEquilibrium, StaticCourse, Tensions
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -196,3 +196,17 @@ def test_random_motions_have_a_point_every_knot_period(knot_period, count):
     tension = env.episodes.trajectories._course[0].tension
     assert tension.points.shape == (count, 3)
     assert tension.period == 10.0
+
+
+def test_a_drawn_motion_is_refused_where_the_section_gives_way_at_one_of_its_knots():
+    """However firm it is at all others."""
+    env = TipPoseEnv(**SMALL)
+    setting = env.episodes.starts.setting
+    points = np.ones((6, 3))
+    gentle = ClosedSpline(points, period=2.4)
+    StaticCourse(setting, gentle, MARGIN)
+    strong_points = points.copy()
+    strong_points[2, 0] = 1e4
+    strong = ClosedSpline(strong_points, period=2.4)
+    with pytest.raises(NoEquilibrium, match="about to give way"):
+        StaticCourse(setting, strong, MARGIN)
