@@ -253,6 +253,7 @@ def standing(young_modulus):
     return SHIPPED.replace({**STANDS, "segments.0.young_modulus": young_modulus})
 
 
+@pytest.mark.slow
 def test_a_column_that_falls_to_any_side_begins_no_motion(monkeypatch):
     """Refinements that began where the coarser one fell would agree, and models fall elsewhere."""
     monkeypatch.setattr(module, "SECONDS", 0.1)
@@ -423,6 +424,7 @@ def test_a_rod_of_two_parts_has_fields_over_each_and_over_all():
     assert sorted(spans) == ["piece", "piece", "rod", "rod"]
 
 
+@pytest.mark.slow
 def test_tables_have_the_least_number_of_coordinates_that_is_asked_for():
     counts = []
     for table in itertools.islice(strain_tables(ARM, None, least=20), 8):
@@ -530,6 +532,7 @@ def test_strains_and_loads_of_the_rod_stay():
     assert all(strain.include_loads for strain in tables if strain.type == "statics_based")
 
 
+@pytest.mark.slow
 def test_quadrature_and_steps_are_settled(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.2)
     curled = ARM.replace({"segments.0.curvature": [0.0, 0.0, 70.0]})
@@ -540,6 +543,7 @@ def test_quadrature_and_steps_are_settled(monkeypatch):
     assert trial.agree_in_motion(choice, choice.with_finer_steps(10.0), 0.5)
 
 
+@pytest.mark.slow
 def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
     model = build_model(ARM)
     monkeypatch.setattr(module, "USUAL", ())
@@ -591,6 +595,7 @@ LIVELY = SHIPPED.replace(
 """An arm with so little damping that its motions last."""
 
 
+@pytest.mark.slow
 def test_a_motion_is_known_as_far_as_its_work_reaches():
     """The errors bound those of a finer level, at all times."""
     tensions = motion_tensions(LIVELY, "redrawn", 12, 0.4)
@@ -634,6 +639,7 @@ def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
     np.testing.assert_array_equal(remaining_error(changes, None), changes)
 
 
+@pytest.mark.slow
 def test_where_work_ends_a_trial_says_for_how_long_it_promises(monkeypatch, cache):
     """Again where the choice is read from the cache."""
     monkeypatch.setattr(module, "MOST_WORK", 1e7)

@@ -134,6 +134,7 @@ def test_a_phase_is_compiled_when_it_is_first_called():
     assert out[0] == 2.0
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_changes(tmp_path):
     """Nor does one of another clone, whose files lie elsewhere."""
     clone = tmp_path / "clone"

@@ -93,7 +93,11 @@ class LateShape(Shape):
 SLOPES = {**OBJECTIVES, "shape": LateShape}
 
 
-@pytest.mark.parametrize("kind", SLOPES)
+# late errors tell whether every slope is that of its own time
+@pytest.mark.parametrize(
+    "kind",
+    ["shape", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("pose", "position"))],
+)
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2))]
 )
@@ -296,6 +300,7 @@ def test_predictive_control_that_is_told_of_the_inputs_needs_no_observer(model, 
     assert off[1] > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [1, 2])
 def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, hold):
     """Two newtons too many in every tendon: found, and the target is held all the same."""
@@ -346,7 +351,13 @@ def test_what_is_predicted_is_what_happens(build, kind):
     assert np.abs(memory.disturbance).max() < 1e-3
 
 
-@pytest.mark.parametrize(("controller", "greatest"), [("tracking", 5e-4), ("predictive", 1e-3)])
+@pytest.mark.parametrize(
+    ("controller", "greatest"),
+    [
+        pytest.param("tracking", 5e-4, marks=pytest.mark.slow),
+        ("predictive", 1e-3),
+    ],
+)
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on: two episodes of 3 s, the first
     second left out."""

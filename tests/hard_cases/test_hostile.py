@@ -124,6 +124,7 @@ def numbers_in(table, key=""):
             yield path
 
 
+@pytest.mark.slow
 def test_numbers_that_no_arm_has(measured):
     """Every number of a scene with every effect, one after the other, from 5e-324 to 1e308 and an
     integer of 400 digits: their squares, quotients and fourth powers overflow or vanish. Expected:
@@ -250,6 +251,7 @@ ROUTINGS = {
 }
 
 
+@pytest.mark.slow
 def test_friction_of_any_angle(measured):
     """The capstan equation from mu phi = 1e-12 to 99, against the path of the tendon in space: a
     rational exponential was right up to 1, and off by a factor of 2.2 at 31. Expected: what is left

@@ -55,7 +55,10 @@ def curve(folder):
 @pytest.mark.usefixtures("recurrent_ppo")
 @pytest.mark.parametrize(
     "run",
-    [pytest.param(run, marks=[pytest.mark.slow] * (run in ("TQC", "CrossQ"))) for run in RUNS],
+    [
+        *("PPO", "APG", "RecurrentPPO", "running"),
+        *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "TQC", "CrossQ", "DAgger")),
+    ],
 )
 def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path, run):
     chosen = training(**RUNS[run])
@@ -119,8 +122,10 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
     "run",
     [
         "PPO",
-        "RecurrentPPO",
-        *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running")),
+        *(
+            pytest.param(run, marks=pytest.mark.slow)
+            for run in ("RecurrentPPO", "SAC", "APG", "DAgger", "running")
+        ),
     ],
 )
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path, run):
@@ -184,6 +189,7 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     assert rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
 
 
+@pytest.mark.slow
 def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
     train.train(training(), tmp_path)
     more = training(steps=320)
@@ -204,6 +210,7 @@ def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
         train.checkpoint_to_resume(tmp_path, more, resume=True)
 
 
+@pytest.mark.slow
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_path):
     """Killed between the two renamings of a checkpoint, when the new one was complete."""
     assert monitor.quality({"cost": 0.05, "typical": 0.03}) < monitor.quality(

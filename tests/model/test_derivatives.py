@@ -109,7 +109,7 @@ def assert_close(found, expected, tolerance=1e-5):
             "three_tendon",
             {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}},
         ),
-        ("three_tendon", MEMORY),
+        pytest.param("three_tendon", MEMORY, marks=pytest.mark.slow),
         ("three_tendon", EXPLICIT),
     ],
 )

@@ -90,6 +90,7 @@ def test_what_is_out_of_reach_is_approached():
         assert found.position_error <= nearest + 1e-5
 
 
+@pytest.mark.slow
 def test_a_start_next_to_the_strain_limit_is_answered():
     """The equilibrium exists, and its derivative grows without bound."""
     model = build_model(

@@ -149,6 +149,7 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
         robot.read()
 
 
+@pytest.mark.slow
 def test_what_a_driver_raises_is_raised(tmp_path, wait_until):
     path = str(tmp_path / "sent")
     with pytest.raises(FileNotFoundError, match="No such file"):
