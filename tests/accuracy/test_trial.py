@@ -715,7 +715,7 @@ def test_where_work_ends_a_trial_says_for_how_long_it_promises(monkeypatch, cach
     assert re.search(r"1 % of the length for [01]\.?\d* s", heard[0])
     assert "inf" not in heard[0]
     (path,) = cache.glob("*.json")
-    record = json.loads(path.read_text())
+    record = json.loads(path.read_text())["choice"]
     assert 0.2 <= record["seconds"] < 2.0
     bounds = [bound for _, bound in record["growth"]]
     assert bounds == sorted(bounds)
