@@ -80,6 +80,8 @@ class Training(Configuration):
             policies/integral.py; None: none.
         added_effects: numbers of effects by name, for an arm that has none such. What `randomize`
             draws of them is added to those of an arm that has them.
+        start_from: agent whose weights the training begins with, the name of one that ships or a
+            folder; None: random ones. What that agent has learned is not counted in `steps`.
 
     Numbers can be shares of the arm, such as "0.5 length": see learning/shares.py. A training has
     them, effects included, in its options, in SI units.
@@ -98,6 +100,7 @@ class Training(Configuration):
     integral_time: Positive | None = None
     evaluation: Evaluation = Evaluation()
     added_effects: dict[str, dict[str, Any]] = Field(default={})
+    start_from: str | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -22,6 +22,7 @@ from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import (
+    acting_network,
     config_record,
     find_checkpoint,
     read_checkpoint,
@@ -266,7 +267,7 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         return int(self.num_timesteps)
 
     def network(self) -> Any:
-        return self.model.policy
+        return acting_network(self.model)
 
     def normalise(self, observation: Any) -> Any:
         return statistics_of(self.model).normalize_obs(observation)
