@@ -12,7 +12,7 @@ Simulation", ICLR 2022, whose terminal critic is not here.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -159,8 +159,8 @@ reward lacks, which counts as the task does."""
 class APG(ActorAlgorithm):
     """Analytic policy gradient with Stable-Baselines3's interface, on this package's rows.
 
-    It minimises one of COSTS, and writes the reward to the log. Rows that have ended or diverged begin anew between
-    windows. See APGSettings and ActorAlgorithm for arguments.
+    It minimises one of COSTS, and writes the reward to the log. Rows that have ended or diverged
+    begin anew between windows. See APGSettings and ActorAlgorithm for arguments.
 
     Raises:
         TypeError: the environment is of another package.
@@ -193,8 +193,7 @@ class APG(ActorAlgorithm):
         """The network that acts and is saved: that of averaged weights, if there is one."""
         if self._average is None:
             return self.policy
-        averaged: RecurrentPolicy = self._average.module
-        return averaged
+        return cast(RecurrentPolicy, self._average.module)
 
     def predict(self, *arguments: Any, **named: Any) -> Any:
         return self.acting_policy.predict(*arguments, **named)
