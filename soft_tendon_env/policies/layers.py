@@ -17,7 +17,11 @@ class Linear(NamedTuple):
     bias: Single | None = None  # (outputs,)
 
     def __call__(self, values: Single) -> Single:
-        product = np.dot(values, self.weight.T)  # for one row quicker than matmul
+        if len(values) == 1:
+            product = np.dot(values, self.weight.T)  # quicker than matmul
+        else:
+            # columns in place of rows take half the time, or two thirds of it for 60 rows
+            product = np.dot(self.weight, values.T).T
         return product if self.bias is None else product + self.bias
 
 
@@ -187,18 +191,17 @@ class Actor:
             plain: entries of observations (rows, n).
             memory: (rows, size).
         """
-        seen = self._finer(plain)
+        parts = [plain]
+        if self.fine:
+            small = np.tanh(np.float32(self.fine) * plain)
+            parts.append(small)
+        seen = np.concatenate(parts, axis=1)
         if self.gates is not None:
             seen, memory = self.gates(seen, memory)
         latent = self.body(seen)
         mean = self.head(latent)
         if self.gains is not None:
-            away = self._finer(plain[:, self.gains.posture :])
+            posture = self.gains.posture
+            away = np.concatenate([part[:, posture:] for part in parts], axis=1)
             mean = mean + self.gains(latent, away)
         return mean, memory
-
-    def _finer(self, values: Single) -> Single:
-        if not self.fine:
-            return values
-        fine = np.tanh(np.float32(self.fine) * values)
-        return np.concatenate([values, fine], axis=1)

@@ -81,7 +81,8 @@ class PolicyNetwork:
         is_few = 1 < len(plain) <= MOST_ROWS
         with one_thread() if is_few else nullcontext():
             mean, memory = self.actor(plain, memory)
-        return self._bounded(mean), memory
+        rows = np.ascontiguousarray(mean)
+        return self._bounded(rows), memory
 
     def _read_memory(self, state: Any, rows: int) -> Single:
         """The memory (rows, size) of a state, zeros for None."""
