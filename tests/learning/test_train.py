@@ -228,6 +228,8 @@ def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_p
     assert monitor.quality({"cost": 0.05, "typical": 0.03}) < monitor.quality(
         {"cost": 0.1, "typical": 0.35}
     ), "though a few diverged"
+    rows = [{"return": 90.0, "cost": 0.05, "typical": 0.03}, {"return": 91.0, "cost": 0.1}]
+    assert monitor.quality(rows[1], "return") < monitor.quality(rows[0], "return")
     path = tmp_path / "best" / "config.json"
     train.train(training(), tmp_path)
     found = json.loads(path.read_text())
@@ -286,6 +288,7 @@ def hyperparameters(**given):
             hyperparameters(policy_kwargs={"net_arc": [64]}),
             "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you",
         ),
+        ({"start_from": "apg"}, "start_from is 'apg': PPO would begin with a critic that knows"),
         (
             {"algorithm": "APG", **hyperparameters(gamma=0.9)},
             "hyperparameters.gamma is an unknown key",
