@@ -37,17 +37,16 @@ SQUARES: Mapping[str, Square] = {
 
 
 class TensorReward:
-    """Reward of trajectories as the environment gives it, with gradients."""
+    """Reward of trajectories as the environment gives it, with gradients.
+
+    Args:
+        episodes: of the environment, whose chosen terms count.
+
+    Raises:
+        ConfigurationError: gradients cannot pass its terms, which are named.
+    """
 
     def __init__(self, episodes: Episodes) -> None:
-        """Rewards of the terms that an environment has chosen.
-
-        Args:
-            episodes: of the environment.
-
-        Raises:
-            ConfigurationError: gradients cannot pass its terms, which are named.
-        """
         reward = episodes.reward_terms
         if reward is None:
             text = f"is that of goals, of the task {episodes.task.name}: it has no gradients"
