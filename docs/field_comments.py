@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import griffe
+import source_comments
 
 
 class FieldComments(griffe.Extension):
@@ -63,17 +64,9 @@ def description(field: griffe.Attribute) -> str:
 
 
 def comment(field: griffe.Attribute) -> str:
-    """The comment at the end of the field's line, or else the lines of comment above it; empty
-    without any."""
+    """The comment of a field; empty without any."""
     if not field.lines:
         return ""
-    behind = re.search(r"  # (.+)$", field.lines[-1])
-    if behind:
-        return behind[1]
     source = field.lines_collection[field.filepath]
-    above: list[str] = []
-    for line in reversed(source[: field.lineno - 1]):
-        if not line.lstrip().startswith("# "):
-            break
-        above.insert(0, line.strip().removeprefix("# "))
-    return " ".join(above)
+    first = field.lineno
+    return source_comments.comment(source, first, first + len(field.lines) - 1)

@@ -1,5 +1,5 @@
 """Tables of the reference, from the package itself: options, spaces, targets, observation groups,
-rewards, presets, effects.
+rewards, presets, effects, keys of a scene.
 
     python docs/reference_tables.py [--out out/reference]
 
@@ -22,6 +22,7 @@ import gymnasium as gym
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
+from source_comments import comments_of_fields
 
 from soft_tendon_env.accuracy.fidelity import PRESETS
 from soft_tendon_env.effects import EFFECTS
@@ -41,7 +42,10 @@ from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.envs.tracking import ERRORS
 from soft_tendon_env.model.state import State
-from soft_tendon_env.scene.scene import Quadrature
+from soft_tendon_env.scene.routing import ROUTINGS, TAPERS, Taper
+from soft_tendon_env.scene.scene import Base, Integrator, Quadrature, Segment, Tendon
+from soft_tendon_env.scene.sections import SECTIONS, Discs
+from soft_tendon_env.scene.strain import PARAMETRISATIONS, Modes, Snapshots
 from soft_tendon_env.tools.configuration import plain
 
 FIDELITIES = ("scene", *PRESETS)
@@ -56,6 +60,7 @@ TYPES: Mapping[Any, str] = {
     str: "text",
     dict: "table",
     State: "`State`",
+    Taper: "taper",
     Target: "name, table or `Target`",
     Hold: "3 numbers or 4 x 4",
 }
@@ -133,7 +138,8 @@ def type_words(annotation: Any) -> str:
         words = [type_words(part) for part in parts if part is not types.NoneType]
         return " or ".join(dict.fromkeys(words))
     if origin is tuple:
-        element = f"{type_words(parts[0])}s".replace("texts", "names")
+        is_choice = get_origin(parts[0]) is Literal
+        element = "names" if is_choice else f"{type_words(parts[0])}s".replace("texts", "names")
         is_open = parts[-1] is Ellipsis
         return f"list of {element}" if is_open else f"{len(parts)} {element}"
     return TYPES.get(origin or annotation, "table")
@@ -239,6 +245,43 @@ def effects() -> str:
     return table(rows)
 
 
+def scene_keys() -> str:
+    """The keys of a scene but those of its effects, from the comments beside their fields."""
+    tables: dict[str, type[BaseModel]] = {
+        "[[segments]]": Segment,
+        "discs": Discs,
+        **_of_registry("section", SECTIONS),
+        "[[tendons]]": Tendon,
+        **_of_registry("routing", ROUTINGS),
+        **_of_registry("taper of a size", TAPERS),
+        "[base]": Base,
+        **_of_registry("[strain]", PARAMETRISATIONS),
+        "passive, modes": Modes,
+        "passive, type = snapshots": Snapshots,
+        "[quadrature]": Quadrature,
+        "[integrator]": Integrator,
+    }
+    rows: list[Sequence[Any]] = [["table", "key", "type", "unit", "default", "meaning"]]
+    for name, own in tables.items():
+        comments = comments_of_fields(own)
+        for key, field in own.model_fields.items():
+            if key == "type":
+                continue
+            meaning = comments[key]
+            cells = [type_of(field), unit_of(meaning), default_of(field), meaning]
+            rows.append([f"`{name}`", f"`{key}`", *cells])
+    return table(rows)
+
+
+def _of_registry(name: str, kinds: Mapping[str, type[BaseModel]]) -> dict[str, type[BaseModel]]:
+    """Classes that ship, by the name of their table and their type."""
+    return {
+        f"{name}, type = {kind}": kinds[kind]
+        for kind in sorted(kinds)
+        if kinds[kind].__module__.startswith("soft_tendon_env.")
+    }
+
+
 def table(rows: Sequence[Sequence[Any]]) -> str:
     """Rows of a Markdown table, the heading first."""
     lines = [f"| {' | '.join(map(str, row))} |" for row in rows]
@@ -257,6 +300,7 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "observation groups": groups,
     "reward terms": rewards,
     "effects": effects,
+    "scene keys": scene_keys,
 }
 """Tables by the name of their block in a page."""
 

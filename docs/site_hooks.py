@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import generated
+import source_comments  # noqa: F401  griffe loads field_comments.py, which needs it, by its path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page

@@ -83,7 +83,10 @@ def section(name: str) -> str:
     length = sum(segment.length for segment in scene.segments)
     acts = f", effects: {', '.join(effects)}" if effects else ""
     text = f"{scene.description}. {length:g} m, {len(scene.tendons)} tendons{acts}."
-    return f"\n## `{name}`\n\n{text}\n\n![{name}](../pictures/scenes/{name}.png)"
+    tension = SHARE * scene.tendons[0].tension_limits[1]
+    picture = f"![{scene.description}](../pictures/scenes/{name}.png)"
+    caption = f"*At rest, while the first tendon (orange) pulls with {tension:g} N.*"
+    return f"\n## `{name}`\n\n{text}\n\n{picture}\n\n{caption}"
 
 
 if __name__ == "__main__":

@@ -47,6 +47,7 @@ class Choice(NamedTuple):
     not_unique: int = 0
     inputs: int = 0  # that were tried, those with them
     loads: dict[str, Any] | None = None  # table of the largest effects that were tried
+    reach: float = 1.0  # multiple of the loads of the scene that began the trial, which these are
     seconds: float = DURATION  # [s] from the start of motions with less than what is asked for
     tensions: float = 1.0  # part of the tensions of usual motions that it speaks of
     # times [s] and bounds up to them, as shares of the length, where the error is not within what

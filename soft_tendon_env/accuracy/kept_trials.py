@@ -52,7 +52,11 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
         folder = new_data_folder("trials")
     except OSError:  # nothing can be kept
         return trial.search(scene, asked, least)
-    with FileLock(folder / f"{key}.lock"):  # one process makes it, the others find it
+    with contextlib.ExitStack() as turn:  # one process makes it, the others find it
+        # What cannot be locked may be made twice, as where the file system has no locks.
+        with contextlib.suppress(OSError, NotImplementedError):
+            lock = FileLock(folder / f"{key}.lock")
+            turn.enter_context(lock)
         kept = kept_choice(folder, key, scene, least)
         if kept is not None:
             if not kept.speaks_of_all:
@@ -90,7 +94,10 @@ def _kept(folder: Path, key: str, scene: Scene) -> Iterator[Choice]:
     codes = effect_digests(tried_effects(scene.effects))
     for path in sorted(folder.glob(f"{key}_*.json")):
         try:
-            record = read_json(path)
+            file = read_json(path)
+            record = file["choice"]
+            if file["digest"] != _digest_of(_text_of(record)):
+                continue
             tried = record.pop("codes")
             record["growth"] = tuple((seconds, bound) for seconds, bound in record["growth"])
             choice = Choice(**record)
@@ -114,13 +121,14 @@ def _reaches(choice: Choice, scene: Scene) -> bool:
 def keep(folder: Path, key: str, scene: Scene, choice: Choice) -> None:
     """Writes a choice to the cache, if that can be written."""
     # a file for each range of loads
-    loads = json.dumps(choice.loads, sort_keys=True)
-    file = f"{key}_{_digest_of(loads)}.json"
-    path = folder / file
+    loads = _text_of(choice.loads)
+    name = f"{key}_{_digest_of(loads)}.json"
+    path = folder / name
 
     record = choice._asdict()
     record["codes"] = effect_digests(tried_effects(scene.effects))
-    text = json.dumps(record)
+    digest_of_record = _digest_of(_text_of(record))
+    text = json.dumps({"choice": record, "digest": digest_of_record})
     with contextlib.suppress(OSError), replacing(path) as temporary:
         temporary.write_text(text)
 
@@ -155,7 +163,12 @@ def trial_digest(scene: Scene, asked: Accuracy) -> str:
         asked,
         code_digest(),
     ]
-    return _digest_of(json.dumps(made_of, sort_keys=True))
+    return _digest_of(_text_of(made_of))
+
+
+def _text_of(values: Any) -> str:
+    """JSON of values, the same for the same values, also after they were written and read."""
+    return json.dumps(values, sort_keys=True)
 
 
 def _digest_of(text: str) -> str:

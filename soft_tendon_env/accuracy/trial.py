@@ -122,6 +122,7 @@ class Trial:
         """
         self.scene = scene.replace({"effects": tried_effects(scene.effects)})
         self.unit = share * rod_length(scene)
+        self.reach = reach
         self.cases = load_cases(scene, reach, SEED)
         if progress is None:
             self._progress = Progress(scene.name)
@@ -509,4 +510,5 @@ def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
         not_unique=trial.not_unique,
         inputs=trial.inputs,
         loads=largest.model_dump(mode="json"),
+        reach=trial.reach,
     )

@@ -150,7 +150,7 @@ class Kernel:
         try:
             return KeptKernel(self._function, options, kept).dispatcher
         except OSError as error:
-            warn_that_nothing_is_kept(error)
+            warn_that_nothing_is_kept(error, cache)
             return numba.njit(**options)(self._function)
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:

@@ -66,7 +66,7 @@ class KeptKernel:
             try:
                 return numba.njit(**self._options, cache=True)(self._function)
             except RuntimeError as error:
-                raise OSError(f"{self._kept.folder} cannot be written") from error
+                raise OSError("it cannot be written") from error
 
     def _compile(self, kinds: tuple[types.Type, ...]) -> Any:
         """Loads or compiles the function for arguments of these types, in place of numba's.
@@ -99,7 +99,7 @@ class KeptKernel:
         try:
             self._kept.remove()
         except OSError as error:
-            warn_that_nothing_is_kept(error)
+            warn_that_nothing_is_kept(error, self._cache)
             return False
         return True
 
@@ -130,7 +130,7 @@ class KeptKernel:
             if not isinstance(error, OSError) or kinds not in overloads:
                 raise
             # It was compiled and could not be written. What was is incomplete.
-            warn_that_nothing_is_kept(error)
+            warn_that_nothing_is_kept(error, self._cache)
             with contextlib.suppress(OSError):
                 self._kept.remove()
         # Where folders have no locks, two processes can have exchanged their files.
@@ -144,9 +144,11 @@ def has_no_class_of_users(kind: types.Type) -> bool:
     return is_known and all(map(has_no_class_of_users, getattr(kind, "types", ())))
 
 
-def warn_that_nothing_is_kept(error: OSError) -> None:
-    """Says once why machine code cannot be kept."""
-    warn_once(f"machine code is not kept ({describe(error)}): every process compiles again")
+def warn_that_nothing_is_kept(error: OSError, folder: Path) -> None:
+    """Says once why machine code cannot be kept in a folder."""
+    # without the name of the file: there would be a line for each kernel
+    reason = error.strerror or describe(error)
+    warn_once(f"machine code is not kept in {folder} ({reason}): every process compiles again")
 
 
 @contextlib.contextmanager

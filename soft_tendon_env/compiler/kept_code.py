@@ -15,6 +15,7 @@ import json
 import os
 import re
 import shutil
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,8 @@ KERNEL_SOURCES = ("compiler/*.py", "mechanics/**/*.py", "effects/**/*.py", "envs
 """Files of the package that machine code is made from."""
 FOLDERS_KEPT = 3
 """Versions of the machine code that stay in the user's cache."""
+OWNERS = stat.S_IRWXU
+"""Permissions of folders that the user alone reads and writes."""
 
 
 def is_of_package(named: Any) -> bool:
@@ -109,11 +112,22 @@ def cache_folder() -> Path | None:
         say(f"{error.strerror}: every process compiles again")
         return None
     if folder not in known and known and not os.access(known[0], os.W_OK):
-        # numba loads from folders alone that it can write. What cannot be copied is compiled.
-        with contextlib.suppress(OSError):
-            shutil.copytree(known[0], folder, dirs_exist_ok=True)
+        # numba loads from folders alone that it can write
+        _copy_read_only(known[0], folder)
     _remove_outdated(folder.parent)
     return folder
+
+
+def _copy_read_only(source: Path, folder: Path) -> None:
+    """Copies machine code that cannot be written where it is; what cannot be copied is compiled."""
+    with contextlib.suppress(OSError):
+        shutil.copytree(source, folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
+    # each folder has the permissions of its source, in which nothing could be written
+    with contextlib.suppress(OSError):
+        folder.chmod(OWNERS)
+        for path in folder.rglob("*"):
+            if path.is_dir():
+                path.chmod(OWNERS)
 
 
 def _remove_outdated(parent: Path) -> None:

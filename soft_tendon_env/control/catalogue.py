@@ -44,9 +44,11 @@ OBJECTIVES = "objectives"
 class Entry:
     """Entry of the catalogue: a controller with its parameters.
 
-    make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods
-    ahead for which it needs the reference, besides now. parameters: numbers that can be tuned, by
-    name, which `make` takes as keyword arguments.
+    Attributes:
+        description: one phrase, for lists of controllers.
+        make: makes it from a model, limits (n_a, 2) [N] and the control period [s].
+        looks_ahead: control periods ahead for which it needs the reference, besides now.
+        parameters: numbers that can be tuned, by name, which `make` takes as keyword arguments.
     """
 
     description: str

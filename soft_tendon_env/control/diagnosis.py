@@ -19,8 +19,8 @@ NORMAL = 1.96
 class Quantity(NamedTuple):
     """Estimated quantity: a value and its standard deviation, arrays of one shape."""
 
-    value: Array
-    deviation: Array
+    value: Array  # in SI units
+    deviation: Array  # standard deviation, in the units of the value
 
     @property
     def interval(self) -> tuple[Array, Array]:

@@ -369,9 +369,10 @@ def _plausible(
     inverse_root = _inverse_root(slope, slope @ covariance, noise)
     whitened = inverse_root @ innovations
     best = int((whitened**2).sum(axis=0).argmin())
+    jump = slope @ predicted.jump
     # a command that comes at another time than is believed looks like a jump
     is_timed = _timing_spread(predicted.bank) < TIMED
-    if is_timed and _evidence(inverse_root @ slope @ predicted.jump, whitened[:, best]) > EVIDENCE:
+    if is_timed and _evidence(inverse_root @ jump, whitened[:, best]) > EVIDENCE:
         covariance = covariance + predicted.jump @ predicted.jump.T
         inverse_root = _inverse_root(slope, slope @ covariance, noise)
     surprise = _least_square(inverse_root, innovations)
@@ -393,7 +394,7 @@ def _evidence(jump: Array, innovation: Array) -> float:
     """
     information = np.eye(jump.shape[1]) + jump.T @ jump
     root = np.linalg.cholesky(information)
-    whitened = solve_triangular(root, jump.T @ innovation, lower=True)
+    whitened = np.linalg.solve(root, jump.T @ innovation)
     return float(0.5 * whitened @ whitened - np.log(np.diag(root)).sum())
 
 

@@ -58,7 +58,7 @@ class Posture(NamedTuple):
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
     tip_jacobian: Array  # (6, n) of the tip's body twist
-    reference: Reference
+    reference: Reference  # that it should follow
     ahead: float  # [s] from now
     time: float  # [s] since the episode began
 
@@ -66,8 +66,8 @@ class Posture(NamedTuple):
 class LinearError(NamedTuple):
     """Error (k,) and its Jacobian (k, n): with the coordinates it changes by -jacobian @ dq."""
 
-    error: Array
-    jacobian: Array
+    error: Array  # (k,)
+    jacobian: Array  # (k, n)
 
 
 class Objective(Protocol):

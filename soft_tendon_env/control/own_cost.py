@@ -24,7 +24,7 @@ ALLOWED = (
 class Effort:
     """Weight of the squares of the tensions, against what they do to the other objectives."""
 
-    weight: float
+    weight: float  # in the place of `Tuning.effort`
 
     def __post_init__(self) -> None:
         checked_weight(self.weight)
@@ -34,7 +34,7 @@ class Effort:
 class Smoothness:
     """Weight of the squares of the tensions' changes, against what they do to other objectives."""
 
-    weight: float
+    weight: float  # in the place of `Tuning.smoothness`
 
     def __post_init__(self) -> None:
         checked_number("weight", self.weight, 0.0, "a number, at least 0")

@@ -108,7 +108,9 @@ class Predictive(ModelController):
         plan_size = self.horizon * size
         self._change = np.eye(plan_size) - np.eye(plan_size, k=-size)
         self._effort = tuning.effort**2
-        self._smoothness = tuning.smoothness**2 * self._change.T
+        self._smoothness = tuning.smoothness**2
+        # square of the changes of a plan, a quadratic form of it
+        self._roughness = self._change.T @ self._change
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
@@ -190,9 +192,9 @@ class Predictive(ModelController):
         unit = np.trace(hessian) / tension.size
         caution = (1.0 + CAUTION * now.timing_spread / self.period) ** 2
         smoothness = caution * self._smoothness
-        penalty = self._effort * np.eye(tension.size) + smoothness @ self._change
+        penalty = self._effort * np.eye(tension.size) + smoothness * self._roughness
         hessian = hessian + unit * penalty
-        penalty_gradient = self._effort * tension + smoothness @ change
+        penalty_gradient = self._effort * tension + smoothness * (self._change.T @ change)
         gradient = gradient + unit * penalty_gradient
         least = np.tile(self.least, self.horizon) - tension
         greatest = np.tile(self.greatest, self.horizon) - tension

@@ -74,7 +74,7 @@ class ControllerInput(NamedTuple):
     q_dot: Array  # (n,)
     tip_pose: Array  # (4, 4) as measured: not that of q, if the model is wrong
     tension: Array  # (n_a,) [N] asked for last
-    reference: Reference
+    reference: Reference  # target of the controller, now and ahead
     time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
     # where an estimator finds one: a controller that allows for it needs no observer of its own
     input_error: InputError | None = None
@@ -94,7 +94,7 @@ class ControllerOutput:
     0.0 otherwise.
     """
 
-    tension: Array
+    tension: Array  # (n_a,) [N]
     memory: Any = None
     report: Mapping[str, float] = field(default_factory=dict)
 

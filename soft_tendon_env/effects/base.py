@@ -326,9 +326,10 @@ class Effects(Configuration):
         states = list[Array]()
         numbers = dict[str, Any]()
         for i, (name, effect) in enumerate(self.acting().items()):
+            # first: it refuses numbers whose state would fill the memory
+            numbers |= _transmission_of(effect, rod)
             state = effect.state(rod)
             states.append(state)
-            numbers |= _transmission_of(effect, rod)
             if effect.is_actuation:  # it acts by the transmission alone
                 parameters.append(Struct())
                 if state.size:

@@ -126,12 +126,12 @@ class Options(Configuration):
         action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times
             the control period, 2 N by default, from those asked for before; "tension" maps it to
             the tension limits.
-        tension_rate: largest rate of change [N/s] of actions that are increments. For those that
-            are tensions it means nothing: `rate_limit` bounds both.
-        rate_limit: largest rate of change [N/s] that the actuators let commands have, whatever
-            policy asks for them; None sets no limit, so that actions that are tensions may jump.
-            A command that is asked for goes as far towards it in a control period as the limit
-            lets it. With `effects.actuators.rate_limit` actuators also need time within a period.
+        tension_rate: largest rate of change [N/s] of actions that are increments. Actions that are
+            tensions do not use it; `rate_limit` bounds both kinds.
+        rate_limit: largest rate of change [N/s] of the commands, whatever the actions are: a
+            command moves towards the requested one at no more than this rate. None sets no limit,
+            so that actions that are tensions may jump. With `effects.actuators.rate_limit`
+            actuators also need time within a period.
         target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or
             another of TARGETS), a table with that `type` and its settings, or a target object. None
             takes the task's default.

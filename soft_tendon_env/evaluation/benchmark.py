@@ -216,11 +216,7 @@ class Benchmark(Workers):
                     yield label, cell
         if reasons and not plays:
             every = "; ".join(dict.fromkeys(reasons))  # those of several seeds are alike
-            only = "policies may observe what does not depend on the discretisation of the arm"
-            raise ValueError(
-                f"{entrant.name} can play in no regime ({every}): {only}, see REGIMES in"
-                " policies/regimes.py"
-            )
+            raise ValueError(f"no regime has what it needs ({every})")
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:

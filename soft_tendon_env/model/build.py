@@ -1,8 +1,10 @@
 """Model of a scene: its quadrature is chosen, its rod and its coordinates are checked."""
 
+import functools
 import math
 import warnings
 from contextlib import AbstractContextManager
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from soft_tendon_env.tools.messages import naming
 FIRST_USE = "up to a minute on an idle core"
 """Time to the first step of an environment while all kernels are compiled: 43 s of CPU time were
 measured on an AMD EPYC with busy cores, and 9 s for another kind of arm after that."""
+
+MOST_REMEMBERED = 128
+"""Scenes at most whose quadrature is remembered in a process."""
 
 
 class QuadratureWarning(UserWarning):
@@ -55,27 +60,42 @@ def compiling_for(scene: Scene) -> AbstractContextManager[None]:
 
 def _checked_model(scene: Scene) -> Model:
     """Model with a quadrature that suffices or is said to be too coarse, see `build_model`."""
+    try:
+        hash(scene)
+    except TypeError:  # an effect of one's own may have a list among its fields
+        quadrature = _quadrature.__wrapped__(scene)
+    else:
+        quadrature = _quadrature(scene)
+    # the model is made all the same: it may do for what it is asked
+    if quadrature.estimate.problem:
+        warnings.warn(_too_coarse(*quadrature), QuadratureWarning, stacklevel=3)
+    model = model_on(scene, quadrature.estimate.intervals)
+    _check_coordinates(model)
+    return model
+
+
+class _Quadrature(NamedTuple):
+    """Estimates of the quadrature that a scene has, and of one that suffices for it."""
+
+    estimate: QuadratureEstimate
+    sufficient: QuadratureEstimate
+
+
+@functools.lru_cache(maxsize=MOST_REMEMBERED)
+def _quadrature(scene: Scene) -> _Quadrature:
+    """Quadrature of a scene: as it says, or the coarsest that suffices.
+
+    It is remembered, since to choose it takes as long as all else of a model.
+    """
     test = QuadratureTest(scene)
     intervals = scene.quadrature.intervals
     if intervals is None:
         estimate = test.search(scene.quadrature.least)
-        sufficient = estimate
-    else:
-        estimate = test.error_estimate(intervals)
-        if estimate.problem:
-            sufficient = test.search(intervals)
-        else:
-            sufficient = estimate
-    # the model is made all the same: it may do for what it is asked
+        return _Quadrature(estimate, sufficient=estimate)
+    estimate = test.error_estimate(intervals)
     if estimate.problem:
-        warnings.warn(_too_coarse(estimate, sufficient), QuadratureWarning, stacklevel=3)
-    # the test leaves obstacles and actuators out, and its model is the scene's own without them
-    if test.scene.effects == scene.effects:
-        model = test.model(estimate.intervals)
-    else:
-        model = model_on(scene, estimate.intervals)
-    _check_coordinates(model)
-    return model
+        return _Quadrature(estimate, sufficient=test.search(intervals))
+    return _Quadrature(estimate, sufficient=estimate)
 
 
 def _check_turns(scene: Scene) -> None:

@@ -68,7 +68,8 @@ def tension_for_tip_pose(
         model: of the arm.
         pose: (4, 4) in the world frame.
         start: tensions (n_a,) [N] near the solution, when following a path: one local search from
-            there instead of several from afar.
+            there instead of several from afar. Where many tensions reach the pose, they stay near
+            these and are not of least effort.
 
     Returns:
         The tensions and their equilibrium.

@@ -14,13 +14,21 @@ from soft_tendon_env.tools.types import Single
 SELU_ALPHA = np.float32(1.6732632423543772)
 SELU_SCALE = np.float32(1.0507009873554805)
 LEAKY_SLOPE = np.float32(0.01)  # of torch.nn.LeakyReLU
+ZERO = np.float32(0.0)  # quicker in sums and comparisons than numbers of Python
+ONE = np.float32(1.0)
 SQRT_HALF = np.float32(np.sqrt(0.5))
 
 
 def _elu(values: Single) -> Single:
+    return np.maximum(values, _exp_below(values))
+
+
+def _exp_below(values: Single) -> Single:
+    """exp(x) - 1 below 0, which is above x, and 0 elsewhere."""
     # exp is five times quicker than expm1 here, and as exact to 1e-7 absolutely
-    below = np.exp(np.minimum(values, 0.0)) - np.float32(1.0)
-    return np.maximum(values, 0.0) + below
+    below: Single = np.exp(np.minimum(values, ZERO))
+    below -= ONE
+    return below
 
 
 def _gelu(values: Single) -> Single:
@@ -30,8 +38,7 @@ def _gelu(values: Single) -> Single:
 
 
 def _selu(values: Single) -> Single:
-    below = np.exp(np.minimum(values, 0.0)) - np.float32(1.0)
-    return SELU_SCALE * (np.maximum(values, 0.0) + SELU_ALPHA * below)
+    return SELU_SCALE * (np.maximum(values, ZERO) + SELU_ALPHA * _exp_below(values))
 
 
 def _softplus(values: Single) -> Single:

@@ -36,7 +36,7 @@ class EstimatorEntry:
     """State estimator of ESTIMATORS."""
 
     prefix: str  # what stands before a controller's name in the name of its policy, "filtered:"
-    make: Callable[[Model, Setting], Estimator]
+    make: Callable[[Model, Setting], Estimator]  # makes it for an arm and its sensors
     # greatest latency and lag [s] of commands that it estimates by itself; 0: it does not
     greatest_timing: Timing = NO_TIMING
     filters: bool = False  # whether it is a Kalman filter: entries of its Uncertainty can be tuned

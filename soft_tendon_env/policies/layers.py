@@ -17,12 +17,11 @@ class Linear(NamedTuple):
     bias: Single | None = None  # (outputs,)
 
     def __call__(self, values: Single) -> Single:
-        if len(values) == 1:
-            product = np.dot(values, self.weight.T)  # quicker than matmul
-        else:
-            # columns in place of rows take half the time, or two thirds of it for 60 rows
-            product = np.dot(self.weight, values.T).T
-        return product if self.bias is None else product + self.bias
+        # quicker than matmul for one row, and with the weights first for twenty in half of the time
+        product: Single = np.dot(self.weight, values.T).T
+        if self.bias is not None:
+            product += self.bias
+        return product
 
 
 class Activation(NamedTuple):
@@ -91,12 +90,18 @@ class Gates:
             seen: (rows, n).
             memory: (rows, size).
         """
-        share = expit(self.gate(np.concatenate([seen, memory], axis=1)))
-        recalled = np.concatenate([seen, share * memory], axis=1)
-        candidate = np.tanh(self.candidate(recalled))
+        inputs = np.concatenate([seen, memory], axis=1)
+        recalled = inputs[:, seen.shape[1] :]  # a view: writing to it changes the inputs
+        share = expit(self.gate(inputs))
+        recalled *= share
+        candidate: Single = np.tanh(self.candidate(inputs))
+        # in place: a new array takes as long as a product of these sizes
+        candidate -= memory
+        candidate *= share
+        candidate += memory
         # the action follows what is remembered now, this period's observation included
-        memory = memory + share * (candidate - memory)
-        return np.concatenate([seen, memory], axis=1), memory
+        recalled[:] = candidate
+        return inputs, candidate
 
 
 class LstmLayer(NamedTuple):
@@ -191,17 +196,16 @@ class Actor:
             plain: entries of observations (rows, n).
             memory: (rows, size).
         """
-        parts = [plain]
+        scales = [plain]
         if self.fine:
-            small = np.tanh(np.float32(self.fine) * plain)
-            parts.append(small)
-        seen = np.concatenate(parts, axis=1)
+            scales.append(np.tanh(np.float32(self.fine) * plain))
+        seen = np.concatenate(scales, axis=1)
         if self.gates is not None:
             seen, memory = self.gates(seen, memory)
         latent = self.body(seen)
         mean = self.head(latent)
         if self.gains is not None:
-            posture = self.gains.posture
-            away = np.concatenate([part[:, posture:] for part in parts], axis=1)
-            mean = mean + self.gains(latent, away)
+            parts = [values[:, self.gains.posture :] for values in scales]
+            away = np.concatenate(parts, axis=1)
+            mean += self.gains(latent, away)
         return mean, memory

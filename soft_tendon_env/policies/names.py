@@ -73,13 +73,10 @@ ZIP = (
 
 @dataclass(frozen=True)
 class PolicyName:
-    """Name of a policy for a task, and what the name means.
+    """Name of a policy for a task, and what the name means."""
 
-    `text` is the name as it was written, `task` "TipPose" or another.
-    """
-
-    text: str
-    task: str
+    text: str  # the name as it was written
+    task: str  # "TipPose" or another
 
     @staticmethod
     def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:

@@ -67,7 +67,7 @@ class PolicyNetwork:
             nothing = plain[:, :0]
             action, _ = self._act(plain, nothing)
             return (action if many else action[0]), state
-        is_first = bool(np.any(episode_start))
+        is_first = episode_start is not None and bool(np.asarray(episode_start).any())
         self._lost.notice(state is None and not is_first)
         memory = self._read_memory(state, len(plain))
         if is_first:
@@ -81,8 +81,7 @@ class PolicyNetwork:
         is_few = 1 < len(plain) <= MOST_ROWS
         with one_thread() if is_few else nullcontext():
             mean, memory = self.actor(plain, memory)
-        rows = np.ascontiguousarray(mean)
-        return self._bounded(rows), memory
+        return self._bounded(mean), memory
 
     def _read_memory(self, state: Any, rows: int) -> Single:
         """The memory (rows, size) of a state, zeros for None."""
@@ -100,6 +99,7 @@ class PolicyNetwork:
 
     def _bounded(self, mean: Single) -> Single:
         """Actions (rows, n_a) within the action space."""
+        mean = np.ascontiguousarray(mean)
         low, high = self._bounds
         if self.actor.squashes:
             share = HALF * (np.tanh(mean) + ONE)

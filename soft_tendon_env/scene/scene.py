@@ -76,7 +76,7 @@ class Base(Configuration):
     The straight rod runs along the base's x axis.
     """
 
-    position: Triple = (0.0, 0.0, 0.0)  # [m]
+    position: Triple = (0.0, 0.0, 0.0)  # of the base in the world [m]
     # from the base's axes to the world's, (w, x, y, z)
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
     # further turn about the world's axes, a rotation vector [deg]
@@ -132,18 +132,20 @@ class Segment(Configuration):
         " 0.005, inner_radius = 0.004} in its place, see soft_tendon_env.scene.sections",
     )
 
-    length: Length  # [m]
-    section: AnySection | None = None  # in place of radius
-    young_modulus: Positive | None = Field(default=None, validate_default=True)  # [Pa]
-    # above -1, up to 0.5 (incompressible)
+    length: Length  # along the axis [m]
+    section: AnySection | None = None  # in place of a radius, with its `type`
+    # of the material [Pa]
+    young_modulus: Positive | None = Field(default=None, validate_default=True)
+    # of the material, above -1, up to 0.5 (incompressible)
     poisson_ratio: float | None = Field(default=None, gt=-1, le=0.5, validate_default=True)
-    density: Positive | None = Field(default=None, validate_default=True)  # [kg/m^3]
+    # of the material [kg/m^3]
+    density: Positive | None = Field(default=None, validate_default=True)
     # Kelvin-Voigt viscosity eta [Pa s]
     damping: NotNegative | None = Field(default=None, validate_default=True)
-    # of a solid circle [m], a number or a LinearTaper or TaperTable
+    # of a solid circle [m]
     radius: Size | None = Field(default=None, validate_default=True)
     curvature: Triple = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
-    discs: Discs | None = None  # spacer discs
+    discs: Discs | None = None  # spacer discs on the segment
 
     @field_validator("young_modulus", "poisson_ratio", "density", "damping", "radius")
     @classmethod
@@ -233,11 +235,9 @@ class Tendon(Configuration):
     Positive tension pulls.
     """
 
-    # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting,
-    # ...
-    routing: Routing
-    start: NotNegative = 0.0  # arc length [m]
-    end: Positive | None = None  # arc length [m]; None: the rod's tip
+    routing: Routing  # its offset from the axis along the rod, with its `type`
+    start: NotNegative = 0.0  # arc length [m] where it enters the rod
+    end: Positive | None = None  # arc length [m] where it is fixed; None: the rod's tip
     # (least, greatest) [N] of the actuator; a negative least allows it to push
     tension_limits: TensionLimits = (0.0, 50.0)
 
@@ -257,7 +257,8 @@ class Quadrature(Configuration):
     neighbouring `breakpoints`.
     """
 
-    # None: `least`, or as many as the scene needs for `tolerance`
+    # Magnus intervals of each piece; None: `least`, or as many as the scene needs for
+    # `tolerance`
     intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
     # by which the tip may be off at rest under tensions within limits, as a share of the rod's
     # length
@@ -279,9 +280,9 @@ class Integrator(Configuration):
     """
 
     step: TimeStep = 0.02  # longest step [s]
-    # of the extrapolation, which is its order; None: as many as the damping allows
+    # columns of the extrapolation, which are its order; None: as many as the damping allows
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
-    # [m], of the error of a step; None: the order is fixed
+    # error of a step that is allowed [m]; None: the order is fixed
     tolerance: Annotated[float, Field(gt=0)] | None = None
     # times by which a step that fails is halved
     max_halvings: int = Field(default=10, ge=0, le=20)

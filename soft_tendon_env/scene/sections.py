@@ -240,8 +240,8 @@ class Tube(Solid):
     sizes: ClassVar[tuple[str, ...]] = ("radius", "inner_radius")
 
     type: Literal["tube"] = "tube"
-    radius: Size  # outer radius [m], as the others a number or a taper: LinearTaper, TaperTable
-    inner_radius: Size  # [m]
+    radius: Size  # outer radius [m]
+    inner_radius: Size  # radius of the hole [m]
 
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
         """Computes area and second moments of the annulus."""
@@ -434,8 +434,9 @@ class Stiffness(Section):
     stretch: Positive  # E A [N]
     # along y and z [N], or one number for both
     shear: Annotated[tuple[Positive, Positive], BeforeValidator(_both)]
-    mass_per_length: Positive  # [kg/m]
-    # [s], in bending 2 zeta / omega of a mode of damping ratio zeta and frequency omega [rad/s]
+    mass_per_length: Positive  # mass of the rod per length [kg/m]
+    # viscosity over stiffness [s], in bending 2 zeta / omega of a mode of damping ratio zeta and
+    # frequency omega [rad/s]
     retardation_time: NotNegative
     radius: Size  # of the outer circle [m], for contact, fluids, drawing and tendons on the surface
     # about x, y, z per length [kg m]; None: a solid circle's
@@ -476,8 +477,8 @@ class Discs(Configuration):
     """
 
     mass: Positive  # of each [kg]
-    radius: Length  # [m]; their inertia is that of full cylinders
-    thickness: Length | None = None  # [m]; None: thin
+    radius: Length  # outer radius [m]; their inertia is that of full cylinders
+    thickness: Length | None = None  # along the rod [m]; None: thin
     # how many, evenly, the last one at the end of the segment; None: `places` says where
     number: int | None = Field(default=None, ge=1, le=1000)
     # arc lengths from the start of the segment [m], in place of a number

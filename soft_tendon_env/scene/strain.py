@@ -127,10 +127,11 @@ class Snapshots(Configuration):
     """
 
     type: Literal["snapshots"] = "snapshots"
-    fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
-    # a path; None: among those that ship and those in the user's cache, by what they were made for
+    fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # number of the leading ones that are used
+    # path of their file; None: among those that ship and those in the user's cache, by what they
+    # were made for
     file: str | None = None
-    # to have these fields and no others; None: any that fit
+    # of the only fields that are taken, as a hash; None: any that fit
     digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
 
 
@@ -146,7 +147,7 @@ class RodStrain(Configuration):
     `borders` are arc lengths [m] that cut it into further pieces.
     """
 
-    borders: tuple[Positive, ...] = ()
+    borders: tuple[Positive, ...] = ()  # arc lengths [m] that cut the rod into further pieces
 
     @property
     @abstractmethod
@@ -193,7 +194,8 @@ class StaticsBased(RodStrain):
     """
 
     type: Literal["statics_based"] = "statics_based"
-    # those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod)
+    # strains that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff
+    # rod)
     strains: Strains = STRAINS
     # fields of moments [N m] and forces [N] beside the tendons': Legendre `Modes`, or type
     # "snapshots"

@@ -31,6 +31,7 @@ def quick():
     patch.undo()
 
 
+@pytest.mark.slow
 def test_fields_made_twice_are_the_same_to_round_off(quick):
     first, second = quick
     assert (
@@ -42,6 +43,7 @@ def test_fields_made_twice_are_the_same_to_round_off(quick):
     assert first.errors == second.errors
 
 
+@pytest.mark.slow
 def test_errors_fall_with_the_number_of_fields(quick):
     fields, _ = quick
     for kind in USUAL:

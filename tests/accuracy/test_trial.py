@@ -145,7 +145,14 @@ LARGEST = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
 def chosen_under(effects, coordinates=3, error=0.0):
     """A choice that was tried under effects of this table."""
     return Choice(
-        bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, coordinates, error, 0, 0, 20, effects
+        strain=bare_rod(ARM),
+        quadrature={"least": 6},
+        integrator={"tolerance": 1e-5},
+        coordinates=coordinates,
+        error=error,
+        inputs=20,
+        loads=effects,
+        reach=REACH,
     )
 
 
@@ -161,13 +168,51 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     assert choose(ARM, PRESETS["fast"]) == choice
     path.write_bytes(path.read_bytes()[:-9])  # damaged
     assert choose(ARM, PRESETS["fast"]).coordinates == 99
-    assert json.loads(path.read_text())["coordinates"] == 99
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 99
 
     def cannot(name):
         raise OSError(30, "read-only")
 
     monkeypatch.setattr(kept_trials, "new_data_folder", cannot)
     assert choose(ARM, PRESETS["fine"]).coordinates == 99
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[1, 2]",
+        b'{"choice": {"coordinates": 3}, "digest": "0"}',
+        b"[" * 100_000,
+    ],
+    ids=["empty", "no text", "a list", "another digest", "deep"],
+)
+def test_a_damaged_file_of_a_trial_is_made_anew(cache, monkeypatch, content):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    path.write_bytes(content)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+    assert json.loads(path.read_text())["choice"]["coordinates"] == 7
+
+
+@pytest.mark.parametrize("coordinates", [None, "7", 8])
+def test_a_changed_number_of_a_trial_is_noticed(cache, monkeypatch, coordinates):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    choose(ARM, PRESETS["fast"])
+    (path,) = cache.glob("*.json")
+    file = json.loads(path.read_text())
+    file["choice"]["coordinates"] = coordinates
+    path.write_text(json.dumps(file))
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
+
+
+def test_a_trial_that_cannot_be_locked_is_made(cache, monkeypatch):
+    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    key = trial_digest(ARM, PRESETS["fast"])
+    (cache / f"{key}.lock").mkdir(parents=True)
+    assert choose(ARM, PRESETS["fast"]).coordinates == 7
 
 
 def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, monkeypatch):
@@ -198,6 +243,23 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
         assert choose(changed, PRESETS["fast"]).coordinates == coordinates, changes
     assert len(tried) == 4
     assert len([*cache.glob("*.json")]) == 4
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_loads_within_the_range_begin_no_trial_at_any_preset(cache, monkeypatch, preset):
+    """Nor one of a coarser preset, which would have to be compared only for the part that the first
+    is not certain of."""
+    tried = []
+
+    def made(scene, asked, least):
+        tried.append(asked)
+        return chosen_under(LARGEST)
+
+    monkeypatch.setattr(module, "search", made)
+    for factor in (1.0, 0.5, 1.2, 0.0):
+        loads = scaled_effects(ARM.effects, factor)
+        at_fidelity(ARM.replace({"effects": loads}), preset)
+    assert tried == [PRESETS[preset]]
 
 
 def test_a_trial_has_loads_up_to_its_range(monkeypatch):
@@ -253,6 +315,7 @@ def standing(young_modulus):
     return SHIPPED.replace({**STANDS, "segments.0.young_modulus": young_modulus})
 
 
+@pytest.mark.slow
 def test_a_column_that_falls_to_any_side_begins_no_motion(monkeypatch):
     """Refinements that began where the coarser one fell would agree, and models fall elsewhere."""
     monkeypatch.setattr(module, "SECONDS", 0.1)
@@ -423,6 +486,7 @@ def test_a_rod_of_two_parts_has_fields_over_each_and_over_all():
     assert sorted(spans) == ["piece", "piece", "rod", "rod"]
 
 
+@pytest.mark.slow
 def test_tables_have_the_least_number_of_coordinates_that_is_asked_for():
     counts = []
     for table in itertools.islice(strain_tables(ARM, None, least=20), 8):
@@ -530,6 +594,7 @@ def test_strains_and_loads_of_the_rod_stay():
     assert all(strain.include_loads for strain in tables if strain.type == "statics_based")
 
 
+@pytest.mark.slow
 def test_quadrature_and_steps_are_settled(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.2)
     curled = ARM.replace({"segments.0.curvature": [0.0, 0.0, 70.0]})
@@ -540,6 +605,7 @@ def test_quadrature_and_steps_are_settled(monkeypatch):
     assert trial.agree_in_motion(choice, choice.with_finer_steps(10.0), 0.5)
 
 
+@pytest.mark.slow
 def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
     model = build_model(ARM)
     monkeypatch.setattr(module, "USUAL", ())
@@ -591,6 +657,7 @@ LIVELY = SHIPPED.replace(
 """An arm with so little damping that its motions last."""
 
 
+@pytest.mark.slow
 def test_a_motion_is_known_as_far_as_its_work_reaches():
     """The errors bound those of a finer level, at all times."""
     tensions = motion_tensions(LIVELY, "redrawn", 12, 0.4)
@@ -634,6 +701,7 @@ def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
     np.testing.assert_array_equal(remaining_error(changes, None), changes)
 
 
+@pytest.mark.slow
 def test_where_work_ends_a_trial_says_for_how_long_it_promises(monkeypatch, cache):
     """Again where the choice is read from the cache."""
     monkeypatch.setattr(module, "MOST_WORK", 1e7)

@@ -69,7 +69,12 @@ QUICK = [
         ["`rerun out/side_by_side.rrd`"],
         ["side_by_side.rrd"],
     ),
-    (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
+    pytest.param(
+        ("record", "{best}", "feedforward", *SHORT),
+        ["\n| feedforward "],
+        ["side_by_side.rrd"],
+        marks=pytest.mark.slow,
+    ),
     pytest.param(
         ("export", "{best}"),
         ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second"],
@@ -99,10 +104,11 @@ QUICK = [
         ["accuracy/three_tendon_5mm.toml"],
         marks=pytest.mark.slow,  # trials of nine accuracies
     ),
-    (
+    pytest.param(
         ("fields", "three_tendon", "--within", "9cm"),
         ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '],
         [],
+        marks=pytest.mark.slow,  # it makes fields
     ),
     (
         ("doctor", "--scene", "three_tendon"),

@@ -44,6 +44,7 @@ def runs(tmp_path):
     return tmp_path / "ppo_tip_pose"
 
 
+@pytest.mark.slow
 def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, command):
     both = "tension-10%,latency-20ms"
     short = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
@@ -83,6 +84,7 @@ def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, comma
     assert record["environments"]["tracking"]["fidelity"] == "fast"
 
 
+@pytest.mark.slow
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
     files = [runs / f"seed_{seed}" / "best" for seed in (2, 10)]
     out = tmp_path / "out"

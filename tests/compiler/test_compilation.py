@@ -49,6 +49,9 @@ def outer(x):
 MAIN = "from soft_tendon_env.mechanics.outer import outer\nprint(outer(1.0))"
 
 
+LONGEST = 1800.0
+"""Time [s] that no busy machine takes to load: what lasts longer hangs."""
+
 FORKS = """
 import os, sys, threading, time
 import soft_tendon_env
@@ -63,7 +66,8 @@ child = os.fork()
 load()
 if child == 0:
     os._exit(0)
-deadline = time.monotonic() + 300.0
+longest = float(sys.argv[2])
+deadline = time.monotonic() + longest
 ended = 0
 while not ended and time.monotonic() < deadline:
     ended, status = os.waitpid(child, os.WNOHANG)
@@ -134,6 +138,7 @@ def test_a_phase_is_compiled_when_it_is_first_called():
     assert out[0] == 2.0
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_changes(tmp_path):
     """Nor does one of another clone, whose files lie elsewhere."""
     clone = tmp_path / "clone"
@@ -198,13 +203,16 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     found = kept_code.cache_folder.__wrapped__()
     assert found.parent == writable / "soft_tendon_env"
     (found / "code.nbc").touch()
+    (found / "kernel").mkdir(mode=0o500)
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "new", writable])
     assert not (kept_code.cache_folder.__wrapped__() / "code.nbc").exists(), (
         "that folder can be written: it is for others"
     )
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "newer", writable])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert (kept_code.cache_folder.__wrapped__() / "code.nbc").exists()
+    copied = kept_code.cache_folder.__wrapped__()
+    assert (copied / "code.nbc").exists()
+    assert (copied / "kernel").stat().st_mode & 0o700 == 0o700, "numba writes into it"
     monkeypatch.setattr(files, "cache_parents", lambda: [blocked])
     assert kept_code.cache_folder.__wrapped__() is None
     assert (
@@ -224,8 +232,8 @@ def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
 
 
 def exit_code(child):
-    """The exit status of a child, which is ended if it takes 5 minutes."""
-    deadline = time.monotonic() + 300.0
+    """The exit status of a child, which is ended if it hangs."""
+    deadline = time.monotonic() + LONGEST
     while time.monotonic() < deadline:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
@@ -260,7 +268,7 @@ def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
     monkeypatch.setattr(first_use, "say_once", lambda line: begun.set())
     thread = threading.Thread(target=twice, args=(1.0, 2.0))
     thread.start()
-    assert begun.wait(600.0)
+    assert begun.wait(LONGEST)
     child = os.fork()
     if child == 0:
         exit_with(twice, 1.0, 3.0)
@@ -294,9 +302,8 @@ def test_a_thread_forks_within_its_own_compilation(monkeypatch, tmp_path):
 def test_a_process_is_forked_between_imports(seconds):
     """Its child would wait forever for a module that another thread imports."""
     process = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FORKS, str(seconds)],
+        [sys.executable, "-W", "ignore", "-c", FORKS, str(seconds), str(LONGEST)],
         capture_output=True,
         text=True,
-        timeout=600.0,
     )
     assert (process.returncode, process.stderr) == (0, "")

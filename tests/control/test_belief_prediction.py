@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Setting
+from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Setting, Uncertainty
+from soft_tendon_env.control.command_filter import Timing
+from soft_tendon_env.control.timing_bank import Bank
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
@@ -121,3 +123,227 @@ def test_an_arm_at_rest_has_no_friction_to_tell(estimator, moving):
     q, q_dot = estimator.space.coordinates(belief.mean)
     resting = estimator.space.locality(q, 0.0 * q_dot)
     np.testing.assert_array_equal(resting.loss, 0.0)
+
+
+WALKS = Uncertainty(
+    force=0.0,
+    inertial=0.0,
+    tension=0.0,
+    offset=0.3,
+    offset_time=2.0,
+    gain=0.04,
+    gain_time=5.0,
+    tip=0.01,
+    load=0.05,
+    stiffness=0.06,
+    damping=0.07,
+    payload=0.08,
+    friction=0.09,
+    latency=0.001,
+    lag=0.002,
+)
+"""Deviations that are all different, without white noise."""
+
+
+def another(estimator, uncertainty=WALKS, **known):
+    """A filter of the same arm with other assumptions."""
+    rest = np.zeros(3)
+    uses = ("tendon_length",)
+    setting = Setting(PERIOD, rest, uses, uncertainty=uncertainty, **known)
+    return ExtendedKalmanFilter(estimator.model, setting)
+
+
+def prediction_of(filtering, belief, measured):
+    """Belief after a period and its transition, about the mean, without a bank."""
+    return filtering._prediction.predict(belief, measured, None, belief.mean)
+
+
+def weight_of(model):
+    """Weight [N] of an arm on earth."""
+    return 9.81 * model.arm.rod.mass[0]
+
+
+def test_what_the_model_has_wrong_walks_as_declared(estimator, moving):
+    """Its variance grows by the squares of the deviations in a second, for the time that passes, in
+    units of the arm."""
+    belief, measured = moving
+    walking = another(estimator)
+    space = estimator.space
+    model = estimator.model
+    covariance = np.zeros_like(belief.covariance)
+    certain = belief._replace(covariance=covariance)
+    after = prediction_of(walking, certain, measured).belief
+    growth = np.diag(after.covariance) / PERIOD
+    deviations = np.sqrt(growth)
+    mass = model.arm.rod.mass[0]
+    expected = {
+        "offset": 0.3 * space.tension,
+        "gain": 0.04,
+        "tip": 0.01 * np.repeat([1.0, model.length], 3),
+        "load": 0.05 * weight_of(model),
+        "stiffness": 0.06,
+        "damping": 0.07,
+        "payload": 0.08 * mass,
+        "friction": 0.09,
+        "latency": 0.001,
+        "lag": 0.002,
+        "z": 0.0,
+        "v": 0.0,
+    }
+    for name, deviation in expected.items():
+        part = getattr(space.layout, name)
+        np.testing.assert_allclose(deviations[part], deviation, rtol=1e-9, err_msg=name)
+
+
+def test_a_timing_that_is_known_does_not_walk(estimator, moving):
+    belief, measured = moving
+    timed = another(estimator, latency=0.03, lag=0.01)
+    covariance = np.zeros_like(belief.covariance)
+    certain = belief._replace(covariance=covariance)
+    sent = measured.sent[-timed.history :]
+    fewer = measured._replace(sent=sent)
+    after = prediction_of(timed, certain, fewer).belief
+    variance = np.diag(after.covariance)
+    layout = estimator.space.layout
+    assert variance[layout.latency] == 0.0
+    assert variance[layout.lag] == 0.0
+
+
+WALKING = ("offset", "gain", "tip", "load", "payload", "friction", "latency", "lag")
+
+
+def test_offsets_and_gains_are_forgotten_in_their_times(estimator, moving):
+    """To 1/e: the mean, and the deviation with it. Nothing else is forgotten."""
+    belief, measured = moving
+    walking = another(estimator)
+    layout = estimator.space.layout
+    mean = belief.mean.copy()
+    mean[layout.offset] = [0.1, -0.2, 0.3]
+    mean[layout.gain] = [0.05, -0.05, 0.02]
+    known = belief._replace(mean=mean)
+    after = prediction_of(walking, known, measured).belief
+    kept = dict.fromkeys(WALKING, 1.0)
+    kept["offset"] = np.exp(-PERIOD / 2.0)
+    kept["gain"] = np.exp(-PERIOD / 5.0)
+    for name, share in kept.items():
+        part = getattr(layout, name)
+        expected = share * mean[part]
+        np.testing.assert_allclose(after.mean[part], expected, rtol=1e-12)
+    before = np.diag(belief.covariance)
+    variance = np.diag(after.covariance)
+    walked = WALKS.gain**2 * PERIOD
+    remembered = variance[layout.gain] - walked
+    expected = kept["gain"] ** 2 * before[layout.gain]
+    np.testing.assert_allclose(remembered, expected, rtol=1e-9)
+
+
+def test_white_tensions_move_the_arm_as_offsets_do(estimator, moving):
+    """Their noise is that of offsets with as large a deviation, over a single period."""
+    belief, measured = moving
+    layout = estimator.space.layout
+    uncertainty = WALKS._replace(tension=0.05, offset_time=1e9)
+    white = another(estimator, uncertainty)
+    prediction = prediction_of(white, belief, measured)
+    rows = prediction.transition[: layout.v.stop]
+    deviation = 0.05 * estimator.space.tension
+    moved = rows[:, layout.offset] * deviation
+    expected = moved @ moved.T
+    np.testing.assert_allclose(prediction.belief.noise, expected, rtol=1e-6, atol=1e-12)
+
+
+def noise_by_forces(estimator, moving, force, inertial):
+    """Noise of white forces, and of a share of the inertial ones."""
+    uncertainty = WALKS._replace(force=force, inertial=inertial)
+    white = another(estimator, uncertainty)
+    return prediction_of(white, *moving).belief.noise
+
+
+def test_noises_of_white_forces_are_squares_that_add_up(estimator, moving):
+    constant = noise_by_forces(estimator, moving, 0.1, 0.0)
+    inertial = noise_by_forces(estimator, moving, 0.0, 0.1)
+    both = noise_by_forces(estimator, moving, 0.1, 0.1)
+    twice = noise_by_forces(estimator, moving, 0.2, 0.0)
+    thrice = noise_by_forces(estimator, moving, 0.0, 0.3)
+    round_off = 1e-9 * np.abs(both).max()
+    np.testing.assert_allclose(twice, 4.0 * constant, atol=round_off)
+    np.testing.assert_allclose(thrice, 9.0 * inertial, atol=round_off)
+    np.testing.assert_allclose(both, constant + inertial, atol=round_off)
+
+
+def test_white_forces_are_shares_of_those_that_bend_the_arm(estimator, moving):
+    """By 1 rad in each coordinate. Forces do what loads do that make such forces."""
+    belief, measured = moving
+    space = estimator.space
+    noise = noise_by_forces(estimator, moving, 0.1, 0.0)
+    transition = prediction_of(another(estimator), belief, measured).transition
+    rows = transition[: space.layout.v.stop]
+    by_load = rows[:, space.layout.load]
+    loads = np.linalg.pinv(belief.locality.load_jacobian)
+    by_force = by_load @ loads
+    bending_force = estimator.model.bending_energy / space.scale
+    moved = by_force * (0.1 * bending_force)
+    expected = moved @ moved.T
+    round_off = 1e-9 * np.abs(noise).max()
+    np.testing.assert_allclose(noise, expected, atol=round_off)
+
+
+def test_inertial_forces_are_those_of_the_period(estimator, moving):
+    """A mean over all coordinates of M q_ddot, against what bends the arm by 1 rad."""
+    belief, measured = moving
+    space = estimator.space
+    inertial = noise_by_forces(estimator, moving, 0.0, 0.2)
+    constant = noise_by_forces(estimator, moving, 1.0, 0.0)
+    after = prediction_of(another(estimator), belief, measured).belief
+    _, q_dot = space.coordinates(belief.mean)
+    _, next_q_dot = space.coordinates(after.mean)
+    q_ddot = (next_q_dot - q_dot) / PERIOD
+    force = belief.locality.terms.mass @ q_ddot
+    bending_force = estimator.model.bending_energy / space.scale
+    shares = force / bending_force
+    share = 0.2**2 * np.mean(shares**2)
+    assert share > 0.0
+    round_off = 1e-9 * np.abs(inertial).max()
+    np.testing.assert_allclose(inertial, share * constant, rtol=1e-6, atol=round_off)
+
+
+LATENCIES = np.array([0.01, 0.018, 0.026])  # [s]
+LAGS = np.array([0.0, 0.01, 0.01])  # [s]
+SHARES = np.array([0.5, 0.3, 0.2])
+
+
+def test_hypotheses_on_the_timing_move_each_under_its_own_commands(estimator, moving):
+    """About their mean: each where a filter that knows its timing expects the arm."""
+    belief, measured = moving
+    layout = estimator.space.layout
+    rows = slice(layout.v.stop)
+    deviation = np.zeros((layout.size, 3))
+    bank = Bank(Timing(LATENCIES, LAGS), deviation, np.log(SHARES), SHARES)
+    uncertain = belief._replace(bank=bank)
+    predict = estimator._prediction.predict
+    together = predict(uncertain, measured, SHARES, belief.mean).belief
+    middle = together.mean[rows]
+    deviations = together.bank.deviation[rows]
+    for k in range(3):
+        mean = belief.mean.copy()
+        mean[layout.latency] = LATENCIES[k]
+        mean[layout.lag] = LAGS[k]
+        timed = belief._replace(mean=mean)
+        alone = prediction_of(estimator, timed, measured).belief
+        apart = alone.mean[rows] - middle
+        off = deviations[:, k] - apart
+        allowed = 0.3 * np.linalg.norm(apart)
+        assert np.linalg.norm(off) < allowed
+    # what lies between two hypotheses adds to the noise
+    certain = prediction_of(estimator, belief, measured).belief
+    assert np.trace(together.noise) > np.trace(certain.noise)
+
+
+def test_what_jumped_loads_do_is_what_loads_do(estimator, moving):
+    """By their deviation, which is a share of the arm's weight."""
+    belief, measured = moving
+    uncertainty = WALKS._replace(load_jump=0.4)
+    jumping = another(estimator, uncertainty)
+    prediction = prediction_of(jumping, belief, measured)
+    by_load = prediction.transition[:, estimator.space.layout.load]
+    deviation = 0.4 * weight_of(estimator.model)
+    np.testing.assert_allclose(prediction.belief.jump, deviation * by_load, rtol=1e-12)

@@ -227,6 +227,78 @@ def test_innovations_are_white(gain, arm, monkeypatch):
         assert np.abs(correlation).max() < 3.5 / np.sqrt(len(innovations))
 
 
+@pytest.fixture(scope="module")
+def surprised(noisy_life, arm):
+    """A filter, its belief, the units of it, and what exact sensors say of an arm that is off by a
+    fifth of the deviations."""
+    estimates, *_ = noisy_life
+    found = filter_of(arm, noise=NOISE)
+    belief = estimates[60].memory
+    layout = found.space.layout
+    unit = np.sqrt(np.diag(belief.covariance))
+    waves = np.cos(np.arange(unit.size))
+    aside = belief.mean + 0.2 * unit * waves
+    q, q_dot = found.space.coordinates(aside)
+    state = Simulation(arm).reset(q, q_dot)
+    sent = np.zeros((found.history, 3))
+    told = measurement(arm, state, sent, 1.0, found.needs)
+    assert unit[layout.z].min() > 0.0
+    return found, belief, unit + 1e-12, told
+
+
+@pytest.mark.parametrize("is_iterated", [False, True], ids=["about the mean", "about a point"])
+def test_an_update_by_what_was_expected_is_that_of_bayes(surprised, is_iterated):
+    """The information that a measurement brings adds up, and the mean follows it. Linearised about
+    another state, the slope is that there."""
+    found, belief, unit, told = surprised
+    mean = belief.mean
+    covariance = belief.covariance
+    point = None
+    about = mean
+    if is_iterated:
+        waves = np.sin(np.arange(unit.size))
+        point = mean + 0.5 * unit * waves
+        about = point
+    innovation, slope, variance = found._sensor_model.innovations(about, told)
+    expected = slope @ (mean - about)
+    innovation = innovation - expected
+    update = found._update(belief, told, point)
+    cross = slope @ covariance
+    noise = np.diag(variance)
+    of_innovation = cross @ slope.T + noise
+    gain = np.linalg.solve(of_innovation, cross).T
+    change = gain @ innovation
+    assert np.abs(change / unit).max() > 0.05
+    after = found._within_bounds(mean + change)
+    off = update.belief.mean - after
+    np.testing.assert_allclose(off / unit, 0.0, atol=1e-6)
+    left = covariance - gain @ cross
+    off_covariance = update.belief.covariance - left
+    units = np.outer(unit, unit)
+    np.testing.assert_allclose(off_covariance / units, 0.0, atol=1e-6)
+    # the slope of the likelihood, by which states of before are smoothed
+    whitened = np.linalg.solve(of_innovation, innovation)
+    score = slope.T @ whitened
+    np.testing.assert_allclose(unit * update.score, unit * score, atol=1e-6)
+
+
+def test_a_linearisation_leaves_out_how_hypotheses_differ():
+    """The covariance of what they expect, by their probabilities."""
+    rng = np.random.default_rng(0)
+    weight = np.array([0.5, 0.3, 0.2])
+    states = rng.normal(size=(4, 3))
+    mean = states @ weight
+    deviation = states - mean[:, None]
+    timing = Timing(np.zeros(3), np.zeros(3))
+    bank = timing_bank.Bank(timing, deviation, np.log(weight), weight)
+    slope = rng.normal(size=(2, 4))
+    expected = np.cov(slope @ deviation, aweights=weight, ddof=0)
+    left_out = kalman._left_out(bank, slope)
+    np.testing.assert_allclose(left_out, expected)
+    of_states = slope @ bank.covariance
+    np.testing.assert_allclose(of_states @ slope.T, expected)
+
+
 def test_covariances_are_symmetric_and_positive_definite(noisy_life):
     estimates, *_ = noisy_life
     for estimate in estimates[::10]:

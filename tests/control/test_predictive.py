@@ -12,7 +12,7 @@ import pytest
 from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.dynamics import implicit_inertia
-from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
+from soft_tendon_env.control.objectives import LinearError, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import DEFAULT, Plan, Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
 from soft_tendon_env.policies import make_policy, observation_options
@@ -76,14 +76,35 @@ def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_t
     return cost
 
 
-@pytest.mark.parametrize("kind", OBJECTIVES)
+class LateShape(Shape):
+    """A shape whose error counts the more the later it is: once now, twice a period later."""
+
+    def error(self, q, tip_pose, reference, time):
+        weight = 1.0 + time / PERIOD
+        error = super().error(q, tip_pose, reference, time)
+        return weight * error
+
+    def linear_error(self, posture):
+        error, jacobian = super().linear_error(posture)
+        weight = 1.0 + posture.ahead / PERIOD
+        return LinearError(error, weight * jacobian)
+
+
+SLOPES = {**OBJECTIVES, "shape": LateShape}
+
+
+# late errors tell whether every slope is that of its own time
+@pytest.mark.parametrize(
+    "kind",
+    ["shape", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("pose", "position"))],
+)
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2))]
 )
 def test_the_plan_improves_along_the_slope_of_the_simulation(model, kind, holding, seed):
     """The Jacobians of a rollout are not those of the simulation: the slopes agree within a tenth.
     The inputs may err."""
-    now, objective = near(model, holding, seed), OBJECTIVES[kind](model)
+    now, objective = near(model, holding, seed), SLOPES[kind](model)
     controller, simulation = Predictive(model, WIDE, PERIOD, objective), Simulation(model)
     plan = np.tile(now.tension, (controller.horizon, 1))
     error = InputError(
@@ -115,20 +136,28 @@ def test_the_plan_that_is_remembered_is_better_than_holding_on(model, kind, hold
     assert after < 0.7 * before
 
 
-@pytest.mark.parametrize("hold", [1, 3])
-def test_the_plan_is_the_least_of_errors_efforts_and_changes(model, holding, hold):
+@pytest.mark.parametrize(("hold", "has_begun"), [(1, False), (3, False), (1, True)])
+def test_the_plan_is_the_least_of_errors_efforts_and_changes(model, holding, hold, has_begun):
     """Of the linearised errors, the squares of the tensions and those of their changes from the
-    last tensions on, by their weights; measured by what a tension does to the task."""
+    last tensions on, by their weights; measured by what a tension does to the task. Also where the
+    plan before changes from period to period."""
     now = near(model, holding, 1)
     tuning = Tuning(horizon=4, hold=hold, effort=0.1, smoothness=0.3)
     controller = Predictive(model, WIDE, PERIOD, TipPosition(), tuning)
     simulation = Simulation(model)
     simulation.reset(now.q, now.q_dot)
     plan = np.tile(now.tension, (4, 1))
+    memory = None
+    if has_begun:
+        waves = np.sin(np.arange(40.0))
+        planned = plan + waves.reshape(4, 10)
+        no_response = np.zeros((10, 10))
+        memory = Plan(planned, np.zeros(40), np.zeros(10), no_response, None, None)
+        plan = controller._continued(now.tension, memory)
     rollout = simulation.rollout(plan, hold * PERIOD)
     hessian, gradient = controller._program(rollout, np.ones(10), now)
     unit = np.trace(hessian) / plan.size
-    better = controller.act(now).memory.tension
+    better = controller.act(now, memory).memory.tension
 
     def cost(tensions):
         step = (tensions - plan).ravel()
@@ -271,6 +300,7 @@ def test_predictive_control_that_is_told_of_the_inputs_needs_no_observer(model, 
     assert off[1] > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [1, 2])
 def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, hold):
     """Two newtons too many in every tendon: found, and the target is held all the same."""
@@ -321,7 +351,13 @@ def test_what_is_predicted_is_what_happens(build, kind):
     assert np.abs(memory.disturbance).max() < 1e-3
 
 
-@pytest.mark.parametrize(("controller", "greatest"), [("tracking", 5e-4), ("predictive", 1e-3)])
+@pytest.mark.parametrize(
+    ("controller", "greatest"),
+    [
+        pytest.param("tracking", 5e-4, marks=pytest.mark.slow),
+        ("predictive", 1e-3),
+    ],
+)
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on: two episodes of 3 s, the first
     second left out."""

@@ -7,6 +7,7 @@ from typing import Literal
 import generated
 import pytest
 import reference_tables
+import source_comments
 from pydantic import BaseModel, Field
 
 ROOT = Path(__file__).parents[2]
@@ -39,12 +40,27 @@ def test_tables_are_current(block):
         (int | None, "integer"),
         (tuple[float, float], "2 numbers"),
         (tuple[str, ...], "list of names"),
+        (tuple[Literal["a", "b"], ...], "list of names"),
         (Literal["a", "b"], '`"a"`, `"b"`'),
         (str | dict[str, float], "text or table"),
     ],
 )
 def test_types_are_words(annotation, words):
     assert reference_tables.type_words(annotation) == words
+
+
+def test_every_key_of_a_scene_says_what_it_is():
+    rows = reference_tables.scene_keys().splitlines()[2:]
+    cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows]
+    assert len(cells) > 50
+    unsaid = [row for row in cells if not reference_tables.UNIT.sub("", row[-1]).strip(" ;")]
+    assert unsaid == []
+
+
+def test_comments_stand_beside_a_field_or_above_it():
+    lines = ["a: float  # [s]", "# of b,", "# [m]", "b: float = Field(", ")", "c: int"]
+    found = [source_comments.comment(lines, *place) for place in ((1, 1), (4, 5), (6, 6))]
+    assert found == ["[s]", "of b, [m]", ""]
 
 
 def test_keys_have_units_and_defaults():

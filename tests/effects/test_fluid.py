@@ -107,7 +107,11 @@ def test_a_flat_section_with_discs(uniform):
 
 
 @pytest.mark.parametrize(
-    "shape", [pytest.param({}, marks=pytest.mark.no_jit, id="round"), pytest.param(FLAT, id="flat")]
+    "shape",
+    [
+        pytest.param({}, marks=pytest.mark.no_jit, id="round"),
+        pytest.param(FLAT, id="flat", marks=pytest.mark.slow),
+    ],
 )
 def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, shape):
     """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose

@@ -99,7 +99,7 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
     [
         (ReachVectorEnv, "plain", "next_step"),
         (ReachVectorEnv, "plain", "same_step"),
-        (ShapeVectorEnv, "spline", "disabled"),
+        pytest.param(ShapeVectorEnv, "spline", "disabled", marks=pytest.mark.slow),
         pytest.param(TipPoseVectorEnv, "memory", "next_step", marks=pytest.mark.slow),
         pytest.param(TipPoseVectorEnv, "memory", "same_step", marks=pytest.mark.slow),
     ],

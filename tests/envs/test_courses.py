@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.envs import TipPoseEnv
-from soft_tendon_env.envs.targets import drawn
+from soft_tendon_env.envs.targets import drawn, statics
 from soft_tendon_env.envs.targets.shipped import (
     Circle,
     CircleCourse,
@@ -17,7 +17,14 @@ from soft_tendon_env.envs.targets.shipped import (
     Rise,
     Stepped,
 )
-from soft_tendon_env.envs.targets.statics import Tensions
+from soft_tendon_env.envs.targets.statics import (
+    MARGIN,
+    EquilibriumPath,
+    NoEquilibrium,
+    StaticCourse,
+    Tensions,
+)
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -196,3 +203,48 @@ def test_random_motions_have_a_point_every_knot_period(knot_period, count):
     tension = env.episodes.trajectories._course[0].tension
     assert tension.points.shape == (count, 3)
     assert tension.period == 10.0
+
+
+def test_a_drawn_motion_is_refused_where_the_section_gives_way_at_one_of_its_knots():
+    """However firm it is at all others."""
+    env = TipPoseEnv(**SMALL)
+    setting = env.episodes.starts.setting
+    points = np.ones((6, 3))
+    gentle = ClosedSpline(points, period=2.4)
+    StaticCourse(setting, gentle, MARGIN)
+    strong_points = points.copy()
+    strong_points[2, 0] = 1e4
+    strong = ClosedSpline(strong_points, period=2.4)
+    with pytest.raises(NoEquilibrium, match="about to give way"):
+        StaticCourse(setting, strong, MARGIN)
+
+
+HEAVY = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+
+
+def test_equilibria_far_from_where_they_are_expected_are_reached_by_halves(monkeypatch):
+    """Of the change of tensions, as often as need be; the shape is that at rest."""
+    monkeypatch.setattr(statics, "NEAR", 0.02)
+    monkeypatch.setattr(statics, "CLOSE", 0.0)
+    setting = TipPoseEnv(scene=HEAVY, fidelity="fast").episodes.starts.setting
+    aim = np.array([2.0, 0.0, 1.0])
+    shares = []
+    with setting.model.workspace() as work:
+        path = EquilibriumPath(setting, work)
+        move = path._move
+
+        def recorded(tension, shorter=8):
+            shares.append(tension[0] / aim[0])
+            np.testing.assert_allclose(tension, shares[-1] * aim)
+            return move(tension, shorter)
+
+        monkeypatch.setattr(path, "_move", recorded)
+        (q,) = path.follow(aim[None])
+    rest = static_equilibrium(setting.model, aim)
+    np.testing.assert_allclose(setting.model.tip_pose(q), rest.tip_pose, atol=1e-6)
+    # whole, half, and halves of what is left
+    assert shares[:2] == [1.0, 0.5]
+    assert len(shares) > 2
+    assert max(shares) == 1.0
+    numerators = 256.0 * np.array(shares)
+    np.testing.assert_array_equal(numerators, np.round(numerators))

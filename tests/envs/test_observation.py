@@ -210,3 +210,37 @@ def test_targets_from_the_tip_are_those_of_the_logarithm():
     position = pose[:3, 3]
     expected = [*position, *pose[:3, 0], *pose[:3, 1]]
     np.testing.assert_allclose(values["target_pose"][0], expected, atol=1e-5)
+
+
+def test_the_space_bounds_every_group_by_what_it_is():
+    """Actions and commands are within the limits, ways to targets ten lengths of the rod; places in
+    the world are farther away where the base is. Changes reach from one end to the other."""
+    away = 0.9
+    scene = {"scene": "three_tendon", "base.position": [0.0, -away, 0.1]}
+    env = ShapeEnv(
+        scene=scene,
+        fidelity="fast",
+        observation=[*GROUPS],
+        history=2,
+        preview=[0.1],
+    )
+    layout = env.episodes.layout
+    high = layout.space.high
+    np.testing.assert_array_equal(layout.space.low, -high)
+    expected = dict.fromkeys(GROUPS, 10.0)
+    for name in ("last_action", "command"):
+        expected[name] = 1.0
+    for name in ("target_error", "preview", "target_pose", "pose_preview"):
+        expected[name] = 100.0
+    expected["tip_position"] = 10.0 + away / 0.3
+    for name, bound in expected.items():
+        bounds = high[layout.slices[name]]
+        np.testing.assert_allclose(bounds, bound, rtol=1e-6, err_msg=name)
+    kept = []
+    for name, group in GROUPS.items():
+        if group.of_arm:
+            kept.append(high[layout.slices[name]])
+    # twice the bound, in tenths of the unit
+    changes = 20.0 * np.concatenate(kept)
+    bounds = high[layout.slices["history"]]
+    np.testing.assert_allclose(bounds, np.tile(changes, 2), rtol=1e-6)

@@ -269,3 +269,32 @@ def test_the_seed_of_a_reset_is_that_of_the_environment():
     assert vector.np_random_seed == 7
     vector.reset(seed=[4, None, 5])
     assert vector.np_random_seed == 7
+
+
+@pytest.mark.parametrize(("count", "head_start"), [(32, 2), (32, 0), (31, 2), (4, 2), (1, 0)])
+def test_threads_take_every_row_once(count, head_start):
+    """In order, as many each, the first more by its head start; few rows stay on one thread."""
+    env = TipPoseVectorEnv(32, threads=3, **SMALL)
+    rows = np.arange(32)
+    members = rows[:count]
+    parts = []
+    scratches = set()
+
+    def take(part, scratch):
+        parts.append(part)
+        scratches.add(id(scratch))
+
+    env.episodes.arms.map_rows(take, members, head_start)
+    env.close()
+    parts.sort(key=lambda part: part[0])
+    together = np.concatenate(parts)
+    np.testing.assert_array_equal(together, members)
+    is_alone = count < 3 + head_start
+    threads = 1 if is_alone else 3
+    assert len(parts) == threads
+    assert len(scratches) == threads
+    if is_alone:
+        return
+    sizes = np.array([part.size for part in parts])
+    sizes[0] -= head_start
+    assert np.ptp(sizes) <= 1

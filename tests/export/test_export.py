@@ -223,7 +223,7 @@ def test_what_cannot_be_exported(exported, forgotten):
         export_agent(make_policy("tracking", env), env)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("bad", [np.nan, pytest.param(np.inf, marks=pytest.mark.slow)])
 def test_a_lost_measurement_holds_the_command_and_the_memory(exported, bad):
     """NaN of a tracker that has lost sight reaches neither the motors nor what is remembered."""
     policy = {"memory": 8, "fine": 10.0, "posture": 9}

@@ -32,6 +32,7 @@ follows from rounding."""
 MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "scene"),
     [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS],

@@ -97,9 +97,16 @@ class Measurements:
         return "; ".join([*unhappy, *numbers[:NUMBERS]]) or "holds"
 
 
+def _number(value: float) -> str:
+    """Two digits, of numbers from a hundred on all in front of the point."""
+    if abs(value) >= 100.0:
+        return f"{value:,.0f}"
+    return f"{value:.2g}"
+
+
 def _span(values: list[float]) -> str:
-    least = f"{min(values):.2g}"
-    greatest = f"{max(values):.2g}"
+    least = _number(min(values))
+    greatest = _number(max(values))
     if least == greatest:
         return least
     return f"{least}…{greatest}"

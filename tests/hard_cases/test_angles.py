@@ -17,6 +17,7 @@ SWITCHES = {"1 rad": 1.0, "pi": np.pi, "2 pi": 2 * np.pi}
 INTERVALS = 6
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(
     "ignore:.*coordinates are too many"
 )  # at 2 pi every interval closes a circle: its end does not move

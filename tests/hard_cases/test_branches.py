@@ -21,7 +21,7 @@ def payload_of(mass, acceleration=(0.0, 0.0, -9.81)):
     ("name", "payload", "acceleration"),
     [
         ("four_tendon", 0.5, (0.0, 0.0, -9.81)),
-        ("three_tendon", 0.3, (0.0, 0.0, -9.81)),
+        pytest.param("three_tendon", 0.3, (0.0, 0.0, -9.81), marks=pytest.mark.slow),
         pytest.param("paper", 0.5, (0.0, 0.0, -9.81), marks=pytest.mark.slow),
         pytest.param("two_segment_six", 0.4, (0.0, 6.0, -8.0), marks=pytest.mark.slow),
         pytest.param("helical", 0.3, (-1.0, 9.0, 3.0), marks=pytest.mark.slow),
@@ -50,6 +50,7 @@ def test_payloads_that_fold_the_arm(build, measured, tip_distance, name, payload
         assert distance < 1e-6 * model.length
 
 
+@pytest.mark.slow
 def test_weight_that_grows_on_a_column(measured, one_segment):
     """A slender column stands on its base under a weight that grows: the straight column is an
     equilibrium at any weight. Expected: told as a bifurcation at Greenhill's load, 7.837 EI / L^3,

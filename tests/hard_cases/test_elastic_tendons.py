@@ -57,6 +57,7 @@ def test_commands_of_stiff_tendons_that_jump(measured, fidelity):
         assert counts[1] < 1.5 * counts[0], name
 
 
+@pytest.mark.slow
 def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is
     pulled with what it has at neither. Expected: after 40 s at rest to 1e-6 mm, with some tendons
@@ -86,6 +87,7 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     assert slack > 3
 
 
+@pytest.mark.slow
 def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     """Slack and taut within steps: nothing is smooth enough there to be extrapolated, and an
     estimate that takes it to be is wrong. Expected: over 0.8 s with four jumps each preset's own

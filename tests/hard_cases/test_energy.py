@@ -106,6 +106,7 @@ def test_energy_never_grows_with_the_damping_of_the_scene(build, measured, scene
     check_no_growth(build, measured, scene, STEPS, {"integrator.columns": columns})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 @pytest.mark.parametrize("scene", ["paper", "paper moments 0-2", "three_tendon"])
 def test_energy_never_grows_where_the_order_follows_the_error(build, measured, scene, tolerance):

@@ -191,6 +191,7 @@ def shaker(forgotten):
     return add_shaker
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_users_own_that_reads_the_time(shaker, measured):
     """A kernel of a user's own swings at 100 Hz. Expected: a warning where it says nothing of that,
     and where it limits the steps none, and the tip within 5 % of its motion of steps a hundredth of

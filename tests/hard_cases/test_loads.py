@@ -98,7 +98,9 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
     assert tip_distance(exact, full) < 0.35
 
 
-@pytest.mark.parametrize(("step", "most_rejected"), [(0.01, 0.01), (0.02, 0.3)])
+@pytest.mark.parametrize(
+    ("step", "most_rejected"), [pytest.param(0.01, 0.01, marks=pytest.mark.slow), (0.02, 0.3)]
+)
 @pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", RICHEST_IS_QUICK)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
@@ -165,6 +167,7 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
     assert errors[0] < 0.12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", RICHEST_IS_QUICK)
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
     """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the
@@ -187,6 +190,7 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
     assert 0 < motion.rejected < motion.steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
 @pytest.mark.parametrize("scene", SCENES)
 def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance):
@@ -268,6 +272,7 @@ def test_order_control_through_jumps_under_combined_loads(build, measured, tip_d
     assert tip_distance(motion.tip_pose, exact.tip_pose) < 1e-3
 
 
+@pytest.mark.slow
 def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
     """Whatever happened on the way, a damped arm under constant tension must end where the statics
     say. Expected: after 40 s the tip is at the equilibrium to 1e-6 m."""

@@ -91,6 +91,7 @@ def test_helical_tendons(compared, turns):
     assert "would do" in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [13, 26, 39, 52])
 def test_helices_that_two_quadratures_see_alike(compared, turns):
     """As many turns as another quadrature has intervals, or a multiple: on that one they look
@@ -113,6 +114,7 @@ def test_a_tendon_that_waves(compared, waves):
     assert coarse < 0.3 * TIP_TOLERANCE or told(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.04, 0.01, 0.004])
 def test_a_neck(compared, width):
     """A neck of 80 % of the radius, 4 to 40 mm long, where the arm bends two and a half times as
@@ -139,6 +141,7 @@ def test_a_hook_that_hangs(compared, curvature):
     assert coarse < 0.3 * TIP_TOLERANCE or told(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["statics_based", "explicit"])
 def test_fields_of_order_twelve(measured, tip_distance, kind):
     """Strain fields of order 12 with helical tendons: the twelve points of 6 intervals cannot tell

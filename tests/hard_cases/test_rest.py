@@ -23,6 +23,7 @@ LOADED = {
 }
 
 
+@pytest.mark.slow
 def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
     """Gravity, payloads, currents, steady forces: from the stress-free shape the arm falls, by far
     more than any accuracy that is stated. Expected: without tension nothing moves, to 1e-6 of the
@@ -49,6 +50,7 @@ def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
         assert np.abs(held - start.q).max() < 1e-4 * np.abs(start.q).max()
 
 
+@pytest.mark.slow
 def test_an_arm_that_rests_nowhere(build):
     """Beck's column beyond its load: a force that follows the tip flutters, and there is nowhere to
     settle. Expected: NoEquilibriumError that says why and what to do, before anything is simulated;

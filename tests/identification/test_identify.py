@@ -105,6 +105,7 @@ def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
     assert len(found.error_held_out) == 16
 
 
+@pytest.mark.slow
 def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_told(
     arm, monkeypatch
 ):

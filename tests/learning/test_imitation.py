@@ -49,6 +49,7 @@ def errors_of_the_teacher(task, steps=120, **options):
     return np.array(errors) / episodes.model.length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["TipPose", "Shape", "Reach"])
 @pytest.mark.parametrize(
     "action",
@@ -64,6 +65,7 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
     assert (rms < 0.02).all(), "in the second episode too, on other arms"
 
 
+@pytest.mark.slow
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     late = {"latency": 0.06}
     aware = errors_of_the_teacher("TipPose", 60, randomize=late)[-25:-1].max()

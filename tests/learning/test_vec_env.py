@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -104,3 +105,10 @@ def test_other_environments_are_refused():
         StableBaselinesVecEnv(gym.make_vec(TIP_POSE, 1, **FAST))
     with pytest.raises(TypeError, match="should be a TendonRodVectorEnv"):
         StableBaselinesVecEnv(gym.make_vec("CartPole-v1", 1))
+
+
+def test_rows_of_gymnasium_are_refused_in_the_words_of_the_page():
+    rows = gym.make_vec(TIP_POSE, num_envs=2, **FAST)
+    with pytest.raises(ValueError, match=r"^The environment is of type .*VectorEnv"):
+        PPO("MlpPolicy", rows)
+    rows.close()

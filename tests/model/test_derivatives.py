@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, Simulation, build_model, load_scene
+from soft_tendon_env.model.simulation import _slopes
 
 PERIOD = 0.02
 FOURTH_ORDER = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
@@ -108,7 +109,7 @@ def assert_close(found, expected, tolerance=1e-5):
             "three_tendon",
             {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}},
         ),
-        ("three_tendon", MEMORY),
+        pytest.param("three_tendon", MEMORY, marks=pytest.mark.slow),
         ("three_tendon", EXPLICIT),
     ],
 )
@@ -181,3 +182,29 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
 def test_numbers_that_cannot_be_are_refused(changes, key, message):
     with pytest.raises(ConfigurationError, match=message):
         build_quietly(changes).with_numbers({key: 0.9})
+
+
+JUMP = 1e5
+"""Size of a jump beside the changes of what is smooth."""
+
+
+def test_slopes_are_central_but_beside_jumps():
+    """Where a value jumps on one side, or has none there, the slope is that of the other; a change
+    beside none is a kink, and central."""
+    step = np.array([0.1, 0.2])
+    middle = np.zeros(5)
+    to_right = np.array(
+        [
+            [0.3, JUMP, 0.3, np.inf, 0.4],
+            [0.6, JUMP, 0.6, np.inf, 0.8],
+        ]
+    )
+    to_left = np.array(
+        [
+            [-0.1, -0.1, -JUMP, -0.1, 0.0],
+            [-0.2, -0.2, -JUMP, -0.2, 0.0],
+        ]
+    )
+    slopes = _slopes(np.vstack([middle, to_right, to_left]), step)
+    expected = [2.0, 1.0, 3.0, 1.0, 2.0]
+    np.testing.assert_allclose(slopes, np.stack([expected, expected], axis=1))

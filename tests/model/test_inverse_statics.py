@@ -90,6 +90,7 @@ def test_what_is_out_of_reach_is_approached():
         assert found.position_error <= nearest + 1e-5
 
 
+@pytest.mark.slow
 def test_a_start_next_to_the_strain_limit_is_answered():
     """The equilibrium exists, and its derivative grows without bound."""
     model = build_model(
@@ -170,3 +171,26 @@ def test_a_solution_says_how_far_its_tip_is_off():
     position = _TipSearch(model, pose, 0.0).solution(u)
     assert position.reachable
     assert position.angle_error == 0.0
+
+
+def test_errors_and_efforts_are_least_within_the_limits():
+    """|e / L|^2 + mu^2 |u / unit|^2 has no slope along tensions between their limits, and falls
+    beyond those at one."""
+    model = build_model(load_scene("three_tendon"))
+    pose = static_equilibrium(model, [2.0, 0.5, 1.0]).tip_pose
+    search = _TipSearch(model, pose, 0.0)
+    mu = 0.1
+    unit = 2.0
+    u = search._least_squares(np.array([1.0, 0.8, 1.2]), mu, unit)
+    error = search.error(u) / model.length
+    slopes = search.derivative(u) * unit / model.length
+    effort = mu**2 * u / unit
+    slope = slopes.T @ error + effort
+    size = np.abs(effort).max()
+    is_slack = u < 1e-6
+    assert not is_slack.all()
+    np.testing.assert_allclose(slope[~is_slack], 0.0, atol=1e-3 * size)
+    assert (slope[is_slack] > -1e-3 * size).all()
+    # less of the effort leaves less of the error
+    looser = search._least_squares(u, 0.1 * mu, unit)
+    assert np.linalg.norm(search.error(looser)) < 0.5 * np.linalg.norm(search.error(u))

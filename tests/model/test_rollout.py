@@ -119,3 +119,20 @@ def test_a_plan_that_no_motion_follows_is_an_error_with_the_last_good_state(buil
         simulation.rollout([[0.0] * 3, [1e6] * 3], PERIOD)
     assert raised.value.state.time >= PERIOD
     assert simulation.state.time == 0.0
+
+
+def test_internal_states_of_effects_go_on_as_the_simulation_s(build):
+    """A memory of strains, read where every period begins and the last one ends."""
+    branches = [{"modulus": 0.4, "relaxation_time": 0.05}]
+    model = build("three_tendon", {"effects.viscoelastic_memory.branches": branches})
+    simulation = Simulation(model)
+    simulation.step([1.0, 0.2, 0.0], 0.1)
+    commands = np.array([[0.5, 0.3, 0.8], [1.0, 0.0, 0.2], [0.0, 0.4, 0.4]])
+    found = simulation.rollout(commands, PERIOD)
+    assert found.effects.shape[0] == 4
+    assert np.ptp(found.effects, axis=0).max() > 0.0
+    for k in range(4):
+        size = np.abs(found.effects[k]).max()
+        expected = simulation.state.effects
+        np.testing.assert_allclose(found.effects[k], expected, rtol=1e-5, atol=1e-6 * size)
+        simulation.step(commands[min(k, 2)], PERIOD)

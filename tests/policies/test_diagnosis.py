@@ -58,13 +58,8 @@ def diagnosed(regime, noise, draws):
     return {quantity: np.array(rows) for quantity, rows in errors.items()}, diagnosis
 
 
-@pytest.mark.parametrize(
-    ("regime", "noise", "draws"),
-    [
-        ("sensors", {"noise": NOISE}, 4),
-        pytest.param("sensors", {"noise": NOISE}, 100, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("regime", "noise", "draws"), [("sensors", {"noise": NOISE}, 100)])
 def test_intervals_contain_what_was_drawn(regime, noise, draws):
     """Those of 95 % do so in 90 % of the draws at least, each by itself."""
     errors, diagnosis = diagnosed(regime, noise, draws)

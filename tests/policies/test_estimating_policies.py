@@ -56,7 +56,8 @@ def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     assert position_error(env, policy) < most
 
 
-@pytest.mark.parametrize("latency", [pytest.param(0.0, marks=pytest.mark.slow), 0.055])
+@pytest.mark.slow
+@pytest.mark.parametrize("latency", [0.0, 0.055])
 def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     env, policy = made(
         "filtered:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0
@@ -85,6 +86,7 @@ def test_errors_of_the_arm_are_allowed_for():
     assert position_error(env, policy) < 4e-3
 
 
+@pytest.mark.slow
 def test_an_unknown_latency_is_made_up_for_where_goals_jump():
     env, policy = made("filtered:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
@@ -101,13 +103,10 @@ def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "regime"),
-    [
-        (1, "state"),
-        *(pytest.param(seed, "state", marks=pytest.mark.slow) for seed in range(2, 8)),
-        *(pytest.param(seed, "sensors", marks=pytest.mark.slow) for seed in range(1, 5)),
-    ],
+    [*((seed, "state") for seed in range(1, 8)), *((seed, "sensors") for seed in range(1, 5))],
 )
 def test_a_quick_first_motion_of_an_arm_with_everything_wrong_is_not_taken_for_loads(seed, regime):
     """All at once, also the latency, where the first motion bends the arm within 0.2 s."""

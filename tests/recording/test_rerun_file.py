@@ -155,6 +155,7 @@ def test_episodes_of_an_arm_follow_one_another_and_arms_run_side_by_side(path, r
     )
 
 
+@pytest.mark.slow
 def test_a_closed_file_passes_the_check_of_rerun_and_takes_nothing(path, rollout):
     file = RerunFile(path)
     file.write(rollout())

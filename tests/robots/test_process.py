@@ -19,6 +19,8 @@ from soft_tendon_env.robots.slack import RAMP_STEPS
 file_arm = pytest.importorskip("tests.robots.file_arm")
 SLACK = np.zeros(3)
 PULL = np.array([1.0, 2.0, 0.5])
+LONGEST = 1800.0
+"""Patience [s] that no busy machine wears out."""
 
 
 @pytest.fixture
@@ -130,7 +132,7 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
     robot = load_robot("arm_in_a_file:Arm", {"path": str(path)})
     assert isinstance(robot, RobotProcess)
     assert (robot.command_unit, robot.senses) == ("N", ("tip_pose",))
-    robot.watch(SLACK, 30.0)  # longer than a busy machine takes for what follows
+    robot.watch(SLACK, LONGEST)
     np.testing.assert_array_equal(robot.write(PULL), PULL)
     first = robot.read()
     second = robot.read()
@@ -149,6 +151,7 @@ def test_a_process_answers_as_its_driver_does_and_lets_go_where_nobody_calls(
         robot.read()
 
 
+@pytest.mark.slow
 def test_what_a_driver_raises_is_raised(tmp_path, wait_until):
     path = str(tmp_path / "sent")
     with pytest.raises(FileNotFoundError, match="No such file"):
@@ -157,7 +160,7 @@ def test_what_a_driver_raises_is_raised(tmp_path, wait_until):
         RobotProcess(file_arm.SteppedArm, path)
     assert file_arm.lines(path) == ["closed"]
     robot = RobotProcess(file_arm.FileArm, path, fails="reading")
-    robot.watch(SLACK, 30.0)
+    robot.watch(SLACK, LONGEST)
     with pytest.raises(ConnectionError, match="the tracker is gone"):
         robot.read()
     robot.write(PULL)
@@ -194,10 +197,12 @@ PROGRAM = """
     from soft_tendon_env.robots import RobotEnv, RobotProcess
     options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_position"]}
     env = gymnasium.make("TendonRod-Reach-v0", action="tension", max_episode_steps=None, **options)
-    env = RobotEnv(env, RobotProcess(FileArm, sys.argv[1]), settle=0.0, patience=500)
+    robot = RobotProcess(FileArm, sys.argv[1])
+    env = RobotEnv(env, robot, settle=0.0, patience=100_000)  # as a busy machine may need
     env.reset(seed=0)
-    for _ in range(5):
-        env.step(np.zeros(3))
+    env.step(np.zeros(3))
+    robot.watch(np.zeros(3), 2.0)  # from the next command on
+    env.step(np.zeros(3))
     print("pulls", flush=True)
     if sys.argv[2] == "holds the interpreter":
         re.match(r"(a+)+$", "a" * 60 + "b")  # one call of C, for longer than anybody waits

@@ -224,7 +224,7 @@ class Arm:
     def close(self): pass
 options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_position"]}
 env = gymnasium.make("TendonRod-Reach-v0", **options)
-env = RobotEnv(env, Arm(), settle=0.0, patience=30_000)
+env = RobotEnv(env, Arm(), settle=0.0, patience=100_000)
 env.reset(seed=0)
 for _ in range(20): env.step(np.ones(3))
 raise ValueError("and nothing is closed")

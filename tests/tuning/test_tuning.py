@@ -87,6 +87,7 @@ def done(search, folder):
     return open_study(search, folder).get_trials(states=DONE)
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_least_cost(tmp_path):
     search = Bowl(trials=40)
     best = tune(search, tmp_path, workers=1)
@@ -106,6 +107,7 @@ def test_the_search_finds_the_least_cost(tmp_path):
     assert min(rows) == best.value < trials[0].value
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_and_repeats_itself(tmp_path):
     """In two folders: another search is refused, and a machine that comes late finds nothing to
     do."""
@@ -173,7 +175,13 @@ def test_mistakes_of_a_search_are_one_line(kind, changes, message):
     assert re.search(message, str(caught.value).splitlines()[0]), str(caught.value)
 
 
-@pytest.mark.parametrize("table", [CONTROLLER, TRAINING], ids=["controller", "training"])
+@pytest.mark.parametrize(
+    "table",
+    [
+        pytest.param(CONTROLLER, id="controller"),
+        pytest.param(TRAINING, id="training", marks=pytest.mark.slow),
+    ],
+)
 def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(summaries, "WORST", 10.0)  # it is far at the beginning
     file = tmp_path / "search.toml"

@@ -132,7 +132,7 @@ class Target(Configuration):
         begin elsewhere.
     """
 
-    type: str
+    type: str  # name that options use
     begins_at_rest: ClassVar[bool] = False
 
     @property

@@ -435,9 +435,9 @@ class Rise(Tensions):
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline.
 
-    It has a random point within `fraction` of their limits every `knot_period` [s], which may be a
-    range too, or a little less or more to make them a whole number of at least 4; it repeats after
-    `period` [s].
+    Its control points are random tensions within `fraction` of their limits, one about every
+    `knot_period` [s], which may be a range; at least 4 of them fill the `period` [s], after which
+    the motion repeats.
     """
 
     type: Literal["random"] = "random"

@@ -37,6 +37,8 @@ from soft_tendon_env.mechanics.algebra.lie import (
     skew_times,
     times_skew,
     twist_difference,
+    twist_of,
+    write_twist,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 
@@ -314,3 +316,12 @@ def test_steps_and_products_are_those_of_matrices(two_twists):
     np.testing.assert_allclose(rotate_back(flat, vector), A.T @ k, atol=1e-14)
     difference = twist_difference(pair(first), pair(second))
     np.testing.assert_allclose(np.ravel(difference), first - second, atol=1e-16)
+
+
+def test_twists_are_written_as_they_are_read():
+    """Angular before linear."""
+    twist = ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    row = np.zeros(6)
+    write_twist(twist, row)
+    np.testing.assert_array_equal(row, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert twist_of(row) == twist

@@ -31,6 +31,7 @@ from soft_tendon_env.mechanics.motion.pose_errors import (
     pose_errors,
 )
 from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH, Motion, make_scratch
+from soft_tendon_env.mechanics.motion.sliding import SMALL_TURN, decay
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -180,6 +181,95 @@ def test_elastic_tendons_have_the_tensions_of_a_step_s_end(stretch):
     rest_of_force = force - H * G @ RATES
     v = RATES + np.linalg.solve(system, H * rest_of_force)
     np.testing.assert_allclose(scratch.v, v, rtol=1e-8)
+
+
+STICTION = 1e-3  # [m/s]
+RUBBING = {"effects.tendon_friction": {"coefficient": 0.4, "stiction_speed": STICTION}}
+
+
+def border_rows(scratch, model):
+    """Rows w_k of the tendons' borders (n_a, points, n) at the beginning of a step."""
+    count = model.tendon_count
+    rows = scratch.first.borders.row
+    points = scratch.first.borders.turn.size // count
+    by_border = rows.reshape(count, points, -1)
+    return by_border[..., : model.coordinate_count]
+
+
+def friction_of(scratch, model, tension):
+    """Generalised force (n,) of what tensions fall by, by the rates at a step's end."""
+    rows = border_rows(scratch, model)
+    sliding = rows @ scratch.v
+    speeds = np.hypot(sliding, STICTION)
+    directions = sliding / speeds
+    # pushes grow where pulls fall
+    turns = scratch.first.borders.turn.reshape(sliding.shape)
+    signs = np.sign(tension)[:, None]
+    turned = np.cumsum(signs * turns * directions, axis=1)
+    at_actuators = tension[:, None]
+    left = at_actuators * np.exp(-turned)
+    falls = np.diff(left, axis=1, prepend=at_actuators)
+    return np.einsum("ik,ikn->n", falls, rows)
+
+
+def rates_after(matrices, force):
+    """Rates (n,) at the end of an implicit step of length H from Q and RATES."""
+    _, v = substep(matrices, force, Q, RATES, H)
+    return v
+
+
+@pytest.mark.parametrize("changes", [{}, BENDING], ids=["statics", "explicit"])
+@pytest.mark.parametrize("push", [1.0, -1.0], ids=["pulled", "pushed"])
+def test_tendons_that_rub_fall_by_the_rates_of_a_step_s_end(changes, push):
+    """A dv = h (f + sum_k (T_k - T_k-1) w_k - h G v), T_k = T exp(-sign T sum mu dphi z) with z =
+    v_k / sqrt(v_k^2 + v_s^2), the rates v_k = w_k v' of the end."""
+    model = arm_with({**changes, **RUBBING})
+    tension = push * TENSION
+    scratch, attempt = step_with(model, 1, command=tension)
+    assert attempt.status == OK
+    smooth = arm_with(changes)
+    *matrices, force = linear_system(smooth, Q, RATES, tension)
+    friction = friction_of(scratch, model, tension)
+    least = 0.01 * np.abs(force).max()
+    assert np.abs(friction).max() > least
+    v = rates_after(matrices, force + friction)
+    atol = 1e-5 * np.abs(v).max()
+    np.testing.assert_allclose(scratch.v, v, rtol=1e-5, atol=atol)
+    np.testing.assert_allclose(scratch.q, Q + H * scratch.v, rtol=1e-12)
+
+
+def test_elastic_tendons_that_rub_have_their_tensions_at_a_step_s_end():
+    """x = clip(k (u - s - h y), 0, strength) with the rates y = w_0 v' at their actuators, and what
+    is left of it beyond."""
+    stretch = np.array([4e-4, 2e-2, -2e-3])
+    model = arm_with({**SPRINGS, **RUBBING})
+    path = model.arm.effects.transmission
+    shortening = path.length - model.tendon_lengths(Q)
+    scratch, attempt = step_with(model, 1, command=shortening + stretch)
+    assert attempt.status == OK
+    pulled_in = border_rows(scratch, model)[:, 0] @ scratch.v
+    stretched = stretch - H * pulled_in
+    taut = path.stiffness * stretched
+    tension = np.clip(taut, 0.0, path.strength)
+    np.testing.assert_allclose(scratch.ends.tension, tension, rtol=1e-6, atol=1e-6)
+    # the explicit rod's stiffness has that of the tensions at the beginning in it
+    begun = np.clip(path.stiffness * stretch, 0.0, path.strength)
+    smooth = arm_with(BENDING)
+    *matrices, force = linear_system(smooth, Q, RATES, begun)
+    B = smooth.terms(Q, RATES).actuation
+    changed = B @ (tension - begun)
+    friction = friction_of(scratch, model, tension)
+    v = rates_after(matrices, force + changed + friction)
+    atol = 1e-5 * np.abs(v).max()
+    np.testing.assert_allclose(scratch.v, v, rtol=1e-5, atol=atol)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("size", [1e-9, 0.1, 0.999 * SMALL_TURN, 1.001 * SMALL_TURN, 2.0])
+def test_a_decay_is_the_exponential(size, sign):
+    """By its series and beyond, of tensions that fall and rise."""
+    exponent = sign * size
+    assert decay(exponent) == pytest.approx(np.exp(-exponent), rel=1e-12)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])

@@ -1,0 +1,173 @@
+"""Balance of an arm at rest: its stiffness, stability and flutter against closed forms, and where
+an arm settles beyond its buckling load."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
+
+LENGTH = 0.3  # [m]
+BENDING = 5e5 * np.pi * 0.01**4 / 4  # [N m^2]
+TENSION = np.array([2.0, 0.5, 1.0])  # [N]
+WEIGHT = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+
+
+def arm_bent_by(strains, changes=None):
+    """The arm with three tendons, whose coordinates are constant curvatures."""
+    modes = [{"strains": strains, "order": 0, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    scene = load_scene("three_tendon").replace({"strain": strain, **(changes or {})})
+    return model_on(scene, 4)
+
+
+@pytest.fixture
+def bent():
+    """A balance of an arm with two curvatures under its weight."""
+    model = arm_bent_by(["bend_y", "bend_z"], WEIGHT)
+    with model.workspace() as work:
+        yield Balance(model, TENSION, work)
+
+
+def test_a_balance_has_its_derivatives(bent):
+    """S = -df/dq, its inverse, and how the equilibrium moves with the part of the load."""
+    q = np.array([1.5, -0.7])
+    part = 0.6
+    here = bent.linearise(q, part)
+    size = np.abs(here.stiffness).max()
+    h = 1e-5
+    for column, unit in enumerate(np.eye(2)):
+        ahead = bent.at(q + h * unit, part).force
+        behind = bent.at(q - h * unit, part).force
+        slope = (behind - ahead) / (2.0 * h)
+        np.testing.assert_allclose(here.stiffness[:, column], slope, atol=1e-6 * size)
+    product = here.compliance @ here.stiffness
+    np.testing.assert_allclose(product, np.eye(2), atol=1e-9)
+    more = bent.at(q, part + h).force
+    less = bent.at(q, part - h).force
+    rate = (more - less) / (2.0 * h)
+    moved = here.stiffness @ here.tangent
+    np.testing.assert_allclose(moved, rate, rtol=1e-6, atol=1e-9)
+
+
+def test_the_residual_is_the_angle_that_the_force_bends_by(bent):
+    """sqrt(f^T G^-1 f / (E + q^T G q)), with twice the energy E of bending by 1 rad."""
+    q = np.array([1.5, -0.7])
+    found = bent.at(q, 0.6)
+    answer = np.linalg.solve(found.G, found.force)
+    unbalanced = found.force @ answer
+    stored = BENDING / LENGTH + q @ found.G @ q
+    assert found.residual == pytest.approx(np.sqrt(unbalanced / stored))
+    turned = bent.angle(answer)
+    metric = BENDING * LENGTH
+    squared = metric * (answer @ answer)
+    assert turned == pytest.approx(np.sqrt(squared * LENGTH / BENDING))
+
+
+def with_stiffness(balance, stiffness):
+    """The unloaded arm with another tangent stiffness, whose compliance is None where it has
+    none."""
+    here = balance.unloaded()
+    compliance = balance._inverse(stiffness)
+    return Linearised(balance, here.evaluation, stiffness, compliance, here.tangent)
+
+
+@pytest.mark.parametrize(("share", "flutters"), [(0.9, False), (1.1, True)])
+def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
+    """m q_ddot + d q_dot + (k 1 + c J) q = 0 has s^2 m + s d + k = +-i c, which grows beyond c = d
+    sqrt(k / m)."""
+    still = np.zeros(2)
+    terms = bent.model.terms(still, still)
+    mass = terms.mass[0, 0]
+    damping = terms.damping[0, 0]
+    stiffness = BENDING * LENGTH
+    np.testing.assert_allclose(terms.mass, mass * np.eye(2), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(terms.damping, damping * np.eye(2), rtol=1e-9, atol=1e-12)
+    circulation = share * damping * np.sqrt(stiffness / mass)
+    turning = circulation * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    stability = with_stiffness(bent, stiffness * np.eye(2) + turning).stability
+    assert not stability.has_potential
+    assert stability.flutters == flutters
+    assert stability.stable != flutters
+    # the real part is that of the springs alone
+    assert stability.least == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("least", "stable"), [(0.3, True), (0.0, True), (-0.01, False)])
+def test_an_arm_is_stable_down_to_no_stiffness(bent, least, stable):
+    """By the least eigenvalue over that of the unloaded arm, whose mode bends by 1 rad."""
+    direction = np.array([0.6, 0.8])
+    other = np.array([-0.8, 0.6])
+    stiffness = least * np.outer(direction, direction) + np.outer(other, other)
+    point = with_stiffness(bent, BENDING * LENGTH * stiffness)
+    stability = point.stability
+    assert stability.has_potential
+    assert stability.stable == stable
+    assert stability.least == pytest.approx(least, abs=1e-9)
+    softest = stability.modes[:, 0]
+    assert bent.angle(softest) == pytest.approx(1.0)
+    assert abs(softest @ other) < 1e-9
+
+
+def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
+    """Where a buckled column rests to any side."""
+    direction = np.array([0.6, 0.8])
+    stiff = BENDING * LENGTH * np.outer(direction, direction)
+    compliance = bent._inverse(stiff)
+    expected = np.outer(direction, direction) / (BENDING * LENGTH)
+    np.testing.assert_allclose(compliance, expected, atol=1e-9 * np.abs(expected).max())
+    singular = np.array([[1.0, 1.0], [0.0, 0.0]])
+    assert bent._inverse(BENDING * LENGTH * singular) is None
+    assert "gives way without further load" in bent.obstacle
+
+
+CRITICAL = 3.0 * BENDING / LENGTH**2
+"""Push [N] at which an arm with one constant curvature buckles: the energy EI k^2 L / 2 + P sin(k
+L) / k has no least at k = 0 beyond it."""
+
+
+@pytest.mark.parametrize("share", [0.9, 1.2, 1.6])
+def test_a_column_settles_beyond_its_buckling_load_at_the_least_of_its_energy(share):
+    """Slowly loaded it buckles there; let go it comes to rest bent to either side."""
+    push = share * CRITICAL
+    model = arm_bent_by(["bend_z"], {"effects.tip_load.force": [-push, 0.0, 0.0]})
+    slack = np.zeros(3)
+    loaded = static_equilibrium(model, slack)
+    settled = static_equilibrium(model, slack, settle=True)
+    assert settled.converged
+    assert settled.stable
+    if share < 1.0:
+        assert loaded.converged
+        np.testing.assert_allclose(settled.q, 0.0, atol=1e-9)
+        return
+    assert not loaded.converged
+    assert "buckles" in loaded.reason
+    assert loaded.load == pytest.approx(1.0 / share, rel=2e-3)
+
+    def slope(k):
+        angle = k * LENGTH
+        shortening = angle * np.cos(angle) - np.sin(angle)
+        return BENDING * LENGTH * k + push * shortening / k**2
+
+    expected = brentq(slope, 0.1, np.pi / LENGTH)
+    assert abs(settled.q[0]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_loads_that_flutter_leave_nowhere_to_settle():
+    """A force that follows the tip has no potential, and no energy that is least."""
+    modes = [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]
+    beck = 20.05 * BENDING / LENGTH**2
+    follower = {
+        "strain": {"type": "explicit", "modes": modes},
+        "segments.*.damping": 1e-3,
+        "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
+    }
+    model = model_on(load_scene("three_tendon").replace(follower), 6)
+    found = static_equilibrium(model, np.zeros(3))
+    assert not found.converged
+    assert "flutter" in found.reason
+    # the rod's own rotary inertia and shear are small
+    assert found.load == pytest.approx(1.0 / 1.1, rel=0.02)
