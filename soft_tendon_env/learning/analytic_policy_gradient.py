@@ -195,8 +195,25 @@ class APG(ActorAlgorithm):
             return self.policy
         return cast(RecurrentPolicy, self._average.module)
 
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        return self.acting_policy.predict(*arguments, **named)
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Computes mean actions by the network that acts, as `BaseAlgorithm.predict`.
+
+        Args:
+            observation: one, or rows of them.
+            state: memory that the last call gave; None: an episode begins.
+            episode_start: (rows,) where an episode begins.
+            deterministic: is taken as True.
+
+        Returns:
+            Actions, and the memory to give back.
+        """
+        return self.acting_policy.predict(observation, state, episode_start, deterministic)
 
     def _prepare(self) -> None:
         episodes = self.rows.episodes
