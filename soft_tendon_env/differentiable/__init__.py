@@ -18,12 +18,14 @@ from soft_tendon_env.differentiable.accuracy import (
 from soft_tendon_env.differentiable.actuation import inward_clip
 from soft_tendon_env.differentiable.period import ArmTensors, arm_tensors, control_period
 from soft_tendon_env.differentiable.poses import pose_logarithm
+from soft_tendon_env.differentiable.rewards import TensorReward
 from soft_tendon_env.differentiable.rollout import Trajectories, rollout
 
 __all__ = [
     "ArmTensors",
     "GradientAccuracy",
     "GradientWarning",
+    "TensorReward",
     "Trajectories",
     "arm_tensors",
     "control_period",

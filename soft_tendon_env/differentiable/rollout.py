@@ -34,6 +34,8 @@ class Trajectories(NamedTuple):
     action_change: torch.Tensor  # (periods, rows, n_a) from the action before
     # (periods, rows, n_a) asked for: tensions [N], or what effects of the scene make tensions of
     command: torch.Tensor
+    # (periods, rows, n_a) that acted at the end of a period, late and with the errors of actuators
+    applied: torch.Tensor
     q: torch.Tensor  # (periods, rows, n)
     tip_twist: torch.Tensor  # (periods, rows, 6) body twist
     reward: torch.Tensor  # (periods, rows) the environment's, without gradients
@@ -105,6 +107,7 @@ def rollout(
             action,
             action - action_before,
             actuation.command,
+            commands[:, -1],
             arms.q,
             arms.tip_twist,
             torch.tensor(episodes.reward),

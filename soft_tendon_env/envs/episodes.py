@@ -239,6 +239,7 @@ class Episodes:
         errors: tracking errors (rows,) by name, after `begin` or `step`, as what follows.
         terms: reward terms (rows,) by name.
         reward: (rows,).
+        reward_terms: of which the reward is made; None: it is that of goals.
         diverged: (rows,) bool.
         step_count: (rows,) control periods since the episodes began.
         target: (rows, 1 + previews, ..) at `ahead` (1 + previews,) [s] of now.
@@ -323,11 +324,12 @@ class Episodes:
             action_change=np.zeros((rows, self.start_tension.size)),
         )
         self._sensors = self._make_sensors(options.randomize)
+        self.reward_terms: Reward | None = None
         if task.goal is None:
             weights = options.reward
             if not isinstance(weights, dict):
                 weights = weights_of(task.reward)
-            self._reward_terms = Reward(weights, task.terms, self._strongest, model.length)
+            self.reward_terms = Reward(weights, task.terms, self._strongest, model.length)
 
         # what is observed of them at rest
         q = np.tile(self.starts.q, (rows, 1))
@@ -651,8 +653,8 @@ class Episodes:
             velocity = tracking.reading.tip_twist[:, 3:]
             speed = norm(velocity)
             self.diverged |= speed > most_speed
-        if self.task.goal is None:
-            self.terms, self.reward = self._reward_terms.evaluate(self.errors, tracking)
+        if self.reward_terms is not None:
+            self.terms, self.reward = self.reward_terms.evaluate(self.errors, tracking)
         else:
             position = measured.tip_pose[:, :3, 3]
             achieved = self._goal(position)

@@ -139,7 +139,13 @@ TERMS: Registry[Term] = Registry("reward_term", _checked_term)
 
 
 class Reward:
-    """Chosen reward terms and their weights."""
+    """Chosen reward terms and their weights.
+
+    Attributes:
+        functions: terms of users by name, which are not compiled.
+        errors: names of the tracking errors that terms need.
+        table: of the compiled terms.
+    """
 
     def __init__(
         self,
@@ -163,23 +169,23 @@ class Reward:
         total = sum(values)
         _check_terms(weights, available, total)
         self._shares = {name: weight.weight / total for name, weight in weights.items()}
-        self._functions: dict[str, Callable[[Any], Array]] = {}
+        self.functions: dict[str, Callable[[Any], Array]] = {}
         self._compiled: list[str] = []
-        self._errors: list[str] = []
+        self.errors: list[str] = []
         sources: list[int] = []
         scales: list[Array] = [np.empty(0)]
         # a user's own terms are functions, the others are compiled
         for name, weight in weights.items():
             term = available[name]
             if callable(term.source):
-                self._functions[name] = term.source
+                self.functions[name] = term.source
                 continue
             self._compiled.append(name)
             sources.append(self._number_of(term.source))
             scales.append(term.scales(weight, length))
         counts = [scale.size for scale in scales]
         shares = [self._shares[name] for name in self._compiled]
-        self._table = TermTable(
+        self.table = TermTable(
             source=np.array(sources, dtype=np.int64),
             first=np.cumsum(counts, dtype=np.int64),
             scale=np.concatenate(scales),
@@ -192,9 +198,9 @@ class Reward:
         """Number of an error among those that terms need, which it joins; codes are their own."""
         if isinstance(source, int):
             return source
-        if source not in self._errors:
-            self._errors.append(source)
-        return self._errors.index(source)
+        if source not in self.errors:
+            self.errors.append(source)
+        return self.errors.index(source)
 
     def evaluate(
         self, errors: Mapping[str, Array], tracking: Any
@@ -213,9 +219,9 @@ class Reward:
         """
         # terms that are compiled
         rows = len(tracking.command)
-        shape = (rows, len(self._errors))
+        shape = (rows, len(self.errors))
         error_table = np.empty(shape)
-        for i, name in enumerate(self._errors):
+        for i, name in enumerate(self.errors):
             error_table[:, i] = errors[name]
         shape = (len(self._compiled), rows)
         values = np.empty(shape)
@@ -223,7 +229,7 @@ class Reward:
         command = tracking.command
         change = tracking.action_change
         reward_terms(
-            self._table,
+            self.table,
             error_table,
             command,
             change,
@@ -232,7 +238,7 @@ class Reward:
         )
         terms = dict(zip(self._compiled, values, strict=True))
         # terms of users, whose values are looked at
-        for name, function in self._functions.items():
+        for name, function in self.functions.items():
             value = np.array(function(tracking), dtype=np.float64)
             if value.shape != (rows,) or not ((value >= 0.0) & (value <= 1.0)).all():
                 raise ValueError(

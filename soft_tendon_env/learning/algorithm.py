@@ -77,6 +77,11 @@ class ActorAlgorithm(BaseAlgorithm):
             self._prepare()
 
     @property
+    def acting_policy(self) -> ActorCriticPolicy:
+        """The network that acts and is saved."""
+        return self.policy
+
+    @property
     def rows(self) -> TendonRodVectorEnv:
         """The environment within its wrappers."""
         assert self.env is not None, "learning needs an environment"

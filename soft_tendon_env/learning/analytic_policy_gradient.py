@@ -12,49 +12,23 @@ Simulation", ICLR 2022, whose terminal critic is not here.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from soft_tendon_env.differentiable import Trajectories, rollout
+from soft_tendon_env.differentiable import TensorReward, Trajectories, rollout
 from soft_tendon_env.differentiable.accuracy import check_gradients
+from soft_tendon_env.differentiable.rewards import SQUARES
 from soft_tendon_env.envs.environments import TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.learning.recurrent import RecurrentPolicy
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-
-Square = Callable[[Trajectories, float, float], Tensor]
-
-
-def _position_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
-    ratio = trajectories.position_error / position
-    return ratio.square().sum(-1)
-
-
-def _angle_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
-    angles = trajectories.error[..., :3]
-    ratio = angles / angle
-    return ratio.square().sum(-1)
-
-
-def _backbone_square(trajectories: Trajectories, position: float, angle: float) -> Tensor:
-    ratio = trajectories.backbone_error / position
-    squares = ratio.square().sum(-1)
-    return squares.mean(-1)
-
-
-SQUARES: Mapping[str, Square] = {
-    "position_error": _position_square,
-    "angle_error": _angle_square,
-    "backbone_error": _backbone_square,
-}
-"""Squares (periods, rows) of tracking errors in units of the scales of position [m] and angle
-[rad], by the names of the errors."""
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 
 
 @dataclass(frozen=True)
@@ -74,7 +48,12 @@ class APGSettings:
         identification: weight of the mean square error at which a linear layer reads from the
             memory what `randomize` has drawn; this teaches the memory, and takes no part in the
             policy. 0: there is none.
-        cost: function of Trajectories to a scalar, in place of TrackingCost.
+        averaged_updates: number of last updates over which the weights that act and are saved are
+            averaged, exponentially; 0: they are those of the last update.
+        cost: name of one of COSTS, or a function of Trajectories to a scalar.
+
+    Raises:
+        ValueError: there is no such cost, or no such average.
     """
 
     n_steps: int = 16
@@ -85,7 +64,17 @@ class APGSettings:
     max_grad_norm: float = 1.0
     max_row_gradient: float = math.inf
     identification: float = 0.0
-    cost: Callable[[Trajectories], Tensor] | None = None
+    averaged_updates: float = 0.0
+    cost: str | Callable[[Trajectories], Tensor] = "errors"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.cost, str) and self.cost not in COSTS:
+            raise ValueError(f"cost is {self.cost!r}: {not_among(self.cost, COSTS)}")
+        if 0.0 < self.averaged_updates < 1.0:
+            raise ValueError(
+                f"averaged_updates is {self.averaged_updates:g}: it should be at least 1, or 0 for"
+                " no average"
+            )
 
 
 class TrackingCost:
@@ -114,17 +103,20 @@ class TrackingCost:
                 " alone, give it a `cost`"
             )
             raise ConfigurationError([Problem(("reward",), text)], "environment")
-        self._squares = [SQUARES[name] for name in names]
+        self._names = names
         self._settings = settings
 
     def __call__(self, trajectories: Trajectories) -> Tensor:
         """Mean cost () of periods and rows."""
         settings = self._settings
-        squares = []
-        for square in self._squares:
-            mean_square = square(trajectories, settings.position_scale, settings.angle_scale)
-            squares.append(mean_square)
-        total = torch.stack(squares).sum(0)
+        ratios = []
+        for name in self._names:
+            scale = settings.position_scale
+            if name == "angle_error":
+                scale = settings.angle_scale
+            square = SQUARES[name](trajectories)
+            ratios.append(square / scale**2)
+        total = torch.stack(ratios).sum(0)
         # Cauchy's loss, and a distance whose gradient does not fade far off
         near = 0.5 * total.log1p()
         far = (1.0 + total).sqrt()
@@ -134,12 +126,41 @@ class TrackingCost:
         return tracking + settings.smoothness * change
 
 
+class RewardCost:
+    """Cost of trajectories that is what they lack of the greatest reward, 1 a period.
+
+    Changes of the action cost what the reward says, and `smoothness` besides.
+    """
+
+    def __init__(self, episodes: Episodes, settings: APGSettings) -> None:
+        """Costs by the reward of an environment.
+
+        Raises:
+            ConfigurationError: gradients cannot pass its reward.
+        """
+        self._reward = TensorReward(episodes)
+        self._settings = settings
+
+    def __call__(self, trajectories: Trajectories) -> Tensor:
+        """Mean cost () of periods and rows."""
+        missing = 1.0 - self._reward(trajectories)
+        change = trajectories.action_change.square().mean()
+        return missing.mean() + self._settings.smoothness * change
+
+
+COSTS: Mapping[str, Callable[[Episodes, APGSettings], Callable[[Trajectories], Tensor]]] = {
+    "errors": TrackingCost,
+    "reward": RewardCost,
+}
+"""Costs of trajectories by name: of tracking errors, which leads far ones back, and of what the
+reward lacks, which counts as the task does."""
+
+
 class APG(ActorAlgorithm):
     """Analytic policy gradient with Stable-Baselines3's interface, on this package's rows.
 
-    It minimises a cost of its own, `TrackingCost`, of the errors that the environment rewards, not
-    the reward: that is written to the log. Rows that have ended or diverged begin anew between
-    windows. See APGSettings and ActorAlgorithm for arguments.
+    It minimises one of COSTS, and writes the reward to the log. Rows that have ended or diverged
+    begin anew between windows. See APGSettings and ActorAlgorithm for arguments.
 
     Raises:
         TypeError: the environment is of another package.
@@ -158,6 +179,41 @@ class APG(ActorAlgorithm):
     }
     policy: RecurrentPolicy
     _identifier: torch.nn.Linear | None = None
+    _average: AveragedModel | None = None
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        updates = self.settings.averaged_updates
+        if updates:
+            decay = 1.0 - 1.0 / updates
+            self._average = AveragedModel(self.policy, multi_avg_fn=get_ema_multi_avg_fn(decay))
+
+    @property
+    def acting_policy(self) -> RecurrentPolicy:
+        """The network that acts and is saved: that of averaged weights, if there is one."""
+        if self._average is None:
+            return self.policy
+        return cast(RecurrentPolicy, self._average.module)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Computes mean actions by the network that acts, as `BaseAlgorithm.predict`.
+
+        Args:
+            observation: one, or rows of them.
+            state: memory that the last call gave; None: an episode begins.
+            episode_start: (rows,) where an episode begins.
+            deterministic: is taken as True.
+
+        Returns:
+            Actions, and the memory to give back.
+        """
+        return self.acting_policy.predict(observation, state, episode_start, deterministic)
 
     def _prepare(self) -> None:
         episodes = self.rows.episodes
@@ -221,7 +277,9 @@ class APG(ActorAlgorithm):
         """Cost () of a window, that of identification included."""
         settings = self.settings
         episodes = self.rows.episodes
-        function = settings.cost or TrackingCost(episodes, settings)
+        function = settings.cost
+        if isinstance(function, str):
+            function = COSTS[function](episodes, settings)
         cost: Tensor = function(trajectories)
         if self._identifier is None:
             return cost
@@ -247,6 +305,8 @@ class APG(ActorAlgorithm):
         norm = float(norm_before)
         if math.isfinite(norm):
             optimizer.step()
+            if self._average is not None:
+                self._average.update_parameters(self.policy)
         return norm
 
     def _begin_ended(
@@ -275,6 +335,8 @@ class APG(ActorAlgorithm):
         names = ["policy", "policy.optimizer"]
         if self._identifier is not None:
             names.append("_identifier")
+        if self._average is not None:
+            names.append("_average")
         return names, []
 
 

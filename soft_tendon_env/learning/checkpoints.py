@@ -19,6 +19,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
+from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import CONFIG, layout_of, save_agent, strain_of
@@ -70,7 +71,7 @@ def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
     resumable: with what a training needs to go on from it.
     """
     statistics = statistics_of(model)
-    save_agent(folder, model.policy, normalization_of(statistics))
+    save_agent(folder, acting_network(model), normalization_of(statistics))
     if resumable:
         model.save(folder / MODEL)
         statistics.save(str(folder / PICKLED))
@@ -143,6 +144,13 @@ def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
     known_digests = config.get("files", {})
     check_digests(checkpoint, known_digests, checkpoint / CONFIG)
     return config
+
+
+def acting_network(model: BaseAlgorithm) -> Any:
+    """Network of a model that acts and is saved, which need not be the one that learns."""
+    if isinstance(model, ActorAlgorithm):
+        return model.acting_policy
+    return model.policy
 
 
 def statistics_of(model: BaseAlgorithm) -> VecNormalize:

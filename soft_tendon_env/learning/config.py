@@ -15,7 +15,7 @@ from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import hyperparameter_problems
+from soft_tendon_env.learning.hyperparameters import APG, DAGGER, hyperparameter_problems
 from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
@@ -33,6 +33,10 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Rate = Annotated[float, Field(ge=1e-12, le=1)]
+BestBy = Literal["errors", "return"]
+
+WITHOUT_CRITIC = (APG, DAGGER)
+"""Algorithms whose agents are all that they learn, so that a training can begin with one."""
 
 
 class Normalisation(Configuration):
@@ -58,6 +62,8 @@ class Evaluation(Configuration):
     # how many, on the first of the validation seeds
     episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))
     skip: NotNegative = 1.0  # time at the beginning of an episode that does not count [s]
+    # the best agent has the smallest errors, or the greatest return
+    best_by: BestBy = "errors"
 
 
 class Training(Configuration):
@@ -80,6 +86,8 @@ class Training(Configuration):
             policies/integral.py; None: none.
         added_effects: numbers of effects by name, for an arm that has none such. What `randomize`
             draws of them is added to those of an arm that has them.
+        start_from: agent whose weights the training begins with, the name of one that ships or a
+            folder; None: random ones. What that agent has learned is not counted in `steps`.
 
     Numbers can be shares of the arm, such as "0.5 length": see learning/shares.py. A training has
     them, effects included, in its options, in SI units.
@@ -98,6 +106,7 @@ class Training(Configuration):
     integral_time: Positive | None = None
     evaluation: Evaluation = Evaluation()
     added_effects: dict[str, dict[str, Any]] = Field(default={})
+    start_from: str | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -147,6 +156,12 @@ class Training(Configuration):
     @model_validator(mode="after")
     def _fits(self) -> "Training":
         problems = hyperparameter_problems(self.algorithm, self.hyperparameters)
+        if self.start_from is not None and self.algorithm not in WITHOUT_CRITIC:
+            text = (
+                f"is {self.start_from!r}: {self.algorithm} would begin with a critic that knows"
+                f" nothing of this agent, it is for {', '.join(WITHOUT_CRITIC)}"
+            )
+            problems.append(Problem(("start_from",), text))
         try:
             self._check_options()
         except ConfigurationError as error:

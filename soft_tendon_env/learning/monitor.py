@@ -22,6 +22,7 @@ from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import (
+    acting_network,
     config_record,
     find_checkpoint,
     read_checkpoint,
@@ -29,7 +30,7 @@ from soft_tendon_env.learning.checkpoints import (
     statistics_of,
     write_model,
 )
-from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.config import BestBy, Training
 from soft_tendon_env.learning.purpose import PURPOSE, purpose
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import CONFIG, NetworkPolicy, acting_policy
@@ -44,11 +45,14 @@ Watch = Callable[[Mapping[str, float]], None]
 """Function that gets every row of a learning curve as it is measured."""
 
 
-def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
+def quality(row: Mapping[str, Any], best_by: BestBy = "errors") -> tuple[float, ...]:
     """Sort key of rows, the smaller the better.
 
-    More goals reached come first, then a smaller `tracking_cost`, then a smaller typical error.
+    By errors more goals reached come first, then a smaller `tracking_cost`, then a smaller typical
+    error. By the return nothing else counts.
     """
+    if best_by == "return":
+        return (-row["return"],)
     typical = row["typical"]
     if typical is None or np.isnan(typical):
         typical = np.inf
@@ -102,7 +106,7 @@ class TrainingMonitor(ABC):
             self._best = None
         else:
             evaluated = read_json(best / CONFIG)["evaluated"]
-            self._best = quality(evaluated)
+            self._best = self._quality(evaluated)
         self.envs = gym.make_vec(
             IDS[training.task],
             num_envs=training.evaluation.episodes,
@@ -179,14 +183,18 @@ class TrainingMonitor(ABC):
             f" {format_row(row)}",
             flush=True,
         )
-        if self._best is None or quality(row) < self._best:
-            self._best = quality(row)
+        row_quality = self._quality(row)
+        if self._best is None or row_quality < self._best:
+            self._best = row_quality
             config = {**self._config, "steps_done": self.steps_done(), "evaluated": row}
             self.save(self.folder / "best", config, False)
         # the time of validations is no time of learning
         self._untimed += self._seconds() - row["seconds"]
         if self.watch is not None:
             self.watch(row)
+
+    def _quality(self, row: Mapping[str, Any]) -> tuple[float, ...]:
+        return quality(row, self.training.evaluation.best_by)
 
     def _validate(self) -> dict[str, float]:
         """Scores of the agent on fixed validation episodes, by column."""
@@ -266,7 +274,7 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         return int(self.num_timesteps)
 
     def network(self) -> Any:
-        return self.model.policy
+        return acting_network(self.model)
 
     def normalise(self, observation: Any) -> Any:
         return statistics_of(self.model).normalize_obs(observation)

@@ -10,7 +10,7 @@ checkpoint.
 
 import dataclasses
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,17 +29,20 @@ from soft_tendon_env.learning.checkpoints import (
     ENVIRONMENT,
     MODEL,
     PICKLED,
+    acting_network,
     find_checkpoint,
     read_checkpoint,
     restore,
+    statistics_of,
 )
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.networks import policy_arguments
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
-from soft_tendon_env.policies.agent import CONFIG
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
+from soft_tendon_env.policies.agent import CONFIG, find_agent, layout_of, read_config
 from soft_tendon_env.policies.algorithms import policy_name
+from soft_tendon_env.policies.weights import WEIGHTS, acting_arrays, read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -202,7 +205,47 @@ def make_model(training: Training) -> BaseAlgorithm:
             f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}"
         ) from error
     normalised.seed(training.arm_seed())
+    if training.start_from is not None:
+        _begin_with(model, training.start_from, training.task)
     return model
+
+
+def _begin_with(model: BaseAlgorithm, agent: str, task: str) -> None:
+    """Give a model the weights of an agent that observes as it does.
+
+    Args:
+        model: which has learned nothing.
+        agent: name of one that ships, or its folder.
+        task: of the model.
+
+    Raises:
+        ValueError: the agent observes or acts otherwise.
+        OSError: its files cannot be read.
+    """
+    folder = find_agent(agent, task)
+    config = read_config(folder)
+    environment = unwrapped(statistics_of(model)).env
+    layout = layout_of(environment.episodes)
+    if config.layout != layout or config.normalise.get("observations"):
+        raise ValueError(
+            f"start_from is {agent!r}, which observes {config.layout}: it should be an agent that"
+            f" observes {layout}, not normalised, as this training does"
+        )
+    arrays = read_weights(folder / WEIGHTS)
+    tensors = {name: torch.tensor(values) for name, values in arrays.items()}
+    for network in (model.policy, acting_network(model)):
+        needed = acting_arrays(network.state_dict())
+        if _shapes(needed) != _shapes(arrays):
+            raise ValueError(
+                f"start_from is {agent!r}, whose weights are of another network:"
+                f" {_shapes(arrays)}, not {_shapes(needed)}"
+            )
+        network.load_state_dict(tensors, strict=False)
+
+
+def _shapes(arrays: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Shapes of arrays by their names."""
+    return {name: values.shape for name, values in arrays.items()}
 
 
 def _gather_settings(kind: Any, arguments: dict[str, Any]) -> None:

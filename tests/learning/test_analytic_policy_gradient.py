@@ -9,6 +9,7 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from soft_tendon_env.differentiable import rollout
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.analytic_policy_gradient import (
     APG,
@@ -194,6 +195,42 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
     assert of(10.0, 0.0, 0.0) == pytest.approx(np.log(1000.0), rel=1e-4)
 
 
+def test_the_cost_by_the_reward_is_what_it_lacks():
+    env = envs(rows=4, observation=OBSERVED)
+    env.reset()
+    agent = APG("MlpPolicy", env, settings=APGSettings(cost="reward", smoothness=0.0), **SMALL)
+    trajectories = rollout(agent.rows, lambda seen: agent.policy.act(seen, seen[:, :0])[0], 6)
+    cost = agent._cost(trajectories, [])
+    missing = 1.0 - trajectories.reward.mean()
+    assert float(cost.detach()) == pytest.approx(float(missing), abs=1e-12)
+
+
+def test_the_average_of_weights_acts_and_is_saved(tmp_path):
+    """It begins with those of the first update, and takes a quarter of the way in each after it."""
+    settings = APGSettings(n_steps=4, averaged_updates=4.0)
+    agent = APG("MlpPolicy", envs(rows=2, observation=OBSERVED), settings=settings, **SMALL)
+    learned = []
+
+    def keep(local, general):
+        learned.append(agent.policy.action_net.weight.detach().clone())
+        return True
+
+    agent.learn(4 * 2 * 3, callback=keep)
+    expected, *later = learned[3::4]
+    for weights in later:
+        expected = expected + 0.25 * (weights - expected)
+    averaged = agent.acting_policy
+    torch.testing.assert_close(averaged.action_net.weight.detach(), expected)
+    assert not torch.equal(averaged.action_net.weight, agent.policy.action_net.weight)
+    observation = agent.env.reset()
+    action, _ = agent.predict(observation, deterministic=True)
+    np.testing.assert_array_equal(action, averaged.predict(observation, deterministic=True)[0])
+    agent.save(tmp_path / "agent")
+    loaded = APG.load(tmp_path / "agent", env=agent.env)
+    assert torch.equal(loaded.acting_policy.action_net.weight, averaged.action_net.weight)
+    assert torch.equal(loaded.policy.action_net.weight, agent.policy.action_net.weight)
+
+
 def test_refusals():
     """Of environments that are no one's or whose gradients stop somewhere, each by name."""
     with pytest.raises(TypeError, match="make_sb3_vec_env"):
@@ -206,5 +243,9 @@ def test_refusals():
     }
     with pytest.raises(ValueError, match=r"effects\.viscoelastic_memory has internal states"):
         APG("MlpPolicy", envs(**stuck), **SMALL)
+    with pytest.raises(ValueError, match="cost is 'rewards': did you mean 'reward'"):
+        APGSettings(cost="rewards")
+    with pytest.raises(ValueError, match="averaged_updates is 0.5: it should be at least 1"):
+        APGSettings(averaged_updates=0.5)
     with pytest.raises(ConfigurationError, match="rewards coordinate_error"):
         APG("MlpPolicy", envs("Shape", reward={"coordinates": {"weight": 1.0}}), **SMALL).learn(128)

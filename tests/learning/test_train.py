@@ -29,7 +29,7 @@ RUNS = {
     "SAC": SAC,
     "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
     "CrossQ": {"algorithm": "CrossQ", "hyperparameters": OFF_POLICY},
-    "APG": {"algorithm": "APG", "hyperparameters": {"n_steps": 8}},
+    "APG": {"algorithm": "APG", "hyperparameters": {"n_steps": 8, "averaged_updates": 4}},
     "DAgger": {
         "algorithm": "DAgger",
         "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16},
@@ -210,6 +210,34 @@ def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
         train.checkpoint_to_resume(tmp_path, more, resume=True)
 
 
+def test_a_training_begins_with_the_weights_of_an_agent(training, tmp_path):
+    """Those that act, averaged weights too, until the first update; others are refused."""
+    parent = train.make_model(training(seed=1, **RUNS["APG"]))
+    record = checkpoints.config_record(training(**RUNS["APG"]), parent.rows.episodes)
+    checkpoints.replace_checkpoint(
+        tmp_path / "agent", record, lambda new: checkpoints.write_model(new, parent, False)
+    )
+    start = {**RUNS["APG"], "start_from": str(tmp_path / "agent")}
+    child = train.make_model(training(seed=2, **start))
+    for network in (child.policy, child.acting_policy):
+        weights = network.state_dict()["action_net.weight"]
+        assert (weights == parent.policy.action_net.weight).all()
+    small = {"n_steps": 8, "policy_kwargs": {"net_arch": [16]}}
+    with pytest.raises(ValueError, match="whose weights are of another network"):
+        train.make_model(training(**{**start, "hyperparameters": small}))
+    with pytest.raises(ValueError, match=r"start_from is .*: it should be an agent that observes"):
+        train.make_model(training(options={**SMALL, "history": 2}, **start))
+
+
+def test_the_best_agent_has_the_smallest_errors_or_the_greatest_return():
+    rows = [
+        {"return": 90.0, "cost": 0.05, "typical": 0.03},
+        {"return": 91.0, "cost": 0.1, "typical": 0.35},
+    ]
+    assert min(rows, key=monitor.quality) is rows[0]
+    assert min(rows, key=lambda row: monitor.quality(row, "return")) is rows[1]
+
+
 @pytest.mark.slow
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_path):
     """Killed between the two renamings of a checkpoint, when the new one was complete."""
@@ -274,6 +302,7 @@ def hyperparameters(**given):
             hyperparameters(policy_kwargs={"net_arc": [64]}),
             "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you",
         ),
+        ({"start_from": "apg"}, "start_from is 'apg': PPO would begin with a critic that knows"),
         (
             {"algorithm": "APG", **hyperparameters(gamma=0.9)},
             "hyperparameters.gamma is an unknown key",
