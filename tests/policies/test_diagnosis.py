@@ -58,8 +58,13 @@ def diagnosed(regime, noise, draws):
     return {quantity: np.array(rows) for quantity, rows in errors.items()}, diagnosis
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("regime", "noise", "draws"), [("sensors", {"noise": NOISE}, 100)])
+@pytest.mark.parametrize(
+    ("regime", "noise", "draws"),
+    [
+        ("sensors", {"noise": NOISE}, 4),
+        pytest.param("sensors", {"noise": NOISE}, 100, marks=pytest.mark.slow),
+    ],
+)
 def test_intervals_contain_what_was_drawn(regime, noise, draws):
     """Those of 95 % do so in 90 % of the draws at least, each by itself."""
     errors, diagnosis = diagnosed(regime, noise, draws)
