@@ -40,9 +40,10 @@ class Uncertainty(NamedTuple):
     tip_start: float = 2e-3
     # loads at each place, as shares of the arm's weight on earth
     load: float = 0.002
-    # of themselves, by which they change besides: what the arm carries is not all at the places, and
-    # where it carries nothing the loads are to stay there
+    # of themselves, by which they change besides, up to the most: what the arm carries is not all
+    # at these places
     load_share: float = 0.15
+    load_most: float = 0.01
     load_start: float = 0.25
     load_jump: float = 0.1  # where innovations surprise
     stiffness: float = 0.005  # factor of the stiffness
