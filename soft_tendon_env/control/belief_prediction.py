@@ -146,10 +146,9 @@ class BeliefPrediction:
         by_force = motion.by_force.sum(axis=0)
         moved = np.column_stack([by_tension * white_tension, by_force * white_force])
         noise = moved @ moved.T
-        is_timed = last.bank is None
         covariance = transition @ last.covariance @ transition.T
         covariance[moving, moving] += noise
-        covariance[np.diag_indices_from(covariance)] += self._walks(point, is_timed)
+        covariance[np.diag_indices_from(covariance)] += self._walks(point)
         mean = self._keep * point
         mean[layout.z] = motion.q[-1] / self.space.scale
         mean[layout.v] = motion.q_dot[-1] / self.space.scale
@@ -165,22 +164,21 @@ class BeliefPrediction:
         )
         return Prediction(belief, transition)
 
-    def _walks(self, state: Array, is_timed: bool) -> Array:
+    def _walks(self, state: Array) -> Array:
         """Variances (m,) of the walks of a state (m,) in a period.
 
         What is there changes by a share of itself besides: where nothing errs, little changes. Of
-        loads it does so only when the timing of commands is found. Before, a command that comes at
-        another time than is believed looks like a load, which would feed its own growth.
+        loads the share is bounded: errors of quick motions are taken for loads at first, which
+        would feed their own growth.
         """
         layout = self.space.layout
         variance = self._even_walks.copy()
         variance[layout.gain] += (self._gain_share * state[layout.gain]) ** 2
         variance[layout.offset] += (self._offset_share * state[layout.offset]) ** 2
-        if is_timed:
-            forces = state[layout.load].reshape(-1, 3)
-            growth = self._load_share * np.linalg.norm(forces, axis=1)
-            growth = np.minimum(growth, self._load_most)
-            variance[layout.load] += np.repeat(growth, 3) ** 2
+        forces = state[layout.load].reshape(-1, 3)
+        growth = self._load_share * np.linalg.norm(forces, axis=1)
+        growth = np.minimum(growth, self._load_most)
+        variance[layout.load] += np.repeat(growth, 3) ** 2
         return self.period * variance
 
     def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
