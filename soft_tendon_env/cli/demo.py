@@ -28,7 +28,7 @@ from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.settings import Settings, Workers
 from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.evaluation.tables import summary_cells, summary_table, write_markdown
-from soft_tendon_env.policies.agent import AGENT
+from soft_tendon_env.policies.agent import AGENT, AgentConfig
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.parallel import check_cluster
@@ -88,10 +88,7 @@ def run(settings: Demo) -> None:
             for policy, name in SHOWN.items()
             if policy not in known
         }
-        agents = {
-            name: f"{config.algorithm}, {config.steps_done:,} steps"
-            for name, config in configs.items()
-        }
+        agents = {name: _training(config) for name, config in configs.items()}
     described = {
         name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()
     }
@@ -105,6 +102,14 @@ def run(settings: Demo) -> None:
     report = f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}"
     write_markdown(out / "demo.md", report)
     print(opening_hint(out / "demo.rrd"))
+
+
+def _training(config: AgentConfig) -> str:
+    """How an agent was trained."""
+    steps = f"{config.algorithm}, {config.steps_done:,} steps"
+    if config.start_from is None:
+        return steps
+    return f"{steps} after an earlier training"
 
 
 def play(settings: Demo, file: "RerunFile", out: Path) -> str:

@@ -1,9 +1,9 @@
 """Configuration of a training: the keys of the files in configs/, read strictly.
 
-`--set key=value` changes them.
+A file may extend another, and `--set key=value` changes the keys of both.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +27,7 @@ from soft_tendon_env.tools.configuration import (
     override,
     parsed_changes,
     read_toml,
+    shown,
 )
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.types import NotNegative, Positive
@@ -34,6 +35,9 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 Share = Annotated[float, Field(ge=0, le=1)]
 Rate = Annotated[float, Field(ge=1e-12, le=1)]
 BestBy = Literal["errors", "return"]
+
+EXTENDS = "extends"
+"""Key of a file with the training, by name or path, whose keys it has unless it says otherwise."""
 
 WITHOUT_CRITIC = (APG, DAGGER)
 """Algorithms whose agents are all that they learn, so that a training can begin with one."""
@@ -224,11 +228,83 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
     return Path(name)
 
 
+def read_table(path: Path, extending: Sequence[Path] = ()) -> dict[str, Any]:
+    """Keys of a training's file, and of the one that it extends where it has none itself.
+
+    Tables are merged by key, all else is replaced, lists too. A table of another `type`, and the
+    hyperparameters of another algorithm, are replaced as a whole: their keys are of their kind.
+
+    Args:
+        path: of the TOML file.
+        extending: files that extend this one, for messages.
+
+    Returns:
+        The keys, without `extends`.
+
+    Raises:
+        ConfigurationError: for files that cannot be read, or that extend themselves.
+    """
+    table = read_toml(path)
+    if EXTENDS not in table:
+        return table
+    chain = [*extending, path]
+    given = table.pop(EXTENDS)
+    extended = _extended_file(path, given)
+    if any(extended.samefile(file) for file in chain):
+        files = ", which extends ".join(map(str, [*chain, extended]))
+        text = f"is {given!r}: a training cannot extend itself, as {files}"
+        raise ConfigurationError([Problem((EXTENDS,), text)], str(path))
+    base = read_table(extended, chain)
+    if _differ(base, table, "algorithm"):
+        base.pop("hyperparameters", None)
+    return _merged(base, table)
+
+
+def _extended_file(path: Path, given: Any) -> Path:
+    """The file that another, at `path`, extends by a name or a path from its own folder.
+
+    Raises ConfigurationError.
+    """
+    names = config_names()
+    if not isinstance(given, str):
+        text = f"is {shown(given)}: it should be the name of a training, or the path of its file"
+        raise ConfigurationError([Problem((EXTENDS,), text)], str(path))
+    if given in names:
+        return CONFIGS / f"{given}.toml"
+    file = path.parent / given
+    if not file.is_file():
+        text = (
+            f"is {given!r}: it is neither a file, from the folder of this one, nor a training that"
+            f" ships: {not_among(given, names)}"
+        )
+        raise ConfigurationError([Problem((EXTENDS,), text)], str(path))
+    return file
+
+
+def _merged(base: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with the keys of a base that it lacks, in its tables too."""
+    if _differ(base, table, "type"):
+        return dict(table)
+    merged = dict(base)
+    for key, value in table.items():
+        before = base.get(key)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            merged[key] = _merged(before, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _differ(base: Mapping[str, Any], table: Mapping[str, Any], key: str) -> bool:
+    """Whether a table says otherwise than its base what it is."""
+    return key in table and key in base and table[key] != base[key]
+
+
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
     """Reads a training from a file, with changes.
 
     Args:
-        path: of the TOML file.
+        path: of the TOML file, which may extend another.
         changes: "key=value" with dotted keys, as of `--set`.
         more: values of keys of the file's top, by name.
 
@@ -239,7 +315,7 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
         ConfigurationError: for keys and values that are not allowed.
         ValueError: for changes that cannot be read, or a key that is in both.
     """
-    table = read_toml(path)
+    table = read_table(path)
     overrides = parsed_changes(changes)
     if changes or more:
         source = f"{path}, changed"

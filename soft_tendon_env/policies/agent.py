@@ -72,7 +72,6 @@ OF_TRAINING = (
     "seconds",
     "seconds_learned",
     "seed",
-    "start_from",
     "steps",
     "threads",
 )
@@ -122,6 +121,7 @@ class AgentConfig(Configuration):
     # {"observations": true} where it sees observations through its statistics
     normalise: dict[str, Any] = Field(default={})
     steps_done: int | None = Field(default=None, ge=0)  # of its training
+    start_from: str | None = None  # agent whose weights that began with; None: random ones
     files: dict[str, str] = Field(default={})  # SHA-256 of the files that belong together, by name
 
     @classmethod

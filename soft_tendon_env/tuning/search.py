@@ -26,7 +26,7 @@ from soft_tendon_env.evaluation.experiment import believed_scene
 from soft_tendon_env.evaluation.play import evaluate_rows
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
-from soft_tendon_env.learning.config import Training, find_config
+from soft_tendon_env.learning.config import Training, find_config, read_table
 from soft_tendon_env.policies import load_policy
 from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import Controller, PolicyName
@@ -282,7 +282,7 @@ class TrainingSearch(Search):
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the tables of the training with these values."""
-        table = read_toml(find_config(self.training))
+        table = read_table(find_config(self.training))
         override(table, {**self.set, **values})
         return table
 

@@ -380,15 +380,3 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], (
         "or arms that whirl would change what all others see"
     )
-
-
-def test_agents_for_all_settings_trained_on_the_same_arms_and_targets():
-    first, *others = [
-        config.read_training(config.find_config(f"{algorithm}_tip_pose")).options
-        for algorithm in ("apg", "ppo", "sac")
-    ]
-    assert all(
-        first[key] == other[key]
-        for key in ("scene", "target", "randomize", "fidelity")
-        for other in others
-    )
