@@ -230,14 +230,14 @@ def test_innovations_are_white(gain, arm, monkeypatch):
 @pytest.fixture(scope="module")
 def surprised(noisy_life, arm):
     """A filter, its belief, the units of it, and what exact sensors say of an arm that is off by a
-    fifth of the deviations."""
+    third of the deviations."""
     estimates, *_ = noisy_life
     found = filter_of(arm, noise=NOISE)
     belief = estimates[60].memory
     layout = found.space.layout
     unit = np.sqrt(np.diag(belief.covariance))
     waves = np.cos(np.arange(unit.size))
-    aside = belief.mean + 0.2 * unit * waves
+    aside = belief.mean + 0.3 * unit * waves
     q, q_dot = found.space.coordinates(aside)
     state = Simulation(arm).reset(q, q_dot)
     sent = np.zeros((found.history, 3))

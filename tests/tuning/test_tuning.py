@@ -175,6 +175,18 @@ def test_mistakes_of_a_search_are_one_line(kind, changes, message):
     assert re.search(message, str(caught.value).splitlines()[0]), str(caught.value)
 
 
+def test_a_search_begins_with_the_values_in_use(tmp_path):
+    """As far as its ranges have them."""
+    search = ControllerSearch(**CONTROLLER)
+    in_use = {"settling_time": 0.2, "estimator.force": 1.5e-3}
+    assert search.first_values() == in_use
+    narrow = {**CONTROLLER["search"], "settling_time": {"low": 0.5, "high": 0.8}}
+    shorter = ControllerSearch(**{**CONTROLLER, "search": narrow})
+    assert shorter.first_values() == {"estimator.force": 1.5e-3}
+    (waiting,) = open_study(search, tmp_path).trials
+    assert waiting.system_attrs["fixed_params"] == in_use
+
+
 @pytest.mark.parametrize(
     "table",
     [
