@@ -157,6 +157,20 @@ def law(body, depth, approach=0.0, wall=0.5):
     return normal_law(body, sample_of(wall), depth, approach)
 
 
+def test_on_the_axis_of_a_cylinder_its_side_is_as_far_as_the_radius():
+    """In one of all directions, which is a unit vector across the axis."""
+    upright = {"type": "cylinder", "radius": 0.1, "length": 0.4, "axis": [0.0, 0.0, 1.0]}
+    rows = Contact(obstacles=[{**upright, "position": [0.0, 0.0, 0.0]}]).rows()
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]])
+    out = np.empty((1, 2))
+    nearest = np.empty((1, 2, 3))
+    read_distances(rows, x, 0.0, out, nearest)
+    np.testing.assert_allclose(out[0], -0.1, atol=1e-15)
+    ways = nearest[0] - x
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=1), 0.1, atol=1e-15)
+    np.testing.assert_allclose(ways[:, 2], 0.0, atol=1e-15)
+
+
 @pytest.mark.parametrize("obstacle", [THIN, THICK], ids=["thin", "thick"])
 @pytest.mark.parametrize("approach", [-5.0, -1.2, -0.5, 0.0, 0.8])
 def test_pressure_has_its_derivatives_and_its_energy(obstacle, approach):

@@ -155,3 +155,16 @@ def test_models_of_other_numbers_fit_and_others_say_why_not(bent):
     without = bent.with_scene(bent.scene.replace({"effects": {}}))
     assert "which effects act, from gravity to none" in bent.misfit(without)
     assert without.misfit(bent) == ""
+
+
+def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_of_their_way(build):
+    """u / k, and the way along the straight arm less that along the bent one."""
+    tension = np.array([3.0, 0.5, 1.0])
+    elasticity = {"stiffness": 800.0, "displacement_limits": [0.0, 0.05]}
+    model = build("three_tendon", {"effects.tendon_elasticity": elasticity})
+    q = model.rest_coordinates(tension)
+    way = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
+    assert way.max() > 1e-3
+    np.testing.assert_allclose(model.command(tension, q), tension / 800.0 + way, rtol=1e-12)
+    stiff = build("three_tendon")
+    np.testing.assert_array_equal(stiff.command(tension, q), tension)
