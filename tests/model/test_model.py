@@ -8,6 +8,7 @@ from soft_tendon_env import StrainLimitError, load_scene
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import is_singular, model_on
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.statics import commanded_equilibrium
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates
@@ -171,13 +172,17 @@ def test_an_arm_with_memory_that_is_set_to_rest_stays(build):
 
 
 def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_of_their_way(build):
-    """u / k, and the way along the straight arm less that along the bent one."""
+    """u / k, and the way along the straight arm less that along the bent one. They lead there."""
     tension = np.array([3.0, 0.5, 1.0])
     elasticity = {"stiffness": 800.0, "displacement_limits": [0.0, 0.05]}
     model = build("three_tendon", {"effects.tendon_elasticity": elasticity})
     q = model.rest_coordinates(tension)
     way = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
     assert way.max() > 1e-3
-    np.testing.assert_allclose(model.command(tension, q), tension / 800.0 + way, rtol=1e-12)
+    command = model.command(tension, q)
+    np.testing.assert_allclose(command, tension / 800.0 + way, rtol=1e-12)
+    equilibrium, held = commanded_equilibrium(model, command)
+    np.testing.assert_allclose(held, tension, rtol=1e-6)
+    np.testing.assert_allclose(equilibrium.q, q, rtol=1e-5)
     stiff = build("three_tendon")
     np.testing.assert_array_equal(stiff.command(tension, q), tension)
