@@ -23,13 +23,14 @@ from soft_tendon_env.effects.contact.forces import (
     read_contacts,
 )
 from soft_tendon_env.effects.contact.obstacles import body_at, distance, read_distances
-from soft_tendon_env.effects.contact.outline import ROUND
+from soft_tendon_env.effects.contact.outline import RECTANGLE, ROUND
 from soft_tendon_env.effects.contact.samples import (
     SMOOTHING,
     WALL_MASS,
     WALL_SPEED,
     Sample,
     make_samples,
+    sample_outlines,
 )
 from soft_tendon_env.mechanics.effects import (
     NO,
@@ -582,6 +583,24 @@ def test_samples_next_to_discs_are_as_large_and_as_heavy(build):
     wall_energy = WALL_MASS * WALL_SPEED**2
     np.testing.assert_allclose(change[rows, 8], wall_energy * heavier)
     assert np.count_nonzero(change[:, 8]) == 2
+
+
+def test_discs_on_a_flat_rod_are_round(build):
+    """Where the nearest sample is; the others have the corners of the rod."""
+    flat = {
+        "segments.0.radius": None,
+        "segments.0.section": {"type": "rectangle", "width": 0.004, "height": 0.02},
+        "segments.0.discs": {"mass": 1e-3, "radius": 0.02, "thickness": 0.002, "number": 2},
+    }
+    rod = build("three_tendon", {"quadrature.intervals": 2, **flat}).discretisation
+    places = np.array([0.1, 0.15, 0.2, 0.3])
+    outlines = sample_outlines(rod, places)
+    np.testing.assert_array_equal(outlines.shape, [RECTANGLE, ROUND, RECTANGLE, ROUND])
+    np.testing.assert_allclose(outlines.radius, [0.002, 0.02, 0.002, 0.02])
+    around = np.hypot(0.002, 0.01)
+    np.testing.assert_allclose(outlines.largest, [around, 0.02, around, 0.02])
+    np.testing.assert_allclose(outlines.half_widths[0], 0.002)
+    np.testing.assert_allclose(outlines.half_widths[1], 0.01)
 
 
 def floor(height, **motion):
