@@ -3,6 +3,8 @@
 PYTHON := .venv/bin/python
 OPTIONS := --numprocesses auto --maxprocesses 8 --dist worksteal
 PYTEST := $(PYTHON) -m pytest $(OPTIONS)
+# Without bytecode on disk every worker, and every process that a test starts, would compile the same modules again.
+export PYTHONDONTWRITEBYTECODE :=
 
 # Tests that run on other versions too: the compiler and its cache, arms and environments; agents that are loaded and trained.
 OF_CORE := tests/compiler tests/scene \

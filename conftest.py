@@ -1,5 +1,6 @@
 """How pytest runs the tests: with one thread of linear algebra each, and whole mechanisms first."""
 
+import gc
 import os
 import signal
 
@@ -22,3 +23,8 @@ def pytest_collection_modifyitems(items):
         return places[0] if places else len(FIRST)
 
     items.sort(key=place_of)
+
+
+def pytest_collection_finish():
+    """The garbage collector does not visit what was collected and imported: that stays."""
+    gc.freeze()

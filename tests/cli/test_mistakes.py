@@ -13,7 +13,9 @@ TEXTS = {
     "key.toml": "episods = 3",
     "markers.toml": "[markers.tip]\narc_length = 0.3\n",
     "holds.csv": (
-        "hold,tension_0,tension_1,tension_2,tip_x,tip_y,tip_z\na,1,0,0,0.29,0.03,0\nb,0,1,0,0.29,-0.02,0.02\n"
+        "hold,tension_0,tension_1,tension_2,tip_x,tip_y,tip_z\n"
+        "a,1,0,0,0.29,0.03,0\n"
+        "b,0,1,0,0.29,-0.02,0.02\n"
     ),
 }
 """Files of the folder that commands are called in."""

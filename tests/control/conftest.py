@@ -20,6 +20,12 @@ class Tracked(NamedTuple):
 
 
 @pytest.fixture(scope="session")
+def model(build):
+    """The arm of tests that hang on no other: three tendons, on few intervals."""
+    return build("three_tendon", {"quadrature.intervals": 4})
+
+
+@pytest.fixture(scope="session")
 def limits_of():
     """limits_of(model): tension limits (n_a, 2) of its scene."""
     return lambda model: np.array([tendon.tension_limits for tendon in model.scene.tendons])

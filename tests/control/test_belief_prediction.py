@@ -13,8 +13,7 @@ COMMAND = np.array([2.0, 0.5, 1.0])  # [N]
 
 
 @pytest.fixture(scope="module")
-def estimator(build):
-    model = build("three_tendon", {"quadrature.intervals": 4})
+def estimator(model):
     return ExtendedKalmanFilter(model, Setting(PERIOD, np.zeros(3), ("tendon_length",)))
 
 

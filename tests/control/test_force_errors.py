@@ -18,11 +18,6 @@ MASS = 0.004  # [kg] there
 TENSION = np.array([[1.0, 0.5, 0.0], [1.2, 0.4, 0.1]])
 
 
-@pytest.fixture(scope="module")
-def model(build):
-    return build("three_tendon", {"quadrature.intervals": 4})
-
-
 @pytest.fixture
 def motion(model, random_state):
     return random_state(model, 0)

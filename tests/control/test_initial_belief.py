@@ -24,11 +24,6 @@ START = Uncertainty(
 )
 
 
-@pytest.fixture(scope="module")
-def model(build):
-    return build("three_tendon", {"quadrature.intervals": 4})
-
-
 def filter_of(model, **more):
     options = {"latency": 0.03, "lag": 0.01, **more}
     return ExtendedKalmanFilter(

@@ -23,11 +23,6 @@ NOISE = SensorNoise(
 )
 
 
-@pytest.fixture(scope="module")
-def model(build):
-    return build("three_tendon", {"quadrature.intervals": 4})
-
-
 @pytest.fixture
 def sensor_model(model):
     return SensorModel(model, layout_of(model, PLACES), FIELDS, SENSORS, SensorNoise())

@@ -45,17 +45,17 @@ def noisy(told, rng):
     return told._replace(tip_pose=moved_pose(told.tip_pose, twist), tendon_length=length)
 
 
-def live(found, arm, periods, timing=(0.0, 0.0), start=None, gain=1.0, rng=None, force=None):
+def live(found, model, periods, timing=(0.0, 0.0), start=None, gain=1.0, rng=None, force=None):
     """Estimates that a filter makes in every period of an arm under smooth tensions, from rest or a
     start, and q and q_dot as they were; gain (n_a,) of the tendons, rng of the sensors' noise,
     force(time) (n,) that pushes."""
-    simulation, n = Simulation(arm), arm.tendon_count
+    simulation, n = Simulation(model), model.tendon_count
     sent, last = [np.zeros(n)] * 40, None
     if start is not None:
         simulation.reset(start, 0 * start)
     estimates, states = [], []
     for k in range(periods):
-        told = measurement(arm, simulation.state, sent[-found.history :], k * PERIOD, found.needs)
+        told = measurement(model, simulation.state, sent[-found.history :], k * PERIOD, found.needs)
         if rng is not None:
             told = noisy(told, rng)
         last = found.estimate(told, last)
@@ -75,20 +75,15 @@ def live(found, arm, periods, timing=(0.0, 0.0), start=None, gain=1.0, rng=None,
     )
 
 
-@pytest.fixture(scope="module")
-def arm(build):
-    return build("three_tendon", {"quadrature.intervals": 4})
-
-
 def filter_of(model, uses=("tendon_length",), **more):
     options = {"latency": 0.0, "lag": 0.0, **more}
     setting = Setting(PERIOD, np.zeros(model.tendon_count), uses, SENSORS, **options)
     return ExtendedKalmanFilter(model, setting)
 
 
-def scaled_errors(arm, estimates, q, q_dot):
+def scaled_errors(model, estimates, q, q_dot):
     """Errors (periods, 2, n) of coordinates and rates, in units of the coordinates."""
-    scale = arm.coordinate_scale()
+    scale = model.coordinate_scale()
     return np.array(
         [
             [(estimate.q - true_q) / scale, (estimate.q_dot - true_rate) / scale]
@@ -98,12 +93,12 @@ def scaled_errors(arm, estimates, q, q_dot):
 
 
 @pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING])
-def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm):
-    start = arm.rest_coordinates(np.array([1.0, 0.0, 0.5]))
-    scale = arm.coordinate_scale()
+def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, model):
+    start = model.rest_coordinates(np.array([1.0, 0.0, 0.5]))
+    scale = model.coordinate_scale()
     assert np.abs(start / scale).max() > 0.1
-    estimates, q, q_dot = live(filter_of(arm, uses), arm, 100, start=start)
-    wrong = scaled_errors(arm, estimates, q, q_dot)
+    estimates, q, q_dot = live(filter_of(model, uses), model, 100, start=start)
+    wrong = scaled_errors(model, estimates, q, q_dot)
     greatest_wrong = np.abs(wrong[-50:]).max(axis=(0, 2))
     greatest = np.abs(q / scale).max()
     greatest_rate = np.abs(q_dot / scale).max()
@@ -119,11 +114,11 @@ def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm):
         *(pytest.param(timing, marks=pytest.mark.slow) for timing in ((0.0, 0.0), (0.047, 0.0))),
     ],
 )
-def test_latency_and_lag_are_found(timing, arm):
+def test_latency_and_lag_are_found(timing, model):
     """The sum of both is the delay of slow commands, and is found to a third of a period; smooth
     commands hardly tell one from the other, and neither is below zero."""
-    found = filter_of(arm, EVERYTHING, latency=None, lag=None)
-    estimates, *_ = live(found, arm, 150, timing=timing)
+    found = filter_of(model, EVERYTHING, latency=None, lag=None)
+    estimates, *_ = live(found, model, 150, timing=timing)
     latency, lag = estimates[-1].timing
     assert latency + lag == pytest.approx(sum(timing), abs=0.006)
     diagnosis = found.diagnosis(estimates[-1])
@@ -132,71 +127,71 @@ def test_latency_and_lag_are_found(timing, arm):
         assert low - 0.006 < seconds < high + 0.006
 
 
-def test_a_timing_that_is_known_is_not_estimated(arm):
+def test_a_timing_that_is_known_is_not_estimated(model):
     """It is believed: with a wrong one the rates are off."""
     off = {}
     for latency in (0.05, 0.0):
-        found = filter_of(arm, latency=latency)
-        estimates, _, q_dot = live(found, arm, 60, timing=(0.05, 0.0))
+        found = filter_of(model, latency=latency)
+        estimates, _, q_dot = live(found, model, 60, timing=(0.05, 0.0))
         assert estimates[-1].timing is None
-        off[latency] = np.abs((estimates[-1].q_dot - q_dot[-1]) / arm.coordinate_scale()).max()
+        off[latency] = np.abs((estimates[-1].q_dot - q_dot[-1]) / model.coordinate_scale()).max()
     assert off[0.05] < 0.2 * off[0.0]
 
 
-def test_gains_of_the_tendons_are_found(arm):
+def test_gains_of_the_tendons_are_found(model):
     gain = np.array([1.12, 0.9, 1.05])
-    found = filter_of(arm, EVERYTHING)
-    estimates, *_ = live(found, arm, 200, gain=gain)
+    found = filter_of(model, EVERYTHING)
+    estimates, *_ = live(found, model, 200, gain=gain)
     np.testing.assert_allclose(estimates[-1].input_error.gain, gain, atol=0.06)
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.15])
-def test_friction_of_the_tendons_is_found(coefficient, build, arm):
+def test_friction_of_the_tendons_is_found(coefficient, build, model):
     """To a third: in the filter all of an arm's tendons lose the same share along their turns."""
-    rubbing = arm
+    rubbing = model
     if coefficient > 0.0:
         changes = {"effects.tendon_friction.coefficient": coefficient}
         rubbing = build("three_tendon", {"quadrature.intervals": 4, **changes})
-    found = filter_of(arm, EVERYTHING)
+    found = filter_of(model, EVERYTHING)
     estimates, *_ = live(found, rubbing, 150)
     friction = found.diagnosis(estimates[-1]).friction
     assert friction.value[()] == pytest.approx(coefficient, rel=1.0 / 3.0, abs=0.01)
 
 
-def test_a_load_is_told_by_the_sag_that_it_makes(arm):
+def test_a_load_is_told_by_the_sag_that_it_makes(model):
     """By the first measurement, of an arm at rest, to a tenth."""
     force = np.array([0.01, -0.03, 0.04])
-    loaded = arm.with_scene(arm.scene.replace({"effects.tip_load.force": force.tolist()}))
+    loaded = model.with_scene(model.scene.replace({"effects.tip_load.force": force.tolist()}))
     simulation = Simulation(loaded)
     simulation.reset_at_rest()
-    found = filter_of(arm, EVERYTHING)
+    found = filter_of(model, EVERYTHING)
     sent = np.zeros((found.history, 3))
-    told = measurement(arm, simulation.state, sent, 0.0, found.needs)
+    told = measurement(model, simulation.state, sent, 0.0, found.needs)
     estimate = found.estimate(told, None)
     # what holds the arm there, of all places together
-    terms = arm.terms(simulation.state.q, 0.0 * simulation.state.q)
+    terms = model.terms(simulation.state.q, 0.0 * simulation.state.q)
     needed = terms.stiffness @ simulation.state.q
     error = estimate.force_error
     total = error.constant - error.stiffness @ estimate.q
     total += terms.actuation @ estimate.input_error.offset
     assert np.linalg.norm(total - needed) < 0.1 * np.linalg.norm(needed)
-    scale = arm.coordinate_scale()
+    scale = model.coordinate_scale()
     np.testing.assert_allclose(estimate.q / scale, simulation.state.q / scale, atol=0.01)
 
 
 @pytest.fixture(scope="module")
-def noisy_life(arm):
+def noisy_life(model):
     """A filter under noise, of an arm that is as its model says: its estimates, and coordinates and
     rates as they were."""
-    found = filter_of(arm, noise=NOISE)
-    return live(found, arm, 120, rng=np.random.default_rng(1))
+    found = filter_of(model, noise=NOISE)
+    return live(found, model, 120, rng=np.random.default_rng(1))
 
 
-def test_errors_are_within_the_filter_s_own_deviations(noisy_life, arm):
+def test_errors_are_within_the_filter_s_own_deviations(noisy_life, model):
     """On average of the size that its covariance says, or smaller: it counts with worse models."""
     estimates, q, q_dot = noisy_life
-    n = arm.coordinate_count
-    errors = scaled_errors(arm, estimates, q, q_dot)
+    n = model.coordinate_count
+    errors = scaled_errors(model, estimates, q, q_dot)
     sizes = []
     for estimate, error in zip(estimates[50:], errors[50:], strict=True):
         covariance = estimate.memory.covariance[: 2 * n, : 2 * n]
@@ -205,9 +200,9 @@ def test_errors_are_within_the_filter_s_own_deviations(noisy_life, arm):
 
 
 @pytest.mark.parametrize("gain", [1.0, np.array([1.1, 0.9, 1.0])], ids=["as it is", "gains wrong"])
-def test_innovations_are_white(gain, arm, monkeypatch):
+def test_innovations_are_white(gain, model, monkeypatch):
     """Those of a period tell nothing of the next ones: correlations are those of 150 numbers."""
-    found = filter_of(arm, noise=NOISE)
+    found = filter_of(model, noise=NOISE)
     expect = found._sensor_model.innovations
     by_time = {}
 
@@ -217,7 +212,7 @@ def test_innovations_are_white(gain, arm, monkeypatch):
         return innovation, *rest
 
     monkeypatch.setattr(found._sensor_model, "innovations", kept)
-    live(found, arm, 180, gain=gain, rng=np.random.default_rng(3))
+    live(found, model, 180, gain=gain, rng=np.random.default_rng(3))
     innovations = np.array(list(by_time.values())[30:])
     innovations -= innovations.mean(axis=0)
     deviation = innovations.std(axis=0)
@@ -228,20 +223,20 @@ def test_innovations_are_white(gain, arm, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def surprised(noisy_life, arm):
+def surprised(noisy_life, model):
     """A filter, its belief, the units of it, and what exact sensors say of an arm that is off by a
     third of the deviations."""
     estimates, *_ = noisy_life
-    found = filter_of(arm, noise=NOISE)
+    found = filter_of(model, noise=NOISE)
     belief = estimates[60].memory
     layout = found.space.layout
     unit = np.sqrt(np.diag(belief.covariance))
     waves = np.cos(np.arange(unit.size))
     aside = belief.mean + 0.3 * unit * waves
     q, q_dot = found.space.coordinates(aside)
-    state = Simulation(arm).reset(q, q_dot)
+    state = Simulation(model).reset(q, q_dot)
     sent = np.zeros((found.history, 3))
-    told = measurement(arm, state, sent, 1.0, found.needs)
+    told = measurement(model, state, sent, 1.0, found.needs)
     assert unit[layout.z].min() > 0.0
     return found, belief, unit + 1e-12, told
 
@@ -311,24 +306,24 @@ def test_covariances_are_symmetric_and_positive_definite(noisy_life):
         assert np.linalg.eigvalsh(correlation).min() > -1e-9
 
 
-def test_the_tip_is_known_better_than_it_is_measured(noisy_life, arm):
+def test_the_tip_is_known_better_than_it_is_measured(noisy_life, model):
     """Half as well at least; the noise is seen once a period, the motion from many."""
     estimates, q, _ = noisy_life
     off = [
-        pose_error(arm.tip_pose(coordinates), estimate.tip_pose)[3:]
+        pose_error(model.tip_pose(coordinates), estimate.tip_pose)[3:]
         for estimate, coordinates in zip(estimates[50:], q[50:], strict=True)
     ]
     assert np.sqrt(np.mean(np.square(off))) < 0.6 * NOISE.position
 
 
-def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, arm):
+def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, model):
     """An estimate of a shape and rates that no motion leads from."""
     estimates, q, q_dot = noisy_life
-    found = filter_of(arm, EVERYTHING)
+    found = filter_of(model, EVERYTHING)
     k = 60
-    state = Simulation(arm).reset(q[k], q_dot[k])
+    state = Simulation(model).reset(q[k], q_dot[k])
     sent = np.zeros((found.history, 3))
-    told = measurement(arm, state, sent, k * PERIOD, found.needs)
+    told = measurement(model, state, sent, k * PERIOD, found.needs)
     good = found.estimate(told, None)
     belief = good.memory
     mean = belief.mean.copy()
@@ -338,17 +333,17 @@ def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, arm):
     np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * np.abs(q).max())
 
 
-def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(arm):
+def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(model):
     """Jumps of a resting arm that no load makes: the estimate moves with them, its loads do not."""
-    found = filter_of(arm, EVERYTHING)
+    found = filter_of(model, EVERYTHING)
     sent = np.zeros((found.history, 3))
-    told = measurement(arm, Simulation(arm).state, sent, 0.0, EVERYTHING)
+    told = measurement(model, Simulation(model).state, sent, 0.0, EVERYTHING)
     last = found.estimate(told, None)
-    direction = arm.coordinate_scale() * np.array([1.0, -0.5, 0.3])
+    direction = model.coordinate_scale() * np.array([1.0, -0.5, 0.3])
     moved, loads = [], []
     for size in (0.003, 0.03, 0.3):
-        state = Simulation(arm).reset(size * direction, np.zeros(3))
-        told = measurement(arm, state, sent, PERIOD, EVERYTHING)
+        state = Simulation(model).reset(size * direction, np.zeros(3))
+        told = measurement(model, state, sent, PERIOD, EVERYTHING)
         estimate = found.estimate(told, last)
         moved.append(estimate.q / (size * direction))
         loads.append(np.linalg.norm(estimate.memory.mean[found.space.layout.load]))
@@ -357,19 +352,19 @@ def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(arm):
     assert loads[0] > loads[1] > loads[2]
 
 
-def test_an_unknown_timing_does_not_hide_where_the_arm_is(arm):
+def test_an_unknown_timing_does_not_hide_where_the_arm_is(model):
     """A first motion of which nobody knows when it was commanded, by exact sensors."""
-    found = filter_of(arm, EVERYTHING, latency=None, lag=None)
-    estimates, q, q_dot = live(found, arm, 12, (0.03, 0.0))
+    found = filter_of(model, EVERYTHING, latency=None, lag=None)
+    estimates, q, q_dot = live(found, model, 12, (0.03, 0.0))
     assert estimates[3].memory.bank is not None
-    assert np.abs(scaled_errors(arm, estimates, q, q_dot)[:, 0]).max() < 1e-3
+    assert np.abs(scaled_errors(model, estimates, q, q_dot)[:, 0]).max() < 1e-3
 
 
 @pytest.mark.parametrize(("latencies", "has_jumped"), [((0.0, 0.004), True), ((0.0, 0.04), False)])
-def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, arm):
+def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, model):
     """A push is found then; before that, a late command looks like one."""
-    found = filter_of(arm, latency=None, lag=None)
-    estimates, *_ = live(found, arm, 3)
+    found = filter_of(model, latency=None, lag=None)
+    estimates, *_ = live(found, model, 3)
     belief = estimates[-1].memory
     bank = timing_bank.Bank(
         timing=Timing(np.array(latencies), np.zeros(2)),
@@ -392,10 +387,10 @@ def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, arm):
     assert (after > before + 0.005).all() == has_jumped
 
 
-def test_a_period_that_settles_on_no_motion_says_nothing_of_the_timing(arm):
+def test_a_period_that_settles_on_no_motion_says_nothing_of_the_timing(model):
     """Hypotheses keep their probabilities, and the mean is theirs."""
-    found = filter_of(arm, latency=None, lag=None)
-    estimates, *_ = live(found, arm, 3)
+    found = filter_of(model, latency=None, lag=None)
+    estimates, *_ = live(found, model, 3)
     last = estimates[-1].memory
     rng = np.random.default_rng(0)
     deviation = rng.normal(size=last.bank.deviation.shape)
@@ -419,23 +414,23 @@ def test_a_period_that_settles_on_no_motion_says_nothing_of_the_timing(arm):
         ({"uncertainty": Uncertainty(tip=-1.0)}, "uncertainty.tip should be a number, at least 0"),
     ],
 )
-def test_bad_settings_are_refused_by_name(arm, changes, message):
+def test_bad_settings_are_refused_by_name(model, changes, message):
     setting = Setting(PERIOD, np.zeros(3), ("tendon_length",), SENSORS)
     with pytest.raises(ValueError, match=message):
-        ExtendedKalmanFilter(arm, setting._replace(**changes))
+        ExtendedKalmanFilter(model, setting._replace(**changes))
 
 
 @pytest.mark.parametrize("size", [1e1, 1e4, 1e200])
-def test_absurd_measurements_give_states_that_a_model_can_take(size, arm):
-    found = filter_of(arm, EVERYTHING)
+def test_absurd_measurements_give_states_that_a_model_can_take(size, model):
+    found = filter_of(model, EVERYTHING)
     sent = np.zeros((found.history, 3))
-    told = measurement(arm, Simulation(arm).state, sent, 0.0, EVERYTHING)
+    told = measurement(model, Simulation(model).state, sent, 0.0, EVERYTHING)
     absurd = told._replace(**{name: np.full_like(getattr(told, name), size) for name in EVERYTHING})
     with np.errstate(over="ignore", invalid="ignore"):
         last = found.estimate(absurd, found.estimate(told, None))
         assert np.isfinite(last.q).all()
         assert np.isfinite(last.q_dot).all()
-        arm.tip_pose(last.q)
+        model.tip_pose(last.q)
         for _ in range(30):
             last = found.estimate(told, last)
-    assert np.abs(last.q / arm.coordinate_scale()).max() < 0.01  # it has come back
+    assert np.abs(last.q / model.coordinate_scale()).max() < 0.01  # it has come back

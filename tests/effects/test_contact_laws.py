@@ -23,13 +23,14 @@ from soft_tendon_env.effects.contact.forces import (
     read_contacts,
 )
 from soft_tendon_env.effects.contact.obstacles import body_at, distance, read_distances
-from soft_tendon_env.effects.contact.outline import ROUND
+from soft_tendon_env.effects.contact.outline import RECTANGLE, ROUND
 from soft_tendon_env.effects.contact.samples import (
     SMOOTHING,
     WALL_MASS,
     WALL_SPEED,
     Sample,
     make_samples,
+    sample_outlines,
 )
 from soft_tendon_env.mechanics.effects import (
     NO,
@@ -155,6 +156,20 @@ def sample_of(wall=0.5):
 
 def law(body, depth, approach=0.0, wall=0.5):
     return normal_law(body, sample_of(wall), depth, approach)
+
+
+def test_on_the_axis_of_a_cylinder_its_side_is_as_far_as_the_radius():
+    """In one of all directions, which is a unit vector across the axis."""
+    upright = {"type": "cylinder", "radius": 0.1, "length": 0.4, "axis": [0.0, 0.0, 1.0]}
+    rows = Contact(obstacles=[{**upright, "position": [0.0, 0.0, 0.0]}]).rows()
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]])
+    out = np.empty((1, 2))
+    nearest = np.empty((1, 2, 3))
+    read_distances(rows, x, 0.0, out, nearest)
+    np.testing.assert_allclose(out[0], -0.1, atol=1e-15)
+    ways = nearest[0] - x
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=1), 0.1, atol=1e-15)
+    np.testing.assert_allclose(ways[:, 2], 0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("obstacle", [THIN, THICK], ids=["thin", "thick"])
@@ -568,6 +583,24 @@ def test_samples_next_to_discs_are_as_large_and_as_heavy(build):
     wall_energy = WALL_MASS * WALL_SPEED**2
     np.testing.assert_allclose(change[rows, 8], wall_energy * heavier)
     assert np.count_nonzero(change[:, 8]) == 2
+
+
+def test_discs_on_a_flat_rod_are_round(build):
+    """Where the nearest sample is; the others have the corners of the rod."""
+    flat = {
+        "segments.0.radius": None,
+        "segments.0.section": {"type": "rectangle", "width": 0.004, "height": 0.02},
+        "segments.0.discs": {"mass": 1e-3, "radius": 0.02, "thickness": 0.002, "number": 2},
+    }
+    rod = build("three_tendon", {"quadrature.intervals": 2, **flat}).discretisation
+    places = np.array([0.1, 0.15, 0.2, 0.3])
+    outlines = sample_outlines(rod, places)
+    np.testing.assert_array_equal(outlines.shape, [RECTANGLE, ROUND, RECTANGLE, ROUND])
+    np.testing.assert_allclose(outlines.radius, [0.002, 0.02, 0.002, 0.02])
+    around = np.hypot(0.002, 0.01)
+    np.testing.assert_allclose(outlines.largest, [around, 0.02, around, 0.02])
+    np.testing.assert_allclose(outlines.half_widths[0], 0.002)
+    np.testing.assert_allclose(outlines.half_widths[1], 0.01)
 
 
 def floor(height, **motion):

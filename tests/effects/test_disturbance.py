@@ -3,6 +3,7 @@ and the pose of what moves along."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import soft_tendon_env as ste
 from soft_tendon_env import Simulation, simulate, static_equilibrium
@@ -114,38 +115,63 @@ def test_constant_acceleration_is_gravity_the_other_way(build):
     )
 
 
+SWINGING = {
+    "velocity": [0.1, 0.2, -0.3],
+    "acceleration": [1.0, -0.5, 2.0],
+    "amplitude": [0.1, 0.0, 0.2],
+    "axis": [1.0, 2.0, -1.0],
+    "angular_velocity": 3.0,
+    "angular_amplitude": 0.4,
+    "frequency": 0.7,
+}
+
+
+def tip_at(model, q, time):
+    """Pose (4, 4) of the last node at a time, its twist and the twist's rate, of coordinates that
+    stand still."""
+    still = np.zeros(model.coordinate_count)
+    work = make_workspace(model.arm)
+    work.strain.xi[:] = model.arm.rod.reference_strain
+    work.inputs.clock[0] = time
+    assert evaluate(model.arm, np.zeros(3), q, still, 1e-12, work) == -1
+    g = np.eye(4)
+    tip = work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
+    g[:3, :3] = tip[:9].reshape(3, 3)
+    g[:3, 3] = tip[9:]
+    twist = work.kinematics.eta.reshape(-1, 6, 4)[-1, :, -1]
+    rate = work.kinematics.eta_bias.reshape(-1, 6, 4)[-1, :, -1]
+    return g, twist.copy(), rate.copy()
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("time", [0.0, 0.3, 1.1])
+def test_the_base_carries_the_arm_to_where_its_motion_leads(build, time):
+    """r0 + v t + a t^2 / 2 + s sin(2 pi f t), turned by w t + b sin(2 pi f t) about the axis."""
+    model = moving(build, **SWINGING)
+    q = np.array([1.0, 0.5, 2.0])
+    rest = model.tip_pose(q)
+    swing = np.sin(2.0 * np.pi * 0.7 * time)
+    parts = (time, 0.5 * time**2, swing)
+    names = ("velocity", "acceleration", "amplitude")
+    way = sum(part * np.array(SWINGING[name]) for part, name in zip(parts, names, strict=True))
+    axis = np.array(SWINGING["axis"]) / np.sqrt(6.0)
+    turn = Rotation.from_rotvec((3.0 * time + 0.4 * swing) * axis).as_matrix()
+    g, _, _ = tip_at(model, q, time)
+    np.testing.assert_allclose(g[:3, :3], turn @ rest[:3, :3], atol=1e-12)
+    base = np.array(model.scene.base.position)
+    expected = base + way + turn @ (rest[:3, 3] - base)
+    np.testing.assert_allclose(g[:3, 3], expected, atol=1e-12)
+
+
 @pytest.mark.no_jit
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand
     still."""
-    motion = {
-        "velocity": [0.1, 0.2, -0.3],
-        "acceleration": [1.0, -0.5, 2.0],
-        "amplitude": [0.1, 0.0, 0.2],
-        "axis": [1.0, 2.0, -1.0],
-    }
-    model = moving(build, **motion, angular_velocity=3.0, angular_amplitude=0.4, frequency=0.7)
+    model = moving(build, **SWINGING)
     q = np.array([1.0, 0.5, 2.0])
-    still = np.zeros(3)
-    work = make_workspace(model.arm)
     h = 1e-4
-
-    def node(time):
-        work.strain.xi[:] = model.arm.rod.reference_strain
-        work.inputs.clock[0] = time
-        assert evaluate(model.arm, still, q, still, 1e-12, work) == -1
-        g = np.eye(4)
-        tip = work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
-        g[:3, :3] = tip[:9].reshape(3, 3)
-        g[:3, 3] = tip[9:]
-        return (
-            g,
-            work.kinematics.eta.reshape(-1, 6, 4)[-1, :, -1].copy(),
-            work.kinematics.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy(),
-        )
-
     (before, eta_before, _), (g, eta, eta_bias), (after, eta_after, _) = (
-        node(0.3 + dt) for dt in (-h, 0.0, h)
+        tip_at(model, q, 0.3 + dt) for dt in (-h, 0.0, h)
     )
     twist = np.linalg.inv(g) @ (after - before) / (2.0 * h)
     found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])

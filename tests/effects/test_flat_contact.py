@@ -7,7 +7,15 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.effects.contact.obstacles import body_at, distance
-from soft_tendon_env.effects.contact.outline import ELLIPSE, FLAT, RECTANGLE, nearest
+from soft_tendon_env.effects.contact.outline import (
+    ELLIPSE,
+    FLAT,
+    RECTANGLE,
+    Bracket,
+    narrowed,
+    nearest,
+    root_of_chord,
+)
 from soft_tendon_env.effects.contact.samples import Sample
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.scene.scene import Scene
@@ -90,6 +98,26 @@ def test_no_other_point_of_the_section_is_nearer(name, obstacle):
         _, place_y, place_z = point.place
         assert abs(place_y) <= HALF_Y + 1e-12
         assert abs(place_z) <= HALF_Z + 1e-12
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_brackets_close_on_a_root_from_both_sides(side):
+    """That of (x + 1)^5 - 2, whose chords all end at the upper end, and of its mirror image, in
+    less than 20 chords; one by one from the same end they take more than 100."""
+    root = side * (2.0**0.2 - 1.0)
+
+    def value(x):
+        return side * ((1.0 + side * x) ** 5 - 2.0)
+
+    bracket = Bracket(-1.0, value(-1.0), 1.0, value(1.0), 0.0)
+    for _ in range(20):
+        place = root_of_chord(bracket)
+        if abs(value(place)) < 1e-12:
+            break
+        bracket = narrowed(bracket, place, value(place))
+        assert bracket.low < root < bracket.high
+    assert place == pytest.approx(root, abs=1e-12)
 
 
 def ribbon(section, obstacles, *, turn=0.0, order=4, **changes):

@@ -41,23 +41,26 @@ def test_deflection_in_a_cross_stream(uniform):
 
 
 @pytest.mark.no_jit
+@pytest.mark.parametrize("shape", [{}, FLAT], ids=["round", "flat"])
 def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
-    uniform, workspace_at, slope
+    uniform, workspace_at, slope, shape
 ):
     """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the
-    frame of the slice, by differences."""
+    frame of the slice and A its added mass across the rod, by differences."""
     current = np.array([0.3, -0.2, 0.5])
     fluid = {
-        "effects.fluid": {"density": 1000.0, "current": current.tolist()},
+        "effects.fluid": {"density": 1000.0, "current": current.tolist(), "disc_drag": 0.0},
         **NO_DRAG,
         "quadrature.intervals": 4,
+        **shape,
     }
     model = uniform(("torsion", "bend_y", "bend_z"), 0, fluid)
     n = 3
-    added = model.scene.effects.fluid
     q = np.array([1.0, 2.0, -3.0])
     v = np.array([2.0, 5.0, 3.0])
-    mass = added.displaced_mass(model.discretisation)[:, 0]
+    added = model.scene.effects.fluid.added_inertia(model.discretisation)
+    A = np.zeros((len(added), 3))
+    A[:, 1:] = added[:, 4:]
 
     def parts(q):
         work = workspace_at(model, q)
@@ -66,12 +69,11 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
         packed_J = work.kinematics.J.reshape(n, -1, 6, LANES)
         J = np.moveaxis(packed_J, 2, 3).reshape(n, -1, 6)
         linear = J[..., 3:]
-        # the fluid's velocity across the rod, in the section's frame
+        # the fluid's velocity in the section's frame
         rotation = pose[:, :9].reshape(-1, 3, 3)
         U = np.einsum("iab,a->ib", rotation, current)
-        U[:, 0] = 0.0
-        momentum = -np.einsum("i,nia,ia->n", mass, linear, U)
-        energy = 0.5 * np.einsum("i,ia,ia->", mass, U, U)
+        momentum = -np.einsum("ia,nia,ia->n", A, linear, U)
+        energy = 0.5 * np.einsum("ia,ia,ia->", A, U, U)
         return np.append(momentum, energy)
 
     gradient = slope(parts, q, 1e-5)
@@ -103,6 +105,9 @@ def test_a_flat_section_with_discs(uniform):
     )
     np.testing.assert_allclose(
         found.added_y.sum(), 1e3 * np.pi * (1e-4 * rod + 3 * 0.002 * 3e-4), rtol=1e-3
+    )
+    np.testing.assert_allclose(
+        found.added_z.sum(), 1e3 * np.pi * (4e-6 * rod + 3 * 0.002 * 3.96e-4), rtol=1e-3
     )
 
 

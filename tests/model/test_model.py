@@ -7,6 +7,8 @@ import pytest
 from soft_tendon_env import StrainLimitError, load_scene
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import is_singular, model_on
+from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.statics import commanded_equilibrium
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates
@@ -155,3 +157,32 @@ def test_models_of_other_numbers_fit_and_others_say_why_not(bent):
     without = bent.with_scene(bent.scene.replace({"effects": {}}))
     assert "which effects act, from gravity to none" in bent.misfit(without)
     assert without.misfit(bent) == ""
+
+
+def test_an_arm_with_memory_that_is_set_to_rest_stays(build):
+    """Its branches have relaxed at the strain that it is set to."""
+    branches = [{"modulus": 0.5, "relaxation_time": 0.1}]
+    model = build("three_tendon", {"effects.viscoelastic_memory.branches": branches})
+    tension = [2.0, 0.0, 1.0]
+    simulation = Simulation(model)
+    q = model.rest_coordinates(tension)
+    simulation.reset(q)
+    simulation.step(tension, 0.1)
+    np.testing.assert_allclose(simulation.state.q, q, rtol=1e-9)
+
+
+def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_of_their_way(build):
+    """u / k, and the way along the straight arm less that along the bent one. They lead there."""
+    tension = np.array([3.0, 0.5, 1.0])
+    elasticity = {"stiffness": 800.0, "displacement_limits": [0.0, 0.05]}
+    model = build("three_tendon", {"effects.tendon_elasticity": elasticity})
+    q = model.rest_coordinates(tension)
+    way = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
+    assert way.max() > 1e-3
+    command = model.command(tension, q)
+    np.testing.assert_allclose(command, tension / 800.0 + way, rtol=1e-12)
+    equilibrium, held = commanded_equilibrium(model, command)
+    np.testing.assert_allclose(held, tension, rtol=1e-6)
+    np.testing.assert_allclose(equilibrium.q, q, rtol=1e-5)
+    stiff = build("three_tendon")
+    np.testing.assert_array_equal(stiff.command(tension, q), tension)

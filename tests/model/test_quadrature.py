@@ -1,17 +1,20 @@
 """How many intervals a scene needs: the estimate against the tip's true error, what is too coarse,
 and how that is told."""
 
+import contextlib
 import warnings
 
 import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
-from soft_tendon_env.model.build import QuadratureWarning, build_model
+from soft_tendon_env.model.build import QuadratureWarning, _check_turns, build_model
 from soft_tendon_env.model.coordinates import resolving_intervals
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.quadrature import (
     CORNERS,
     QuadratureTest,
+    _share_at_rest,
     _tensions_to_try,
     inertia_kept,
 )
@@ -183,6 +186,8 @@ def test_finer_quadratures_resolve_waves_and_fields():
     assert resolving_intervals(three_tendon()) == 3
     assert resolving_intervals(helices(3)) == pytest.approx(4 * 3, abs=1)
     assert resolving_intervals(helices(12)) == pytest.approx(4 * 12, abs=1)
+    two_pieces = helices(12).replace({"tendons.*.end": 0.2})
+    assert resolving_intervals(two_pieces) == pytest.approx(4 * 12 * 2 / 3, abs=1)
     explicit = three_tendon(strain={"type": "explicit", "modes": modes(7)})
     assert resolving_intervals(explicit) == 24
     assert resolving_intervals(helices(1e5)) == MOST_INTERVALS
@@ -218,3 +223,28 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
     assert worst.share == pytest.approx(max(shares), rel=1e-9)
     place = int(np.argmax(shares))
     np.testing.assert_array_equal(worst.tension, test.tensions[place])
+
+
+def test_an_arm_that_falls_over_is_compared_where_it_is_bent_by_three_radians():
+    """Beyond its buckling load there is no rest to compare; a factor of 2 is for other shapes."""
+    bending = 5e5 * np.pi * 0.01**4 / 4
+    push = 1.5 * 3.0 * bending / 0.3**2  # of the load at which one constant curvature buckles
+    strain = {"type": "explicit", "modes": [{"strains": ["bend_z"], "order": 0, "span": "rod"}]}
+    scene = three_tendon(strain=strain, effects__tip_load__force=[-push, 0.0, 0.0])
+    coarse, fine = (model_on(scene, count) for count in (2, 12))
+    share, q = _share_at_rest(coarse, fine, np.zeros(3), np.zeros(1))
+    assert abs(q[0]) * 0.3 == pytest.approx(3.0, rel=1e-6)
+    way = fine.tip_pose(q)[:3, 3] - coarse.tip_pose(q)[:3, 3]
+    assert share == pytest.approx(2.0 * np.linalg.norm(way) / 0.3)
+    assert share > 0.0
+
+
+@pytest.mark.parametrize(("share", "is_refused"), [(0.99, False), (1.01, True)])
+def test_rods_that_turn_more_often_than_there_are_intervals_are_refused(share, is_refused):
+    """Of two pieces, one of which ends with a tendon."""
+    turns = share * 2 * MOST_INTERVALS
+    curvature = [0.0, 0.6 * turns * 2 * np.pi / 0.3, 0.8 * turns * 2 * np.pi / 0.3]
+    scene = three_tendon(segments__0__curvature=curvature, tendons__0__end=0.2)
+    refused = pytest.raises(ConfigurationError, match="finest quadrature tells")
+    with refused if is_refused else contextlib.nullcontext():
+        _check_turns(scene)

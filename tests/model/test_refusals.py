@@ -78,6 +78,11 @@ def set_state(simulation, **changes):
         ),
         (lambda s: ste.simulate(s.model, OK, 1.0, 0.1, initial=3), "state should be a State"),
         (lambda s: ste.Simulation(s.model.scene), "model should be a Model"),
+        (lambda s: static_equilibrium(s.model.scene, OK), "model should be a Model"),
+        (lambda s: ste.commanded_equilibrium(s.model.scene, OK), "model should be a Model"),
+        (lambda s: ste.tension_for_tip_pose(s.model.scene, np.eye(4)), "model should be a Model"),
+        (lambda s: ste.tension_for_tip_position(s.model.scene, OK[:3]), "model should be a Model"),
+        (lambda s: ste.build_model("paper"), "scene should be a Scene"),
         (lambda s: ste.build_model(s.model.scene, fidelity="exact"), "fidelity"),
         (
             lambda s: ste.load_scene(3),

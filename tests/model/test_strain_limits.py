@@ -1,5 +1,7 @@
 """Limits of the strain in words: the tendon that is nearest to its own, and what it does there."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -56,3 +58,16 @@ def test_causes_say_whether_a_tendon_pulls_or_pushes(build, tension, cause):
     tensions[1] = tension
     with pytest.raises(StrainLimitError, match=f"tendon 1 at arc length .* {cause}"):
         model.tip_pose(model.rest_coordinates(tensions))
+
+
+@pytest.mark.parametrize("tension", [300.0, -150.0])
+def test_the_tension_that_is_named_is_the_one_at_which_the_strain_ends(build, tension):
+    model = build("three_tendon", {"quadrature.intervals": 4})
+    alone = np.array([0.0, 1.0, 0.0])
+    with pytest.raises(StrainLimitError) as error:
+        model.tip_pose(model.rest_coordinates(tension * alone))
+    named = re.search(r"with ([-\d.]+) N", str(error.value))
+    limit = float(named[1])
+    model.tip_pose(model.rest_coordinates(0.99 * limit * alone))
+    with pytest.raises(StrainLimitError):
+        model.tip_pose(model.rest_coordinates(1.01 * limit * alone))
