@@ -265,6 +265,42 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
     np.testing.assert_allclose(angles, coulomb_angles(coefficient, turn, pulls), rtol=0.02)
 
 
+MOTIONS_BY_FIXED_STEPS = [
+    ("three_tendon", 0.6, 0.004),
+    pytest.param("three_tendon", 0.6, 0.01, marks=pytest.mark.slow),
+    pytest.param("four_tendon", 0.9, 0.004, marks=pytest.mark.slow),
+    pytest.param("helical", 0.4, 0.01, marks=pytest.mark.slow),
+    pytest.param("helical", 0.9, 0.002, marks=pytest.mark.slow),
+    pytest.param("two_segment_six", 0.7, 0.005, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("name", "coefficient", "step"), MOTIONS_BY_FIXED_STEPS)
+def test_fixed_steps_estimate_what_directions_that_turn_within_them_err(name, coefficient, step):
+    """Within 1.5 times, of the rod's root mean square displacement from a converged motion, under
+    tensions that jump within their limits."""
+    scene = load_scene(name)
+    changes = {"strain": STATICS, "effects.tendon_friction.coefficient": coefficient}
+    simulations = []
+    for tolerance in (None, 1e-6 * scene.segments[0].length):
+        integrator = {"step": step, "tolerance": tolerance, "max_halvings": 18}
+        model = build_model(scene.replace({**changes, "integrator": integrator}), "scene")
+        simulations.append(Simulation(model))
+    fixed, converged = simulations
+    random = np.random.default_rng(11)
+    greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
+    estimate = 0.0
+    largest = 0.0
+    for _ in range(30):
+        tension = greatest * random.uniform(size=greatest.size)
+        estimate += fixed.step(tension, 0.02).error
+        converged.step(tension, 0.02)
+        curves = [one.model.backbone(one.state.q, points=20) for one in simulations]
+        offset = (curves[0] - curves[1])[:, :3, 3]
+        largest = max(largest, np.sqrt(np.mean(np.sum(offset**2, axis=1))))
+    assert largest <= 1.5 * estimate
+
+
 @pytest.mark.parametrize(("name", "coefficient"), [("helical", 0.5), ("two_segment_six", 0.8)])
 def test_steps_hold_the_least_stiction_speed_while_tensions_jump(name, coefficient):
     """Steps of 20 ms stay whole but for some, and what they lead to is what a larger speed has."""

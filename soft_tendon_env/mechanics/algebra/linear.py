@@ -13,11 +13,6 @@ MOST_ONE_BY_ONE = 200  # solutions after those, before each of which one such un
 
 SMALL_PIVOT = 1e-3  # of the largest entry below it, under which a pivot's row is interchanged
 
-SINGULAR = 0
-INDEFINITE = 1
-POSITIVE = 2
-"""Pivots of solve_columns(): one is zero or not finite, some are negative or small, none is."""
-
 AT_LEAST = -1
 BETWEEN = 0
 AT_GREATEST = 1
@@ -141,25 +136,20 @@ def _substitute_back(a, n, x):
 def solve_columns(a, n, wide, columns):
     """Overwrites right-hand sides of a system by its solutions, by elimination with pivoting.
 
-    Returns what the pivots were: POSITIVE for every matrix whose symmetric part is positive
-    definite and well scaled, without interchanges of rows. Row i of `a` begins at i * wide, whole
-    packs, and has n coefficients and `columns` right-hand sides.
+    False if it is singular. Rows are interchanged where a pivot is negative or small. Row i of `a`
+    begins at i * wide, whole packs, and has n coefficients and `columns` right-hand sides.
     """
     used = row_stride(n + columns)
-    pivots = POSITIVE
     for j in range(n):
         # whole packs: left of the diagonal too, where nothing is read
         first = j // LANES * LANES
         pivot_row = j * wide
         largest = _largest_below(a, n, wide, j)
         if a[pivot_row + j] < SMALL_PIVOT * abs(a[largest * wide + j]):
-            pivots = INDEFINITE
             _exchange_rows(a, pivot_row, largest * wide, (first, used))
         pivot = a[pivot_row + j]
         if pivot == 0.0 or not abs(pivot) < math.inf:
-            return SINGULAR
-        if pivot < 0.0:
-            pivots = INDEFINITE
+            return False
         for i in range(j + 1, n):
             row = i * wide
             share = -a[row + j] / pivot
@@ -174,7 +164,7 @@ def solve_columns(a, n, wide, columns):
             for k in range(i + 1, n):
                 x -= a[row + k] * a[k * wide + c]
             a[row + c] = x / a[row + i]
-    return pivots
+    return True
 
 
 @kernel

@@ -17,6 +17,7 @@ from soft_tendon_env.mechanics.motion.extrapolation import (
     Extrapolated,
     extrapolated_step,
     predict_strain,
+    step_error,
 )
 from soft_tendon_env.mechanics.motion.status import (
     COMMAND_QUEUE_FULL,
@@ -320,7 +321,7 @@ def advance_row(arm, scheme, command, duration, motion, progress, scratch):
             scratch.taken[steps, 0] = length
             scratch.taken[steps, 1] = attempt.rows
         steps += 1
-        error += attempt.error
+        error += step_error(arm, attempt, scratch)
         # one that an end has cut says nothing against the step that was planned
         kept = step if length < step and not limits.touching else 0.0
         suggested = next_step(aim, columns, length, attempt)

@@ -25,6 +25,7 @@ from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces_of_command
+from soft_tendon_env.mechanics.terms.tendon_friction import tendons_rub
 
 # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again,
 # steps that succeed
@@ -32,6 +33,9 @@ HOPELESS = 3.0
 # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is
 # extrapolated
 NEAR = 0.05
+# of a logarithm of a tension: the change by directions of friction within a step, beyond which it
+# shows in the error
+TURNED = 0.01
 # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 STEP_TOLERANCE = 1e-6
 LEAST_SQUARE = 1e-300  # of rates, so that none divides by zero
@@ -227,6 +231,42 @@ def extrapolate(row, kept, other, table, value, error):
     others = table[row, other]
     for i in range(value.size):
         error[i] = value[i] - others[i]
+
+
+@kernel
+def step_error(arm, attempt, scratch):
+    """Error estimate [m] of an accepted step, as it adds up.
+
+    Where the direction of friction turns within the step, every substep errs by a part of its own
+    length, that in which it turns. Extrapolation makes more of that in the last entry than in its
+    difference from the one before.
+    """
+    if not tendons_rub(arm) or scratch.kink[0] == KINKED:
+        return attempt.error
+    if scratch.sliding.turned[0] <= TURNED:
+        return attempt.error
+    return attempt.error * growth_of_noise(attempt.rows)
+
+
+@kernel
+def growth_of_noise(rows):
+    """Error of the last entry of a row of the table beside its estimate, from independent errors.
+
+    Of first entries with j substeps, j = 1, 2, ..., those are as 1/j.
+    """
+    entry = 0.0
+    estimate = 0.0
+    for j in range(1, rows + 1):
+        # of the first entry in the last one; in the difference it is weight / j
+        weight = 1.0
+        for i in range(1, rows + 1):
+            if i != j:
+                weight *= j / (j - i)
+        error = weight / j
+        difference = error / j
+        entry += error * error
+        estimate += difference * difference
+    return math.sqrt(entry / estimate)
 
 
 @kernel

@@ -207,9 +207,7 @@ def implicit_euler(arm, method, arrived, motion, substep, scratch):
         command = command_at(arm.effects, arrived, motion.state, end, scratch.acting)
     if tendons_rub(arm):
         fill_system(method.with_inertia, balance, h, scratch)
-        if substep.is_alone:
-            scratch.sliding.acceleration[:] = 0.0
-        slide_tendons(arm, command, balance, h, scratch)
+        slide_tendons(arm, command, balance, substep, scratch)
         status = scratch.sliding.status[0]
     else:
         status = rate_change(method.with_inertia, balance, h, scratch)

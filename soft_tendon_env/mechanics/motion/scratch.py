@@ -82,14 +82,22 @@ class Sliding(Struct):
     direction: Annotated[np.ndarray, "n_a x points"]  # z, an unknown of its own
     rate: Annotated[np.ndarray, "n_a x points"]  # [m/s] that slides
     lead: Annotated[np.ndarray, "n_a x points"]  # z of that rate
-    slope: Annotated[np.ndarray, "n_a x points"]  # change of z by the rate [s/m]
+    inverse: Annotated[np.ndarray, "n_a x points"]  # z by that rate [s/m]
+    slope: Annotated[np.ndarray, "n_a x points"]  # change of z by the rate [s/m], where it sticks
+    # at the beginning of the step, and how much logarithms of tensions have changed since by that
+    direction_before: Annotated[np.ndarray, "n_a x points"]
+    turned: Annotated[np.ndarray, "1"]
     change: Annotated[np.ndarray, "row"]  # of the rates v by a Newton step
-    turning: Annotated[np.ndarray, "row"]  # derivative of mu z dphi up to a border
-    pulling: Annotated[np.ndarray, "row"]  # less that of the tension there
     left: Annotated[np.ndarray, "n_a x points"]  # what the share of a tension gains there
     fall: Annotated[np.ndarray, "n_a x points"]  # likewise, by the rates to first order
-    falls: Annotated[np.ndarray, "points x row"]  # derivatives of that, of one tendon
+    # places of one tendon that stick, and what each of them changes from there on
+    sticking: Annotated[IntArray, "points"]
+    pulled: Annotated[np.ndarray, "row"]
+    pulls: Annotated[np.ndarray, "points x row"]
     acceleration: Annotated[np.ndarray, "n"]  # in the substep before; 0 in the first of a step
+    factors: Annotated[np.ndarray, "n x stride"]  # of scratch.system, see linear
+    # right-hand sides and solutions: of the change, and of a newton in each elastic tendon
+    sides: Annotated[np.ndarray, "n_a + 1", "row"]
     # rows of n coefficients, the right-hand side, and one for each tendon; filled up with rows
     system: Annotated[np.ndarray, "row x wide"]
 

@@ -11,9 +11,10 @@ and P. Mulet, SIAM J. Sci. Comput. 20, 1999): it converges in a few steps howeve
 where Newton's method for dv alone goes in circles. At its end the power of friction is negative at
 every border.
 
-The matrix of a step need not be positive definite: where a tendon sticks at one place and slides
-behind it, what a direction changes behind outweighs what the place there resists. Its pivots may
-be negative then; that A alone is positive definite tells a stable step.
+A is eliminated once: that it is positive definite tells a stable step. Newton's matrix is A where
+nothing sticks, since directions of what slides stay as they are. What a direction changes behind
+its place has one row and one column for each place that sticks. It may outweigh what the place
+resists, so that pivots are negative.
 
 The tensions of elastic tendons at the end of the substep solve a complementarity problem within
 each step, see implicit_euler.
@@ -22,59 +23,75 @@ each step, see implicit_euler.
 import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, spread, store
+from soft_tendon_env.mechanics.algebra.lanes import (
+    LANES,
+    lane,
+    lane_sums,
+    largest,
+    load,
+    prefix_sum,
+    spread,
+    sqrt,
+    store,
+    with_lane,
+)
 from soft_tendon_env.mechanics.algebra.linear import (
-    INDEFINITE,
-    SINGULAR,
     copy,
     product,
     row_stride,
+    solve_again,
     solve_columns,
     solve_positive_definite,
 )
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK, UNSETTLED
 from soft_tendon_env.mechanics.motion.tendon_ends import add_answers, bound_tensions
-from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK, smooth_speed
+from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK
 
 MOST = 100  # Newton steps
-SMALL_TURN = 0.25  # of a logarithm, up to which its series is right to 3e-13
-SATURATED = 1e-3  # of a logarithm, the change of a tension below which its slope is left out
-FIRST = 4  # Newton steps in which it may be
+SMALL_TURN = 0.25  # of a logarithm, up to which its Padé approximant is right to 2e-13
+# of a logarithm, by which a place may change a tension and have no slope: in the first Newton
+# steps, and in later ones, which may go in circles without slopes
+SATURATED = 1e-3
+SATURATED_LATER = 1e-5
+FIRST = 4  # Newton steps
 SAME = 1e-7  # of the logarithm of a tension, by which directions may be off what slides
 
 
 @phase
-def slide_tendons(arm, command, balance, h, scratch):
+def slide_tendons(arm, command, balance, substep, scratch):
     """Finds the change scratch.delta of rates in a substep with the friction at its end.
 
-    The substep has length h and the system scratch.system; elastic tendons are under a command
-    (n_a) at its end. A status goes into scratch.sliding.status.
+    Its system is scratch.system; elastic tendons are under a command (n_a) at its end. A status
+    goes into scratch.sliding.status.
     """
+    h = substep.length
     sliding = scratch.sliding
     path = arm.effects.transmission
     n = scratch.delta.size
     columns = 1
     if path.elastic:
         columns += arm.tendons.size
-    wide = sliding.system.size // sliding.change.size
+    copy(scratch.system, sliding.factors)
+    if not solve_positive_definite(sliding.factors, n, sliding.change):
+        sliding.status[0] = NOT_POSITIVE
+        return
+    if substep.is_alone:
+        sliding.acceleration[:] = 0.0
     begin_sliding(arm, balance, h, scratch)
+    if substep.is_alone:
+        keep_directions(arm, sliding)
     sliding.status[0] = UNSETTLED
-    is_stable = False
     for repeat in range(MOST):
-        # without slopes steps may go in circles
-        saturated = SATURATED if repeat < FIRST else 0.0
-        fill_sliding(arm, balance, h, columns, saturated, scratch)
-        pivots = solve_columns(sliding.system, n, wide, columns)
-        if pivots == INDEFINITE and not is_stable:
-            is_stable = has_positive_system(scratch)
-            if is_stable:
-                # once more: the system has been overwritten
-                continue
-            pivots = SINGULAR
-        if pivots == SINGULAR:
-            sliding.status[0] = NOT_POSITIVE
-            return
-        take_change(n, sliding)
+        saturated = SATURATED if repeat < FIRST else SATURATED_LATER
+        sticks = fill_sliding(arm, balance, h, saturated, scratch)
+        if sticks:
+            if not solve_sticking(n, columns, sliding):
+                sliding.status[0] = NOT_POSITIVE
+                return
+        else:
+            for column in range(columns):
+                solve_again(sliding.factors, n, sliding.sides[column])
+        copy(sliding.sides[0], sliding.change)
         if path.elastic:
             stretch_sliding(path, command, balance, h, scratch)
         off = follow_change(arm, balance.borders, scratch.ends.change, sliding)
@@ -84,6 +101,7 @@ def slide_tendons(arm, command, balance, h, scratch):
             sliding.status[0] = OK
             for a in range(n):
                 sliding.acceleration[a] = scratch.delta[a] / h
+            find_turned(arm, balance.borders, sliding)
             return
 
 
@@ -96,8 +114,6 @@ def begin_sliding(arm, balance, h, scratch):
     sliding = scratch.sliding
     delta = scratch.delta
     rows = balance.borders.row
-    rates = sliding.rate
-    directions = sliding.direction
     ahead = sliding.change
     slow = arm.effects.transmission.stiction_speed
     copy(balance.tendons.tension, sliding.tension)
@@ -106,19 +122,14 @@ def begin_sliding(arm, balance, h, scratch):
         ahead[a] = scratch.v[a] + delta[a]
     for i in range(arm.tendons.size):
         begin, end = places_of(arm, i)
-        for k in range(begin, end):
-            rate = row_product(rows, k, ahead)
-            rates[k] = rate
-            directions[k] = rate / smooth_speed(rate, slow)
-
-
-@kernel
-def has_positive_system(scratch):
-    """Whether scratch.system, without friction, is positive definite; overwrites sliding.system."""
-    n = scratch.delta.size
-    sliding = scratch.sliding
-    copy(scratch.system, sliding.system[: scratch.system.size])
-    return solve_positive_definite(sliding.system, n, sliding.change)
+        for k in range(begin, end, LANES):
+            rate = row_products(rows, k, ahead)
+            inverse = spread(1.0) / sqrt(rate * rate + spread(slow * slow))
+            direction = rate * inverse
+            store(sliding.rate, k, rate)
+            store(sliding.inverse, k, inverse)
+            store(sliding.lead, k, direction)
+            store(sliding.direction, k, direction)
 
 
 @kernel(inline=True)
@@ -131,185 +142,211 @@ def places_of(arm, i):
 
 
 @kernel(inline=True)
-def row_product(rows, k, x):
-    """Scalar product of a row with x, both filled up to whole packs with zeros."""
-    first = k * x.size
-    total = spread(0.0)
+def row_products(rows, k, x):
+    """Scalar products of four rows from k on with x, all filled up to whole packs with zeros."""
+    at = k * x.size
+    first = spread(0.0)
+    second = spread(0.0)
+    third = spread(0.0)
+    fourth = spread(0.0)
     for m in range(0, x.size, LANES):
-        own = load(rows, first + m)
-        total = total + own * load(x, m)
-    return lane_sum(total)
+        own = load(x, m)
+        first = first + own * load(rows, at + m)
+        second = second + own * load(rows, at + x.size + m)
+        third = third + own * load(rows, at + 2 * x.size + m)
+        fourth = fourth + own * load(rows, at + 3 * x.size + m)
+    return lane_sums((first, second, third, fourth))
 
 
 @kernel
-def fill_sliding(arm, balance, h, columns, saturated, scratch):
-    """Fills sliding.system with the linear problem of a Newton step.
+def fill_sliding(arm, balance, h, saturated, scratch):
+    """Fills sliding.sides with the right-hand sides of a Newton step, and sliding.system with its
+    matrix where a tendon sticks.
 
-    Elastic tendons have a right-hand side each, the force of a newton.
+    Elastic tendons have a side each, the force of a newton. Returns whether a tendon sticks: the
+    direction of a place would change the logarithm of its tension by more than `saturated`.
     """
+    is_elastic = arm.effects.transmission.elastic
     sliding = scratch.sliding
+    n = scratch.delta.size
+    rows = balance.borders.row
+    fill_force(scratch)
+    sticks = False
+    for i in range(arm.tendons.size):
+        tension = sliding.tension[i]
+        if not is_elastic and tension == 0.0:
+            continue
+        begun = balance.tendons.tension[i]
+        places = places_of(arm, i)
+        tendon_sticks = find_falls(balance.borders, places, begun, saturated, sliding)
+        stretched = tension - begun if is_elastic else 0.0
+        add_rows(rows, places, h * tension, sliding.fall, h * stretched, sliding.sides[0])
+        if is_elastic:
+            force = sliding.sides[1 + i]
+            force[:] = 0.0
+            add_rows(rows, places, h, sliding.left, h, force)
+        if tendon_sticks:
+            if not sticks:
+                copy_system(scratch)
+            sticks = True
+            count = find_pulls(balance.borders, places, begun, h * tension, sliding)
+            add_products(rows, count, n, sliding)
+    return sticks
+
+
+@kernel
+def fill_force(scratch):
+    """Fills the first of sliding.sides with what the change so far leaves of scratch.system."""
     delta = scratch.delta
     n = delta.size
     stride = row_stride(n + 1)
-    wide = sliding.system.size // stride
+    side = scratch.sliding.sides[0]
     for a in range(n):
         first = a * stride
         row = scratch.system[first : first + n]
-        out = sliding.system[a * wide : (a + 1) * wide]
-        copy(row, out[:n])
         right = scratch.system[first + n]
-        out[n] = right - product(row, delta)
-        for j in range(1, columns):
-            out[n + j] = 0.0
-    for i in range(arm.tendons.size):
-        add_tendon(arm, i, balance, h, saturated, sliding)
+        side[a] = right - product(row, delta)
 
 
 @kernel
-def add_tendon(arm, i, balance, h, saturated, sliding):
-    """Adds a tendon's friction, and the tension of an elastic one, to the linear problem.
-
-    Slopes are left out where the logarithm of a tension would change by less than `saturated`.
-    """
-    is_elastic = arm.effects.transmission.elastic
-    tension = sliding.tension[i]
-    if not is_elastic and tension == 0.0:
-        return
-    n = arm.strain.size
-    begun = balance.tendons.tension[i]
-    begin, end = places_of(arm, i)
-    places = (begin, end)
-    sway = find_falls(arm, balance.borders, places, begun, sliding)
-    stretched = tension - begun if is_elastic else 0.0
-    rows = balance.borders.row
-    add_rows(rows, places, h * tension, sliding.fall, h * stretched, n, sliding)
-    if is_elastic:
-        add_rows(rows, places, h, sliding.left, h, n + 1 + i, sliding)
-    if sway > saturated:
-        find_slopes(balance.borders, places, begun, h * tension, sliding)
-        add_products(rows, places, n, sliding)
-    else:
-        sliding.slope[begin:end] = 0.0
+def copy_system(scratch):
+    """Copies the coefficients of scratch.system to sliding.system, whose rows are longer."""
+    sliding = scratch.sliding
+    n = scratch.delta.size
+    stride = row_stride(n + 1)
+    wide = sliding.system.size // sliding.change.size
+    for a in range(n):
+        first = a * stride
+        row = scratch.system[first : first + n]
+        out = sliding.system[a * wide : a * wide + n]
+        copy(row, out)
 
 
 @kernel
-def find_falls(arm, borders, places, begun, sliding):
+def find_falls(borders, places, begun, saturated, sliding):
     """Finds how the share of a tendon's tension that is left changes at its borders.
 
-    sliding.left is that by the directions, and sliding.fall that to which the rates lead. Returns
-    how much logarithms of the tension would change with rates that change by themselves.
+    sliding.left is that by the directions, and sliding.fall that to which the rates lead. Slopes
+    are left out where the logarithm of the tension would change by less than `saturated` with a
+    rate that changes by itself. Returns whether there is any.
     """
     begin, end = places
-    slow = arm.effects.transmission.stiction_speed
-    turns = borders.turn
-    rates = sliding.rate
-    directions = sliding.direction
-    leads = sliding.lead
-    slopes = sliding.slope
-    falls = sliding.fall
-    lefts = sliding.left
+    sign = math.copysign(1.0, begun)
+    sticks = False
     late = 0.0  # by how much the rates' own mu z dphi, up to the border, is more
     left = 1.0
     late_before = 0.0
-    sway = 0.0
-    for k in range(begin, end):
-        turn = math.copysign(turns[k], begun)
-        z = directions[k]
-        rate = rates[k]
-        speed = smooth_speed(rate, slow)
-        lead = rate / speed
-        slope = (1.0 - z * lead) / speed
-        leads[k] = lead
-        slopes[k] = slope
-        left_before = left
-        left = left_before * decay(turn * z)
-        late += turn * (lead - z)
-        sway += turns[k] * slope * speed
-        change = left - left_before
-        late_change = left * late - left_before * late_before
-        lefts[k] = change
-        falls[k] = change - late_change
-        late_before = late
-    return sway
-
-
-@kernel
-def find_slopes(borders, places, begun, tension, sliding):
-    """Finds derivatives of what a tension falls by at its borders, rows of sliding.falls."""
-    begin, end = places
-    stride = sliding.change.size
-    rows = borders.row
-    turns = borders.turn
-    slopes = sliding.slope
-    lefts = sliding.left
-    falls = sliding.falls
-    turning = sliding.turning
-    pulling = sliding.pulling
-    turning[:] = 0.0
-    pulling[:] = 0.0
-    left = 1.0
-    for k in range(begin, end):
-        left += lefts[k]
-        steepness = math.copysign(turns[k], begun) * slopes[k]
-        row = k * stride
-        fall = (k - begin) * stride
-        for m in range(0, stride, LANES):
-            turned = load(turning, m) + steepness * load(rows, row + m)
-            pulled = (tension * left) * turned
-            before = load(pulling, m)
-            store(falls, fall + m, pulled - before)
-            store(turning, m, turned)
-            store(pulling, m, pulled)
-
-
-@kernel
-def add_rows(rows, places, share, factors, first, column, sliding):
-    """Adds the sum of share factors_k w_k over a tendon's borders, and of first w_0, to a column.
-
-    The column is one of sliding.system.
-    """
-    begin, end = places
-    stride = sliding.change.size
-    wide = sliding.system.size // stride
-    system = sliding.system
-    for m in range(0, stride, LANES):
-        total = first * load(rows, begin * stride + m)
-        for k in range(begin, end):
-            factor = share * factors[k]
-            total = total + factor * load(rows, k * stride + m)
-        for j in range(LANES):
-            # rows beyond n, which nothing reads, are there too
-            entry = (m + j) * wide + column
-            system[entry] += lane(total, j)
+    for first in range(begin, end, LANES):
+        turn = load(borders.turn, first)
+        z = load(sliding.direction, first)
+        lead = load(sliding.lead, first)
+        kept = decays(sign * turn * z, largest(turn))
+        late_by = prefix_sum(sign * turn * (lead - z))
+        unsaturated = spread(1.0) - z * lead
+        # of a change of the rate by itself
+        swayed = turn * unsaturated
+        if largest(swayed) > saturated:
+            find_slopes(first, swayed, unsaturated, saturated, sliding)
+            sticks = True
+        else:
+            store(sliding.slope, first, spread(0.0))
+        for m in range(LANES):
+            k = first + m
+            left_before = left
+            left = left_before * lane(kept, m)
+            lately = late + lane(late_by, m)
+            change = left - left_before
+            sliding.left[k] = change
+            sliding.fall[k] = change - (left * lately - left_before * late_before)
+            late_before = lately
+        late = late_before
+    return sticks
 
 
 @kernel(inline=True)
-def decay(x):
-    """exp(-x), where x is small by its series."""
-    if abs(x) > SMALL_TURN:
-        return math.exp(-x)
-    # 1 - x (1 - x/2 (1 - x/3 (...))), up to x^9, by products, which are quicker than quotients
-    rest = 1.0 - (1.0 / 9.0) * x
-    rest = 1.0 - (1.0 / 8.0) * x * rest
-    rest = 1.0 - (1.0 / 7.0) * x * rest
-    rest = 1.0 - (1.0 / 6.0) * x * rest
-    rest = 1.0 - (1.0 / 5.0) * x * rest
-    rest = 1.0 - (1.0 / 4.0) * x * rest
-    rest = 1.0 - (1.0 / 3.0) * x * rest
-    rest = 1.0 - (1.0 / 2.0) * x * rest
-    return 1.0 - x * rest
+def find_slopes(first, swayed, unsaturated, saturated, sliding):
+    """Finds slopes of a pack of places, of those that sway a tension by more than `saturated`."""
+    for m in range(LANES):
+        k = first + m
+        slope = 0.0
+        if lane(swayed, m) > saturated:
+            slope = lane(unsaturated, m) * sliding.inverse[k]
+        sliding.slope[k] = slope
 
 
 @kernel
-def add_products(rows, places, n, sliding):
-    """Adds the sum over a tendon's borders of w_k falls_k^T to the matrix of the system."""
+def add_rows(rows, places, share, factors, first, out):
+    """Adds the sum of share factors_k w_k over a tendon's borders, and of first w_0, to `out`."""
     begin, end = places
+    stride = out.size
+    for m in range(0, stride, LANES):
+        total = load(out, m) + first * load(rows, begin * stride + m)
+        for k in range(begin, end):
+            factor = share * factors[k]
+            total = total + factor * load(rows, k * stride + m)
+        store(out, m, total)
+
+
+@kernel
+def find_pulls(borders, places, begun, tension, sliding):
+    """Finds what places that stick change behind them, rows of sliding.pulls; returns their number.
+
+    By parts the derivative of sum_k (T_k - T_k-1) w_k is a sum of products: of w_j with
+    mu dphi_j dz_j/dv_j times what is pulled from border j on, T_j w_j + sum_k>j (T_k - T_k-1) w_k.
+    """
+    begin, end = places
+    stride = sliding.change.size
+    rows = borders.row
+    pulled = sliding.pulled
+    pulls = sliding.pulls
+    pulled[:] = 0.0
+    left = 1.0
+    for k in range(begin, end):
+        left += sliding.left[k]
+    count = 0
+    for k in range(end - 1, begin - 1, -1):
+        row = k * stride
+        change = sliding.left[k]
+        slope = sliding.slope[k]
+        if slope > 0.0:
+            steepness = tension * math.copysign(borders.turn[k], begun) * slope
+            for m in range(0, stride, LANES):
+                behind = load(pulled, m) + left * load(rows, row + m)
+                store(pulls, count * stride + m, steepness * behind)
+            sliding.sticking[count] = k
+            count += 1
+        for m in range(0, stride, LANES):
+            store(pulled, m, load(pulled, m) + change * load(rows, row + m))
+        left -= change
+    return count
+
+
+@kernel(inline=True)
+def decays(x, most):
+    """exp(-x) of a pack, none of which is larger than `most`.
+
+    Where that is small it is the Padé approximant of order 4, (even - odd) / (even + odd).
+    """
+    if most > SMALL_TURN:
+        values = x
+        for m in range(LANES):
+            values = with_lane(values, m, math.exp(-lane(x, m)))
+        return values
+    square = x * x
+    even = spread(1.0) + square * (spread(3.0 / 28.0) + (1.0 / 1680.0) * square)
+    odd = x * (spread(0.5) + (1.0 / 84.0) * square)
+    return (even - odd) / (even + odd)
+
+
+@kernel
+def add_products(rows, count, n, sliding):
+    """Adds the sum of pulls_j w_j^T over `count` places that stick to the matrix of the system."""
     stride = sliding.change.size
     wide = sliding.system.size // stride
     system = sliding.system
-    falls = sliding.falls
-    # four rows at once: w_k is filled up to whole packs with zeros, and the system with rows; what
-    # is right of the matrix gets zeros too
+    pulls = sliding.pulls
+    # four rows at once: rows are filled up to whole packs with zeros, and the system with rows;
+    # what is right of the matrix gets zeros too
     for a in range(0, n, 4):
         for m in range(0, n, LANES):
             at = a * wide + m
@@ -317,13 +354,13 @@ def add_products(rows, places, n, sliding):
             second = load(system, at + wide)
             third = load(system, at + 2 * wide)
             fourth = load(system, at + 3 * wide)
-            for k in range(begin, end):
-                fall = load(falls, (k - begin) * stride + m)
-                w = load(rows, k * stride + a)
-                first = first + lane(w, 0) * fall
-                second = second + lane(w, 1) * fall
-                third = third + lane(w, 2) * fall
-                fourth = fourth + lane(w, 3) * fall
+            for j in range(count):
+                w = load(rows, sliding.sticking[j] * stride + m)
+                pull = load(pulls, j * stride + a)
+                first = first + lane(pull, 0) * w
+                second = second + lane(pull, 1) * w
+                third = third + lane(pull, 2) * w
+                fourth = fourth + lane(pull, 3) * w
             store(system, at, first)
             store(system, at + wide, second)
             store(system, at + 2 * wide, third)
@@ -331,11 +368,19 @@ def add_products(rows, places, n, sliding):
 
 
 @kernel
-def take_change(n, sliding):
-    """The solution of the linear problem, a change of the rates, into sliding.change."""
+def solve_sticking(n, columns, sliding):
+    """Overwrites sliding.sides by the solutions of sliding.system; False if that is singular."""
     wide = sliding.system.size // sliding.change.size
+    # at last: products add zeros to what is right of the matrix
     for a in range(n):
-        sliding.change[a] = sliding.system[a * wide + n]
+        for column in range(columns):
+            sliding.system[a * wide + n + column] = sliding.sides[column, a]
+    if not solve_columns(sliding.system, n, wide, columns):
+        return False
+    for a in range(n):
+        for column in range(columns):
+            sliding.sides[column, a] = sliding.system[a * wide + n + column]
+    return True
 
 
 @kernel
@@ -347,13 +392,10 @@ def stretch_sliding(path, command, balance, h, scratch):
     sliding = scratch.sliding
     ends = scratch.ends
     n = scratch.delta.size
-    wide = sliding.system.size // sliding.change.size
     count = command.size
     change = sliding.change
     for j in range(count):
-        column = n + 1 + j
-        for a in range(n):
-            ends.answer[j, a] = sliding.system[a * wide + column]
+        copy(sliding.sides[1 + j, :n], ends.answer[j])
     for i in range(count):
         row = balance.tendons.columns[i]
         rate = product(row, scratch.v) + product(row, scratch.delta)
@@ -376,12 +418,6 @@ def follow_change(arm, borders, stretched, sliding):
     """
     path = arm.effects.transmission
     slow = path.stiction_speed
-    rows = borders.row
-    turns = borders.turn
-    leads = sliding.lead
-    slopes = sliding.slope
-    rates = sliding.rate
-    directions = sliding.direction
     change = sliding.change
     most = 0.0
     for i in range(arm.tendons.size):
@@ -393,16 +429,47 @@ def follow_change(arm, borders, stretched, sliding):
         share = 0.0
         if path.elastic:
             share = abs(stretched[i]) / path.strength[i]
-        for k in range(begin, end):
-            turn = turns[k]
-            moved = row_product(rows, k, change)
-            lead = leads[k] + slopes[k] * moved
-            z = min(max(lead, -1.0), 1.0)
-            rate = rates[k] + moved
-            own = rate / smooth_speed(rate, slow)
-            off += turn * (own - z)
-            turned += turn * (z - directions[k])
-            most = max(most, abs(off), share * abs(turned))
-            directions[k] = z
-            rates[k] = rate
+        for first in range(begin, end, LANES):
+            moved = row_products(borders.row, first, change)
+            linear = load(sliding.lead, first) + load(sliding.slope, first) * moved
+            rate = load(sliding.rate, first) + moved
+            inverse = spread(1.0) / sqrt(rate * rate + spread(slow * slow))
+            own = rate * inverse
+            store(sliding.rate, first, rate)
+            store(sliding.inverse, first, inverse)
+            store(sliding.lead, first, own)
+            for m in range(LANES):
+                k = first + m
+                turn = borders.turn[k]
+                z = min(max(lane(linear, m), -1.0), 1.0)
+                off += turn * (lane(own, m) - z)
+                turned += turn * (z - sliding.direction[k])
+                most = max(most, abs(off), share * abs(turned))
+                sliding.direction[k] = z
     return most
+
+
+@kernel
+def keep_directions(arm, sliding):
+    """Keeps directions as those at the beginning of a step."""
+    sliding.turned[0] = 0.0
+    for i in range(arm.tendons.size):
+        begin, end = places_of(arm, i)
+        copy(sliding.direction[begin:end], sliding.direction_before[begin:end])
+
+
+@kernel
+def find_turned(arm, borders, sliding):
+    """Finds how much directions have changed within a step, the most into sliding.turned.
+
+    It is by the logarithm of a tension that they change.
+    """
+    for i in range(arm.tendons.size):
+        if sliding.tension[i] == 0.0:
+            continue
+        begin, end = places_of(arm, i)
+        turned = 0.0
+        for k in range(begin, end):
+            change = sliding.direction[k] - sliding.direction_before[k]
+            turned += borders.turn[k] * abs(change)
+        sliding.turned[0] = max(sliding.turned[0], turned)

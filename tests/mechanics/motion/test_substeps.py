@@ -4,6 +4,8 @@ rest against differences."""
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, load, store
 from soft_tendon_env.mechanics.motion.advance import (
     LEAST_ERROR,
     ROUGH,
@@ -16,6 +18,7 @@ from soft_tendon_env.mechanics.motion.advance import (
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
 from soft_tendon_env.mechanics.motion.extrapolation import (
     HOPELESS,
+    TURNED,
     Attempt,
     Demand,
     Extrapolated,
@@ -23,7 +26,9 @@ from soft_tendon_env.mechanics.motion.extrapolation import (
     error_estimate,
     extrapolate,
     extrapolated_step,
+    growth_of_noise,
     predict_strain,
+    step_error,
 )
 from soft_tendon_env.mechanics.motion.pose_errors import (
     move_poses,
@@ -31,7 +36,12 @@ from soft_tendon_env.mechanics.motion.pose_errors import (
     pose_errors,
 )
 from soft_tendon_env.mechanics.motion.scratch import KINKED, SMOOTH, Motion, make_scratch
-from soft_tendon_env.mechanics.motion.sliding import SMALL_TURN, decay
+from soft_tendon_env.mechanics.motion.sliding import (
+    SMALL_TURN,
+    decays,
+    find_turned,
+    keep_directions,
+)
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -264,12 +274,19 @@ def test_elastic_tendons_that_rub_have_their_tensions_at_a_step_s_end():
     np.testing.assert_allclose(scratch.v, v, rtol=1e-5, atol=atol)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("size", [1e-9, 0.1, 0.999 * SMALL_TURN, 1.001 * SMALL_TURN, 2.0])
-def test_a_decay_is_the_exponential(size, sign):
+@kernel
+def decays_of(x, most, out):
+    store(out, 0, decays(load(x, 0), most))
+
+
+@pytest.mark.parametrize("most", [0.999 * SMALL_TURN, 1.001 * SMALL_TURN, 2.0])
+def test_a_decay_is_the_exponential(most):
     """By its series and beyond, of tensions that fall and rise."""
-    exponent = sign * size
-    assert decay(exponent) == pytest.approx(np.exp(-exponent), rel=1e-12)
+    exponents = aligned_zeros(LANES)
+    exponents[:] = most, 1e-9, -0.3 * most, -most
+    found = aligned_zeros(LANES)
+    decays_of(exponents, most, found)
+    np.testing.assert_allclose(found, np.exp(-exponents), rtol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
@@ -288,6 +305,43 @@ def test_extrapolation_is_exact_for_polynomials_of_the_step(rows):
         entry = table[row, other]
         np.testing.assert_allclose(error, value - entry)
     np.testing.assert_allclose(value, coefficients[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 6])
+def test_noise_of_substeps_grows_in_the_last_entry_beside_its_estimate(rows):
+    """Independent errors of one substep, 1/j of the step, in every first entry."""
+    noise = np.diag(1.0 / np.arange(1, rows + 1))
+    table = np.zeros((rows, rows, rows))
+    error = np.zeros(rows)
+    for row in range(rows):
+        value = noise[row].copy()
+        extrapolate(row, row, max(row - 1, 0), table, value, error)
+    expected = 1.0
+    if rows > 1:
+        expected = np.linalg.norm(value) / np.linalg.norm(error)
+    assert growth_of_noise(rows) == pytest.approx(expected)
+
+
+def test_directions_that_turn_within_a_step_count_in_its_error():
+    """By the logarithm of a tension, sum mu dphi |z - z_before|; not where an elastic tendon has a
+    kink, of which the first entry is kept."""
+    model = arm_with({**BENDING, **RUBBING})
+    arm = model.arm
+    scratch, attempt = step_with(model, 2)
+    sliding = scratch.sliding
+    sliding.direction[:] = 1.0
+    keep_directions(arm, sliding)
+    assert step_error(arm, attempt, scratch) == attempt.error
+    sliding.direction[:] = -0.5
+    find_turned(arm, scratch.first.borders, sliding)
+    turns = scratch.first.borders.turn.reshape(model.tendon_count, -1)
+    assert sliding.turned[0] == pytest.approx(1.5 * turns.sum(axis=1).max())
+    assert sliding.turned[0] > TURNED
+    larger = growth_of_noise(2) * attempt.error
+    assert step_error(arm, attempt, scratch) == pytest.approx(larger)
+    assert step_error(arm_with(BENDING).arm, attempt, scratch) == attempt.error
+    scratch.kink[0] = KINKED
+    assert step_error(arm, attempt, scratch) == attempt.error
 
 
 @pytest.mark.parametrize("kink", [SMOOTH, KINKED])
