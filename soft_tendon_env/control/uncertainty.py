@@ -39,7 +39,7 @@ class Uncertainty(NamedTuple):
     tip: float = 1.5e-3
     tip_start: float = 2e-3
     # loads at each place, as shares of the arm's weight on earth
-    load: float = 0.002
+    load: float = 0.004
     # of themselves, by which they change besides, up to the most: what the arm carries is not all
     # at these places
     load_share: float = 0.15
