@@ -75,8 +75,8 @@ class BeliefPrediction:
         self._step = self.period / count
         self._starts = np.linspace(-self.period, 0.0, count, endpoint=False)
         self._simulation = Simulation(space.model)
-        # change of the state in a period: the variance of its walks, and what is not forgotten
-        walks = space.variances(
+        # change of the state in a second: the variance of its walks
+        self._even_walks = space.variances(
             z=0.0,
             v=0.0,
             offset=uncertainty.offset * space.tension,
@@ -90,7 +90,12 @@ class BeliefPrediction:
             latency=uncertainty.latency if setting.latency is None else 0.0,
             lag=uncertainty.lag if setting.lag is None else 0.0,
         )
-        self._drift = walks * self.period
+        # and as shares of what there is already
+        self._load_share = uncertainty.load_share
+        self._load_most = uncertainty.load_most * space.weight
+        self._gain_share = uncertainty.gain_share
+        self._offset_share = uncertainty.offset_share
+        # what is not forgotten in a period
         self._keep = np.ones(space.layout.size)
         times = np.array([uncertainty.offset_time, uncertainty.gain_time])  # 0 s forgets at once
         offset_kept, gain_kept = np.exp(-self.period / times)
@@ -143,7 +148,7 @@ class BeliefPrediction:
         noise = moved @ moved.T
         covariance = transition @ last.covariance @ transition.T
         covariance[moving, moving] += noise
-        covariance[np.diag_indices_from(covariance)] += self._drift
+        covariance[np.diag_indices_from(covariance)] += self._walks(point)
         mean = self._keep * point
         mean[layout.z] = motion.q[-1] / self.space.scale
         mean[layout.v] = motion.q_dot[-1] / self.space.scale
@@ -158,6 +163,23 @@ class BeliefPrediction:
             locality=last.locality,
         )
         return Prediction(belief, transition)
+
+    def _walks(self, state: Array) -> Array:
+        """Variances (m,) of the walks of a state (m,) in a period.
+
+        What is there changes by a share of itself besides: where nothing errs, little changes. Of
+        loads the share is bounded: errors of quick motions are taken for loads at first, which
+        would feed their own growth.
+        """
+        layout = self.space.layout
+        variance = self._even_walks.copy()
+        variance[layout.gain] += (self._gain_share * state[layout.gain]) ** 2
+        variance[layout.offset] += (self._offset_share * state[layout.offset]) ** 2
+        forces = state[layout.load].reshape(-1, 3)
+        growth = self._load_share * np.linalg.norm(forces, axis=1)
+        growth = np.minimum(growth, self._load_most)
+        variance[layout.load] += np.repeat(growth, 3) ** 2
+        return self.period * variance
 
     def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
         """Tensions that act over the last period, by the believed timing or by a weight (H,)."""

@@ -27,17 +27,23 @@ class Uncertainty(NamedTuple):
     # knows less
     inertial: float = 0.03
     tension: float = 2e-3  # white tensions, held over a period each
-    offset: float = 0.02  # tensions that are added
+    offset: float = 0.005  # tensions that are added
+    offset_share: float = 0.3  # of themselves, by which they change besides
     offset_start: float = 0.01
     offset_time: float = 5.0  # [s] in which they are forgotten
-    gain: float = 0.025  # gains of the tendons
+    gain: float = 0.008  # gains of the tendons
+    gain_share: float = 0.4  # of their distance from 1, by which they change besides
     gain_start: float = 0.05
     gain_time: float = 30.0  # [s] in which they are forgotten
     # displacement of the tip, as a share of the rod's length; a radian counts as this length
     tip: float = 1.5e-3
     tip_start: float = 2e-3
     # loads at each place, as shares of the arm's weight on earth
-    load: float = 0.01
+    load: float = 0.002
+    # of themselves, by which they change besides, up to the most: what the arm carries is not all
+    # at these places
+    load_share: float = 0.15
+    load_most: float = 0.01
     load_start: float = 0.25
     load_jump: float = 0.1  # where innovations surprise
     stiffness: float = 0.005  # factor of the stiffness

@@ -82,7 +82,7 @@ class Configured(NamedTuple):
     strain: Array  # (points, 6), less the stress-free one
     weight: Array  # (points,) [m]
     stiffness: Array  # (points, 6) diag(Sigma), 0 for rigid strains
-    rod: Discretisation
+    rod: Discretisation  # of the arm
     base: Array  # (12,) pose of the base, R rows and r, world frame
     state: Array  # (m,) internal state of the effect
 

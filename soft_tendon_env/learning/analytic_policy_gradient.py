@@ -177,7 +177,7 @@ class APG(ActorAlgorithm):
         "MlpPolicy": RecurrentPolicy,
         "MultiInputPolicy": RecurrentPolicy,
     }
-    policy: RecurrentPolicy
+    policy: RecurrentPolicy  # network that is trained, with its memory
     _identifier: torch.nn.Linear | None = None
     _average: AveragedModel | None = None
 

@@ -125,6 +125,10 @@ class Search(Configuration, ABC):
             Tables as of TOML.
         """
 
+    def first_values(self) -> dict[str, Any]:
+        """Returns values to try first, by name: those in use without a search; none by default."""
+        return {}
+
     def play(
         self,
         make: Callable[[Any], Policy],
@@ -206,6 +210,18 @@ class ControllerSearch(Search):
             mean = float(np.exp(logarithm))
             report(mean)
         return mean
+
+    def first_values(self) -> dict[str, Any]:
+        """Returns the controller's values in use, of parameters whose range has them."""
+        controller = self._controller({})
+        known = {**controller.defaults, **controller.parameters}
+        values = {}
+        for name, parameter in self.search.items():
+            low = parameter.low
+            high = parameter.high
+            if low is not None and high is not None and low <= known[name] <= high:
+                values[name] = known[name]
+        return values
 
     def _options(self, name: Controller, regime: str | None) -> dict[str, Any]:
         """Options of the environment in an information regime; None: exact, what it needs."""

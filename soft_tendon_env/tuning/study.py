@@ -39,6 +39,10 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     table = search.model_dump(mode="json", exclude={"trials"})
     if begun is None:
         study.set_user_attr("search", table)
+        first = search.first_values()
+        if first:
+            # the best of the study is then never worse than what is in use, on its seeds
+            study.enqueue_trial(first)
         return study
     differences = []
     for key, value in table.items():

@@ -130,11 +130,15 @@ WALKS = Uncertainty(
     inertial=0.0,
     tension=0.0,
     offset=0.3,
+    offset_share=0.0,
     offset_time=2.0,
     gain=0.04,
+    gain_share=0.0,
     gain_time=5.0,
     tip=0.01,
     load=0.05,
+    load_share=0.0,
+    load_most=1.0,
     stiffness=0.06,
     damping=0.07,
     payload=0.08,
@@ -193,6 +197,30 @@ def test_what_the_model_has_wrong_walks_as_declared(estimator, moving):
     for name, deviation in expected.items():
         part = getattr(space.layout, name)
         np.testing.assert_allclose(deviations[part], deviation, rtol=1e-9, err_msg=name)
+
+
+def test_what_is_there_walks_by_a_share_of_itself_too(estimator, moving):
+    """Of a load it is a share of the whole force, in every direction."""
+    belief, measured = moving
+    shares = WALKS._replace(offset_share=0.4, gain_share=0.5, load_share=0.6)
+    layout = estimator.space.layout
+    mean = belief.mean.copy()
+    mean[layout.offset] = [0.0, -0.2, 0.3]
+    mean[layout.gain] = [0.05, 0.0, -0.02]
+    forces = np.zeros((estimator.space.places.size, 3))
+    forces[0] = [0.03, 0.0, -0.04]  # 0.05 N in all
+    mean[layout.load] = forces.ravel()
+    there = belief._replace(mean=mean)
+    even = prediction_of(another(estimator), there, measured).belief
+    grown = prediction_of(another(estimator, shares), there, measured).belief
+    growth = np.diag(grown.covariance - even.covariance) / PERIOD
+    walked = np.zeros_like(forces)
+    walked[0] = 0.6 * 0.05
+    expected = np.zeros_like(mean)
+    expected[layout.offset] = 0.4 * mean[layout.offset]
+    expected[layout.gain] = 0.5 * mean[layout.gain]
+    expected[layout.load] = walked.ravel()
+    np.testing.assert_allclose(growth, expected**2, rtol=1e-6, atol=1e-9)
 
 
 def test_a_timing_that_is_known_does_not_walk(estimator, moving):

@@ -175,7 +175,7 @@ class Obstacle(Configuration):
 
     kind: ClassVar[float] = BOX
 
-    type: str
+    type: str  # shape: "plane", "sphere", "box", "capsule" or "cylinder"
     position: Triple = Field(description="place at time 0 [m], but for the amplitude, world frame")
     velocity: Triple = Field((0.0, 0.0, 0.0), description="constant velocity [m/s]")
     amplitude: Triple = Field(
