@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable, adds_wrench
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
-from soft_tendon_env.mechanics.terms.external_forces import add_differences, displace
+from soft_tendon_env.mechanics.terms.external_forces import add_differences, displace, rest_states
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.mechanics.workspace import make_workspace
 
@@ -103,6 +103,17 @@ def test_a_pickled_table_finds_its_kernels(build):
     copy = pickle.loads(text)
     q = np.zeros(model.coordinate_count)
     assert evaluate_at(copy, q).loads.wrench[0] == 23.0
+
+
+@pytest.mark.no_jit
+def test_effects_at_rest_are_in_the_states_that_they_begin_with(build):
+    model = build("three_tendon", {"quadrature.intervals": 2})
+    states = [np.array([3.0, 4.0]), np.array([5.0])]
+    arm = model.arm.replaced(effects=EffectTable((Plus(1.0), Plus(2.0)), states))
+    work = make_workspace(arm)
+    work.inputs.state[:] = -1.0
+    rest_states(arm, np.zeros(3), work.inputs, work.strain, work.loads)
+    np.testing.assert_array_equal(work.inputs.state, [3.0, 4.0, 5.0])
 
 
 @pytest.mark.no_jit
