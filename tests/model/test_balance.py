@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
+from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
@@ -122,6 +123,24 @@ def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
     singular = np.array([[1.0, 1.0], [0.0, 0.0]])
     assert bent._inverse(BENDING * LENGTH * singular) is None
     assert "gives way without further load" in bent.obstacle
+
+
+@pytest.mark.parametrize(
+    ("tangent", "reason"),
+    [([0.6, 0.8], "snaps"), ([-0.8, 0.6], "buckles")],
+    ids=["snaps", "buckles"],
+)
+def test_a_soft_arm_snaps_along_its_softest_mode_and_buckles_beside_it(bent, tangent, reason):
+    """By the way on which the load moves it: a limit point, or a bifurcation."""
+    softest = np.array([0.6, 0.8])
+    other = np.array([-0.8, 0.6])
+    stiffness = 0.1 * np.outer(softest, softest) + np.outer(other, other)
+    point = with_stiffness(bent, BENDING * LENGTH * stiffness)
+    moved = Linearised(bent, point.evaluation, point.stiffness, point.compliance, np.array(tangent))
+    percent = 100.0 * point.evaluation.part
+    told = LoadPath(bent)._reason(moved)
+    assert told.startswith(f"beyond {percent:.4g} % of the load: the arm ")
+    assert reason in told
 
 
 CRITICAL = 3.0 * BENDING / LENGTH**2

@@ -72,6 +72,19 @@ def test_round_trip(name):
         np.testing.assert_array_equal(found.q, equilibrium.q)
 
 
+def test_limits_that_are_not_zero_are_kept_where_they_bind(build):
+    """Three tendons have one set of tensions for a position; both bounds are met there."""
+    limits = [0.5, 3.0]
+    model = build("three_tendon", {"tendons.*.tension_limits": limits})
+    u = np.array([0.5, 3.0, 1.5])
+    wanted = static_equilibrium(model, u)
+    found = tension_for_tip_position(model, wanted.tip_pose[:3, 3])
+    assert found.reachable
+    np.testing.assert_allclose(found.tension, u, rtol=1e-3)
+    assert found.tension.min() >= 0.5
+    assert found.tension.max() <= 3.0
+
+
 def test_what_is_out_of_reach_is_approached():
     model = build_model(
         load_scene("three_tendon").replace({"tendons.*.tension_limits": [0.0, 2.0]})

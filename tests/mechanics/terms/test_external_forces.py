@@ -1,15 +1,19 @@
 """The seam of the effects: each one that a table names is called once, in order, with its own
-parameters; the others do not exist."""
+parameters; the others do not exist. Slopes of wrenches by differences."""
 
 import pickle
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable, adds_wrench
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.external_forces import add_differences, displace, rest_states
+from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 
@@ -99,3 +103,55 @@ def test_a_pickled_table_finds_its_kernels(build):
     copy = pickle.loads(text)
     q = np.zeros(model.coordinate_count)
     assert evaluate_at(copy, q).loads.wrench[0] == 23.0
+
+
+@pytest.mark.no_jit
+def test_effects_at_rest_are_in_the_states_that_they_begin_with(build):
+    model = build("three_tendon", {"quadrature.intervals": 2})
+    states = [np.array([3.0, 4.0]), np.array([5.0])]
+    arm = model.arm.replaced(effects=EffectTable((Plus(1.0), Plus(2.0)), states))
+    work = make_workspace(arm)
+    work.inputs.state[:] = -1.0
+    rest_states(arm, np.zeros(3), work.inputs, work.strain, work.loads)
+    np.testing.assert_array_equal(work.inputs.state, [3.0, 4.0, 5.0])
+
+
+@pytest.mark.no_jit
+def test_differences_of_wrenches_add_up_to_the_symmetric_part_of_their_slopes():
+    """W = W0 - K x of a stiffness K (6, 6), which a displacement x of each kind tells a column
+    of."""
+    random = np.random.default_rng(0)
+    K, W0 = random.normal(size=(2, 6, 6))
+    wrenches = W0[:LANES]
+    way = 0.01
+    blocks = np.zeros(21 * LANES)
+    for k in range(6):
+        moved = node_field(wrenches - way * K[:, k])
+        add_differences(k, way, moved, node_field(wrenches), blocks)
+    symmetric = 0.5 * (K + K.T)
+    lower = symmetric[np.tril_indices(6)]
+    every_lane = np.repeat(lower, LANES)
+    np.testing.assert_allclose(blocks, every_lane, atol=1e-12)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("k", range(6))
+def test_poses_are_displaced_along_a_twist_in_their_own_frames(k):
+    """By exp(way e_k), to first order."""
+    way = 1e-5
+    unit = np.zeros(6)
+    unit[k] = way
+    (a, b, c), v = unit[:3], unit[3:]
+    twist = np.zeros((4, 4))
+    twist[:3, :3] = [[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]]
+    twist[:3, 3] = v
+    turned = np.array([[0.0, -0.7, 0.4], [0.7, 0.0, 0.2], [-0.4, -0.2, 0.0]])
+    pose = np.eye(4)
+    pose[:3, :3] = expm(turned)
+    pose[:3, 3] = [0.1, -0.2, 0.3]
+    rows = np.tile([*pose[:3, :3].ravel(), *pose[:3, 3]], (LANES, 1))
+    field = node_field(rows)
+    displace(field, k, way)
+    expected = pose @ expm(twist)
+    expected_rows = np.tile([*expected[:3, :3].ravel(), *expected[:3, 3]], (LANES, 1))
+    np.testing.assert_allclose(field, node_field(expected_rows), atol=way**2)
