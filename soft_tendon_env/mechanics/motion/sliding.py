@@ -50,10 +50,10 @@ from soft_tendon_env.mechanics.terms.tendon_friction import PER_PACK
 MOST = 100  # Newton steps
 SMALL_TURN = 0.25  # of a logarithm, up to which its Padé approximant is right to 2e-13
 # of a logarithm, by which a place may change a tension and have no slope: in the first Newton
-# steps, and in later ones, which may go in circles without slopes
-SATURATED = 1e-3
-SATURATED_LATER = 1e-5
+# steps, in the next, and in the last, since without slopes they may go in circles
+SATURATED = (1e-3, 1e-5, 0.0)
 FIRST = 4  # Newton steps
+NEXT = 8
 SAME = 1e-7  # of the logarithm of a tension, by which directions may be off what slides
 
 
@@ -82,8 +82,7 @@ def slide_tendons(arm, command, balance, substep, scratch):
         keep_directions(arm, sliding)
     sliding.status[0] = UNSETTLED
     for repeat in range(MOST):
-        saturated = SATURATED if repeat < FIRST else SATURATED_LATER
-        sticks = fill_sliding(arm, balance, h, saturated, scratch)
+        sticks = fill_sliding(arm, balance, h, saturation(repeat), scratch)
         if sticks:
             if not solve_sticking(n, columns, sliding):
                 sliding.status[0] = NOT_POSITIVE
@@ -103,6 +102,16 @@ def slide_tendons(arm, command, balance, substep, scratch):
                 sliding.acceleration[a] = scratch.delta[a] / h
             find_turned(arm, balance.borders, sliding)
             return
+
+
+@kernel(inline=True)
+def saturation(repeat):
+    """Change of a logarithm of a tension up to which slopes are left out in a Newton step."""
+    if repeat < FIRST:
+        return SATURATED[0]
+    if repeat < NEXT:
+        return SATURATED[1]
+    return SATURATED[2]
 
 
 @kernel
