@@ -48,7 +48,8 @@ def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
         return
     for error, bar in BARS.get(task, {}).items():
         assert summary.errors[error].rms < bar
-    assert summary.metrics["chatter"] < 0.05
+    # the return weighs changes of the action against errors: a hundredth of the tensions is left
+    assert summary.metrics["chatter"] < 0.01 * summary.metrics["effort"]
     if task == "Reach":
         assert summary.reached == 1.0
 
