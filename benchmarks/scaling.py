@@ -375,7 +375,7 @@ def growth_table(rows: Sequence[tuple[str, ...]]) -> str:
         if cost == "env step":  # in the CSV file
             continue
         exponent = np.polyfit(np.log(sizes), np.log(microseconds), 1)[0]
-        ends = [f"{own[0]:g}–{own[-1]:g}" for own in (sizes, microseconds)]  # noqa: RUF001
+        ends = [f"{own[0]:g}–{own[-1]:g}" for own in (sizes, microseconds)]
         table.append((what, cost, *ends, f"{exponent:.2f}"))
     return markdown_table(("what grows", "cost", "sizes", "CPU [µs]", "exponent"), table)
 

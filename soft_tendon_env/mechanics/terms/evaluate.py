@@ -12,7 +12,11 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import (  # noqa: F401  (they register themselves)
+    explicit,
+    statics_based,
+    strain_under_loads,
+)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep, tip_pose_of, write_pose
