@@ -126,7 +126,11 @@ class Search(Configuration, ABC):
         """
 
     def first_values(self) -> dict[str, Any]:
-        """Returns values to try first, by name: those in use without a search; none by default."""
+        """Returns values to try first: those in use without a search.
+
+        Returns:
+            Values by name of the parameter; none by default.
+        """
         return {}
 
     def play(
@@ -212,7 +216,11 @@ class ControllerSearch(Search):
         return mean
 
     def first_values(self) -> dict[str, Any]:
-        """Returns the controller's values in use, of parameters whose range has them."""
+        """Returns the controller's values in use.
+
+        Returns:
+            Values by name, of parameters whose range has them.
+        """
         controller = self._controller({})
         known = {**controller.defaults, **controller.parameters}
         values = {}
