@@ -199,15 +199,18 @@ def test_what_the_model_has_wrong_walks_as_declared(estimator, moving):
 
 
 def test_what_is_there_walks_by_a_share_of_itself_too(estimator, moving):
-    """Of a load it is a share of the whole force, in every direction."""
+    """Of a load it is a share of the whole force, in every direction, up to the most."""
     belief, measured = moving
-    shares = WALKS._replace(offset_share=0.4, gain_share=0.5, load_share=0.6)
+    most = 0.04  # [N]
+    load_most = most / weight_of(estimator.model)
+    shares = WALKS._replace(offset_share=0.4, gain_share=0.5, load_share=0.6, load_most=load_most)
     layout = estimator.space.layout
     mean = belief.mean.copy()
     mean[layout.offset] = [0.0, -0.2, 0.3]
     mean[layout.gain] = [0.05, 0.0, -0.02]
     forces = np.zeros((estimator.space.places.size, 3))
     forces[0] = [0.03, 0.0, -0.04]  # 0.05 N in all
+    forces[1] = [0.0, 0.1, 0.0]
     mean[layout.load] = forces.ravel()
     there = belief._replace(mean=mean)
     even = prediction_of(another(estimator), there, measured).belief
@@ -215,6 +218,7 @@ def test_what_is_there_walks_by_a_share_of_itself_too(estimator, moving):
     growth = np.diag(grown.covariance - even.covariance) / PERIOD
     walked = np.zeros_like(forces)
     walked[0] = 0.6 * 0.05
+    walked[1] = most
     expected = np.zeros_like(mean)
     expected[layout.offset] = 0.4 * mean[layout.offset]
     expected[layout.gain] = 0.5 * mean[layout.gain]
