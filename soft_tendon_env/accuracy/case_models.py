@@ -29,8 +29,8 @@ class TrialInput(NamedTuple):
 
     reference: ReferenceMotion
     case: int  # of the loads
-    rows: int = 0  # of tensions through which the reference is certain; 0 of an equilibrium
-    share: float = 1.0  # of the tensions that motions usually have
+    rows: int = 0  # of commands through which the reference is certain; 0 of an equilibrium
+    share: float = 1.0  # of the commands that motions usually have
 
     @property
     def bound(self) -> float:
@@ -49,9 +49,9 @@ class TrialInput(NamedTuple):
         return distance(path, tips[:samples])
 
     @property
-    def tensions(self) -> Array:
-        """(rows, n_a) [N] of a motion, (n_a,) of an equilibrium."""
-        return self.reference.tensions
+    def commands(self) -> Array:
+        """Commands (rows, n_a) of a motion, or tensions (n_a,) [N] of an equilibrium."""
+        return self.reference.commands
 
 
 class CaseModels:
@@ -77,7 +77,7 @@ class CaseModels:
         None where it has none, or is farther from the reference than `hopeless` [m] at a time.
         """
         if test.reference.is_equilibrium:
-            return tip_path(self.model(test.case), test.tensions)
+            return tip_path(self.model(test.case), test.commands)
         path = self._begun(test, hopeless)
         is_whole = path is not None and len(path) == test.rows + 1
         if not is_whole:
@@ -112,8 +112,8 @@ class CaseModels:
 
         # piece by piece, so that a motion which strays ends early
         path: Array | None = None
-        tensions = test.tensions[: test.rows]
-        for piece in pieces(model, tensions, state):
+        commands = test.commands[: test.rows]
+        for piece in pieces(model, commands, state):
             path = continued(path, piece)
             expected = tips[: len(path)]
             if distance(path, expected) > hopeless:

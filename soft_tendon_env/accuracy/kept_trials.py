@@ -152,12 +152,15 @@ def code_digest() -> str:
 def trial_digest(scene: Scene, asked: Accuracy) -> str:
     """16 hex digits of all that a trial depends on besides loads.
 
-    They are of arm, limits, fields, what is asked for, and the code that simulates it.
+    They are of arm, limits, elastic tendons, fields, what is asked for, and the code that simulates
+    it.
     """
     apart = {"name", "description", "strain", "quadrature", "integrator", "effects"}
     fields = known_fields(scene)
+    elasticity = scene.effects.tendon_elasticity
     made_of: list[Any] = [
         scene.model_dump(mode="json", exclude=apart),
+        elasticity and elasticity.model_dump(mode="json"),
         bare_rod(scene),
         fields and fields.digest,
         asked,

@@ -23,16 +23,19 @@ ROUNDING = 1e-9
 
 
 def tried_effects(effects: Effects) -> Effects:
-    """Effects that a trial has: those that act on the arm everywhere, and friction of its tendons.
+    """Effects that a trial has: those that act on the arm everywhere, and those of its tendons.
 
     Obstacles and what lies between commands and tensions are left out. Friction lies along the
     tendons: what it takes bends coordinates that tensions alone leave at zero, and holds them bent
-    when tendons are let out.
+    when tendons are let out. Elastic tendons are springs beside the arm's own: it vibrates faster
+    with them, and a model errs more.
     """
     tried = dict(effects.everywhere().chosen())
     friction = effects.tendon_friction
     if friction is not None and friction.coefficient > 0.0:
         tried["tendon_friction"] = friction
+    if effects.tendon_elasticity is not None:
+        tried["tendon_elasticity"] = effects.tendon_elasticity
     return Effects(**tried)
 
 

@@ -39,7 +39,7 @@ STEPS = (5e-2, 1e-2, 2e-3)
 the levels that follow."""
 
 PIECE = 5
-"""Rows of tensions of a piece of a motion, after which it may end."""
+"""Rows of commands of a piece of a motion, after which it may end."""
 
 WORK_SHARES = (0.15, 0.35, 0.5)
 """Shares of a motion's most work that its levels may take; the last one holds for those that
@@ -92,8 +92,8 @@ def start_at_rest(model: Model) -> State | None:
         return None
 
 
-def trajectory(model: Model, tensions: Array, start: State | None = None) -> Trajectory | None:
-    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD.
+def trajectory(model: Model, commands: Array, start: State | None = None) -> Trajectory | None:
+    """Motion every HOLD from rest, slack, under commands (rows, n_a) each held for HOLD.
 
     None where there is no such motion or rest.
 
@@ -106,20 +106,20 @@ def trajectory(model: Model, tensions: Array, start: State | None = None) -> Tra
     if beginning is None:
         return None
     try:
-        duration = HOLD * len(tensions)
-        return simulate(model, tensions, duration, HOLD, beginning)
+        duration = HOLD * len(commands)
+        return simulate(model, commands, duration, HOLD, beginning)
     except (SimulationDiverged, StrainLimitError):
         return None
 
 
-def pieces(model: Model, tensions: Array, start: State | None) -> Iterator[Trajectory]:
+def pieces(model: Model, commands: Array, start: State | None) -> Iterator[Trajectory]:
     """Motion in pieces of PIECE rows each, to its end or to where there is none.
 
     start: where it begins; None: there is no such place, and no piece.
     """
     state = start
-    for begin in range(0, len(tensions), PIECE):
-        rows = tensions[begin : begin + PIECE]
+    for begin in range(0, len(commands), PIECE):
+        rows = commands[begin : begin + PIECE]
         if state is None:
             motion = None
         else:
@@ -139,17 +139,17 @@ def continued(tips: Array | None, piece: Trajectory) -> Array:
     return np.concatenate([tips, positions[1:]])
 
 
-def tip_path(model: Model, tensions: Array, start: State | None = None) -> Array | None:
+def tip_path(model: Model, commands: Array, start: State | None = None) -> Array | None:
     """Positions of the tip (rows + 1, 3) [m] in a `trajectory`, or (1, 3) at rest.
 
-    At rest tensions are (n_a,); None where there is none.
+    At rest they are tensions (n_a,) [N] in place of commands; None where there is none.
     """
-    if tensions.ndim == 1:
-        rest = static_equilibrium(model, tensions)
+    if commands.ndim == 1:
+        rest = static_equilibrium(model, commands)
         if not rest.converged:
             return None
         return rest.tip_pose[None, :3, 3]
-    motion = trajectory(model, tensions, start)
+    motion = trajectory(model, commands, start)
     if motion is None:
         return None
     return motion.tip_pose[:, :3, 3]
@@ -278,17 +278,17 @@ class ReferenceMotion:
     def __init__(
         self,
         ladder: Ladder,
-        tensions: Array,
+        commands: Array,
         most_work: float = np.inf,
         lost: float = np.inf,
     ) -> None:
-        """tensions: (rows, n_a) [N], each row held for HOLD, or (n_a,) of an equilibrium.
+        """commands: (rows, n_a), each row held for HOLD, or tensions (n_a,) [N] at rest.
 
         most_work: evaluations times coordinates squared, at which a motion ends. lost: distance [m]
         of levels, at which it does too.
         """
         self.ladder = ladder
-        self.tensions = tensions
+        self.commands = commands
         self.most_work = most_work
         self.lost = lost
         # (samples, 3) [m], the start first, to the end or as far as the motion is known; None: full
@@ -297,13 +297,13 @@ class ReferenceMotion:
         self.errors = np.full(1, np.inf)  # (samples,) [m], bounds of the tips' errors up to there
         self.depth = 0  # levels that were computed
         self._change: Array | None = None  # (samples,) [m] of the tips by the last level
-        self._rows = len(tensions)  # that the next level is computed for at most
+        self._rows = len(commands)  # that the next level is computed for at most
         self._q: Array | None = None  # at the last level, of an equilibrium
 
     @property
     def is_equilibrium(self) -> bool:
         """Whether it is one, and no motion."""
-        return self.tensions.ndim == 1
+        return self.commands.ndim == 1
 
     @property
     def is_whole(self) -> bool:
@@ -311,7 +311,7 @@ class ReferenceMotion:
         if self.is_equilibrium:
             samples = 1
         else:
-            samples = len(self.tensions) + 1
+            samples = len(self.commands) + 1
         return self.tips is not None and len(self.tips) == samples
 
     @property
@@ -322,7 +322,7 @@ class ReferenceMotion:
         return np.inf
 
     def rows_within(self, error: float) -> int:
-        """Rows of tensions through which the tips' error is at most so large [m]."""
+        """Rows of commands through which the tips' error is at most so large [m]."""
         is_known = self.errors <= error
         samples = int(np.count_nonzero(is_known))
         return max(samples - 1, 0)
@@ -337,7 +337,7 @@ class ReferenceMotion:
         if self.is_equilibrium:
             rows = REST_ROWS
         else:
-            rows = len(self.tensions)
+            rows = len(self.commands)
         rung = self.ladder.rung(depth)
         return rows * rung.model.coordinate_count**2.0
 
@@ -352,7 +352,7 @@ class ReferenceMotion:
 
     def _refine_rest(self, rung: Rung) -> None:
         before = self.tips
-        self._q = rung.rest(self.tensions, self._q)
+        self._q = rung.rest(self.commands, self._q)
         if self._q is None:
             self.tips = None
         else:
@@ -406,8 +406,8 @@ class ReferenceMotion:
         share = WORK_SHARES[min(self.depth, last_share)]
         work_left = share * self.most_work
         tips: Array | None = None
-        tensions = self.tensions[: self._rows]
-        for piece in pieces(rung.model, tensions, rung.start):
+        commands = self.commands[: self._rows]
+        for piece in pieces(rung.model, commands, rung.start):
             tips = continued(tips, piece)
             cost = rung.model.coordinate_count**2.0
             work_left -= piece.evaluations * cost
@@ -482,7 +482,7 @@ def reference_motions(
     that of the last to be refined.
     """
     ladder = Ladder(scene, tolerance)
-    motions = [ReferenceMotion(ladder, tensions) for tensions in inputs]
+    motions = [ReferenceMotion(ladder, commands) for commands in inputs]
     unsettled = list(motions)
     for depth in range(most):
         count = ladder.rung(depth).model.coordinate_count

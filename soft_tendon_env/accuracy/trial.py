@@ -4,11 +4,12 @@ The tip is within a share of its length of the converged reference.
 
 A trial is made once, in seconds, under loads up to a multiple of the scene's and within its tension
 limits. The arm is without obstacles, and without what lies between commands and tensions, but for
-the friction of tendons.
+the friction of tendons and their elasticity.
 """
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,11 @@ import numpy as np
 from soft_tendon_env.accuracy.candidates import known_fields, strain_tables
 from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.hardest_motions import HardestMotions
 from soft_tendon_env.accuracy.input_motions import (
     DURATION,
     HOLD,
     USUAL,
-    motion_tensions,
     slack_tensions,
     tension_limits,
 )
@@ -34,16 +35,16 @@ from soft_tendon_env.accuracy.reference import (
 )
 from soft_tendon_env.accuracy.settling import settle
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.statics import RedundancyWarning, static_equilibrium
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
 SEED = 500
-"""Seed of the motions and tensions of every trial."""
+"""Seed of the tensions of every trial, and the first one of its motions."""
 
 SECONDS = DURATION
-"""Duration [s] of the motions, one of each usual kind."""
+"""Duration [s] of the motions, the hardest of some draws of each usual kind."""
 
 MOST_WORK = 7e7
 """Work of the reference of a motion at most, in evaluations times coordinates squared: 3 to 7 s of
@@ -124,6 +125,7 @@ class Trial:
         self.unit = share * rod_length(scene)
         self.reach = reach
         self.cases = load_cases(scene, reach, SEED)
+        self._motions = HardestMotions(self.scene)
         if progress is None:
             self._progress = Progress(scene.name)
         else:
@@ -151,7 +153,7 @@ class Trial:
         above = shares * (high - low)
         drawn = low + above
         rests = [slack_tensions(self.scene), *drawn]
-        motions = [motion_tensions(self.scene, kind, SEED, SECONDS) for kind in USUAL]
+        motions = [self._motions.hardest(kind, SEED, SECONDS) for kind in USUAL]
 
         ladders = []
         for effects in self.cases:
@@ -164,15 +166,15 @@ class Trial:
             turns = TURNS
         inputs = []
         for group in (rests, motions):
-            for place, tensions in enumerate(group):
+            for place, commands in enumerate(group):
                 case = turns[place % len(turns)]
-                motion = self._reference(ladders[case], tensions)
+                motion = self._reference(ladders[case], commands)
                 inputs.append(TrialInput(motion, case))
         return inputs
 
-    def _reference(self, ladder: Ladder, tensions: Array) -> ReferenceMotion:
+    def _reference(self, ladder: Ladder, commands: Array) -> ReferenceMotion:
         doubt = UNSURE * self.unit
-        return ReferenceMotion(ladder, tensions, MOST_WORK, doubt)
+        return ReferenceMotion(ladder, commands, MOST_WORK, doubt)
 
     def _compute(self, everything: list[TrialInput]) -> None:
         """Computes the reference to where it can judge.
@@ -212,7 +214,7 @@ class Trial:
         for _ in range(MOST_SMALLER):
             if test.reference.is_equilibrium or self._is_certain(test.reference):
                 break
-            test = self._with_smaller_tensions(test)
+            test = self._with_smaller_commands(test)
         reference = test.reference
         doubt = UNSURE * self.unit
         is_unsure = reference.error > doubt
@@ -227,7 +229,7 @@ class Trial:
             self.tests.append(test._replace(rows=certain_rows))
 
     def _certain_rows(self, reference: ReferenceMotion) -> int:
-        """Rows of tensions through which a reference can be judged by."""
+        """Rows of commands through which a reference can be judged by."""
         if reference.is_equilibrium:
             return 0
         return reference.rows_within(CERTAIN * self.unit)
@@ -237,12 +239,12 @@ class Trial:
         seconds = HOLD * self._certain_rows(reference)
         return seconds >= min(LEAST_SECONDS, SECONDS)
 
-    def _with_smaller_tensions(self, test: TrialInput) -> TrialInput:
-        """The test of a motion with tensions that are nearer to those of the slack arm."""
-        slack = slack_tensions(self.scene)
-        pull = test.tensions - slack
-        tensions = slack + SMALLER * pull
-        smaller = self._reference(test.reference.ladder, tensions)
+    def _with_smaller_commands(self, test: TrialInput) -> TrialInput:
+        """The test of a motion with commands that are nearer to those of the slack arm."""
+        slack = self._motions.slack
+        pull = test.commands - slack
+        commands = slack + SMALLER * pull
+        smaller = self._reference(test.reference.ladder, commands)
         for _ in range(MOST_LEVELS):
             if self._can_judge(smaller):
                 break
@@ -358,7 +360,7 @@ class Trial:
         times = [DURATION]
         for test in self.tests:
             is_motion = not test.reference.is_equilibrium
-            if is_motion and test.rows < len(test.tensions):
+            if is_motion and test.rows < len(test.commands):
                 times.append(HOLD * test.rows)
         return min(times)
 
@@ -380,12 +382,12 @@ class Trial:
         theirs = CaseModels(self.cases, second_model)
         for test in tests[::EVERY]:
             model = ours.model(test.case)
-            rest = static_equilibrium(model, test.tensions)
+            rest = static_equilibrium(model, test.commands)
             if not rest.converged:
                 continue
             # the coordinates are the same: Newton's method is there in a step or two
             denser = theirs.model(test.case)
-            other = static_equilibrium(denser, test.tensions, rest.q)
+            other = static_equilibrium(denser, test.commands, rest.q)
             moved = other.tip_pose - rest.tip_pose
             offset = moved[:3, 3]
             apart = float(np.linalg.norm(offset))
@@ -420,7 +422,9 @@ def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
     unique motion, or where nothing is within what is asked for under them. least: number of
     coordinates that it has at least.
     """
-    with Progress(scene.name) as progress:
+    with Progress(scene.name) as progress, warnings.catch_warnings():
+        # of models that are tried, which nobody asked for
+        warnings.simplefilter("ignore", RedundancyWarning)
         for reach in reaches(scene):
             trial = Trial(scene, asked.share, reach, progress)
             is_last = reach == 1.0

@@ -119,7 +119,7 @@ def cells_of(record: dict[str, Any]) -> list[str]:
 def cpu_time(model: Model, trial: Trial) -> float:
     """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser
     of two over all motions."""
-    motions = [test.tensions for test in trial.tests if not test.reference.is_equilibrium]
+    motions = [test.commands for test in trial.tests if not test.reference.is_equilibrium]
     if not motions:
         return np.nan
     times = list[float]()

@@ -5,6 +5,7 @@ import itertools
 import json
 import re
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from soft_tendon_env.accuracy.candidates import bare_rod, strain_tables
 from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
 from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
+from soft_tendon_env.accuracy.hardest_motions import HardestMotions
 from soft_tendon_env.accuracy.input_motions import (
     HOLD,
     USUAL,
@@ -46,6 +48,7 @@ from soft_tendon_env.accuracy.trial import OWN, Trial
 from soft_tendon_env.compiler.kept_code import cache_folder
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.statics import RedundancyWarning
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -78,6 +81,7 @@ MOMENTS = {
 }
 STANDS = {"effects.gravity.acceleration": [-9.81, 0.0, 0.0]}
 """Own weight upon the arm; from a Young's modulus of 1.45 MPa on it stands."""
+SPRINGS = {"stiffness": 700.0, "displacement_limits": [0.0, 0.02]}
 TWO = {"segments.0.length": 0.25, "tendons.0.end": 0.11, "segments.0.curvature": [0.0, 4.0, 2.0]}
 
 
@@ -273,7 +277,7 @@ def test_a_trial_has_loads_up_to_its_range(monkeypatch):
     assert {test.case for test in trial.tests if not test.reference.is_equilibrium} == {0, 1}
     for test in trial.tests[:4]:
         loaded = build_model(trial.scene.replace({"effects": trial.cases[test.case]}))
-        exact = reference_motions(loaded.scene, [test.tensions], 1e-2 * trial.unit).tips[0]
+        exact = reference_motions(loaded.scene, [test.commands], 1e-2 * trial.unit).tips[0]
         assert distance(test.reference.tips, exact) <= test.reference.error
     assert reaches(ARM) == (REACH, 1.0)
     assert reaches(SHIPPED) == (1.0,)
@@ -519,6 +523,7 @@ def test_tables_have_the_least_number_of_coordinates_that_is_asked_for():
         ),
         ({"segments.0.density": 1100.0}, False),
         ({"tendons.0.tension_limits": [0.0, 1.0]}, False),
+        ({"effects.tendon_elasticity": SPRINGS}, False),
         ({"effects.gravity.acceleration": [0.0, 0.0, 9.81]}, True),
         ({"strain": {"type": "statics_based", "strains": ["bend_y", "bend_z"]}}, False),
     ],
@@ -614,7 +619,7 @@ def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
     def refined(motions, label, done):
         for place, motion in enumerate(motions):
             refine(motion)
-            motion.tips = tip_path(model, motion.tensions)
+            motion.tips = tip_path(model, motion.commands)
             motion.errors = np.full(1, error)
             done(place, None)
 
@@ -637,7 +642,7 @@ def test_a_reference_is_refined_only_where_a_decision_depends_on_it(monkeypatch)
     (test, *_) = trial.tests
     tips = test.reference.tips
     for away, depth in ((0.1, 2), (3.0, 2), (0.9, 3)):
-        reference = ReferenceMotion(test.reference.ladder, test.tensions)
+        reference = ReferenceMotion(test.reference.ladder, test.commands)
         reference.refine()
         reference.refine()
         reference.errors = np.full(1, 0.4 * enough)
@@ -726,10 +731,10 @@ def test_a_motion_that_is_not_certain_is_tried_with_smaller_tensions(monkeypatch
     monkeypatch.setattr(module, "SECONDS", 0.2)
     monkeypatch.setattr(module, "RESTS", 0)
     certain = Trial._certain_rows
-    usual = motion_tensions(LIVELY, "redrawn", module.SEED, 0.2)
+    usual = HardestMotions(LIVELY).hardest("redrawn", module.SEED, 0.2)
 
     def rows(trial, reference):
-        is_large = not reference.is_equilibrium and reference.tensions.max() > 0.3 * usual.max()
+        is_large = not reference.is_equilibrium and reference.commands.max() > 0.3 * usual.max()
         return 0 if is_large else certain(trial, reference)
 
     monkeypatch.setattr(Trial, "_certain_rows", rows)
@@ -737,15 +742,19 @@ def test_a_motion_that_is_not_certain_is_tried_with_smaller_tensions(monkeypatch
     assert trial.left_out == 0
     assert trial.share == 0.25
     (motion,) = [test for test in trial.tests if not test.reference.is_equilibrium]
-    np.testing.assert_allclose(motion.tensions, 0.25 * usual)
+    np.testing.assert_allclose(motion.commands, 0.25 * usual)
 
 
-def test_trials_have_the_friction_of_tendons_and_nothing_else_of_actuation():
+def test_trials_have_what_tendons_do_and_nothing_else_of_actuation():
     friction = {"coefficient": 0.3, "stiction_speed": 1e-5}
     springs = {"stiffness": 5e3, "displacement_limits": [-0.1, 0.1], "strength": 10.0}
-    changes = {"effects.tendon_friction": friction, "effects.tendon_elasticity": springs}
+    changes = {
+        "effects.tendon_friction": friction,
+        "effects.tendon_elasticity": springs,
+        "effects.actuators": {"time_constant": 0.05},
+    }
     effects = SHIPPED.replace(changes).effects
-    assert [*tried_effects(effects).chosen()] == ["tendon_friction"]
+    assert {*tried_effects(effects).chosen()} == {"tendon_elasticity", "tendon_friction"}
     assert covers(tried_effects(effects), effects)
     other = SHIPPED.replace({"effects.tendon_friction": {**friction, "coefficient": 0.4}}).effects
     assert not covers(tried_effects(effects), other)
@@ -767,6 +776,22 @@ def test_errors_of_shipped_fields_hold_for_light_friction(monkeypatch, coefficie
     monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", choose)
     rubbing = SHIPPED.replace({"effects.tendon_friction.coefficient": coefficient})
     at_fidelity(rubbing, "fast")
+    assert bool(tried) == is_tried
+
+
+@pytest.mark.parametrize(("stretch", "is_tried"), [(0.0005, False), (0.009, False), (0.04, True)])
+def test_errors_of_shipped_fields_hold_for_stiff_tendons(monkeypatch, stretch, is_tried):
+    """Those that their greatest tension stretches by little of the arm's length."""
+    tried = []
+
+    def choose(scene, asked, least=0):
+        tried.append(scene)
+        return Choice({"type": "statics_based"}, {"least": 6}, {}, 3, 1e-4)
+
+    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", choose)
+    stiffness = tension_limits(SHIPPED)[1].max() / (stretch * rod_length(SHIPPED))
+    springs = {"stiffness": stiffness, "displacement_limits": [0.0, 0.1]}
+    at_fidelity(SHIPPED.replace({"effects.tendon_elasticity": springs}), "fast")
     assert bool(tried) == is_tried
 
 
@@ -826,6 +851,54 @@ def test_a_lightly_damped_arm_keeps_what_it_promises():
     assert counts == sorted(counts)
 
 
+@pytest.mark.slow
+def test_presets_keep_their_promise_with_elastic_tendons():
+    """That pull as displacements, which the trial had not, go over a third of their range."""
+    elastic = LIVELY.replace(
+        {"segments.0.damping": 2e3, "effects.tendon_elasticity": SPRINGS | {"stiffness": 1200.0}}
+    )
+    inputs = [motion_tensions(elastic, kind, 73, 2.0) / 1200.0 for kind in USUAL]
+    exact = reference_motions(elastic, inputs, 5e-5 * rod_length(elastic), most=4).tips
+    for preset in ("fast", "standard"):
+        choice = module.search(elastic, PRESETS[preset])
+        assert choice.speaks_of_all
+        model = build_model(choice.applied_to(elastic))
+        for commands, tips in zip(inputs, exact, strict=True):
+            away = distance(tip_path(model, commands), tips)
+            assert away <= PRESETS[preset].share * rod_length(elastic), preset
+
+
+def test_motions_of_elastic_tendons_are_displacements(monkeypatch):
+    """Within limits; rests are under tensions, as those of other tendons."""
+    monkeypatch.setattr(module, "SECONDS", 0.1)
+    monkeypatch.setattr(module, "RESTS", 2)
+    trial = Trial(ARM.replace({"effects.tendon_elasticity": SPRINGS}), 1e-2)
+    without = Trial(ARM, 1e-2)
+    assert len(trial.tests) == len(without.tests) == 6
+    for test, other in zip(trial.tests, without.tests, strict=True):
+        if test.reference.is_equilibrium:
+            np.testing.assert_array_equal(test.commands, other.commands)
+        else:
+            assert test.commands.max() <= 0.02
+            assert test.commands.max() > 0.1 * tension_limits(ARM)[1].max() / 700.0
+
+
+def test_models_that_are_tried_warn_of_nothing(monkeypatch):
+    """Nobody asked for them: redundant tendons of one that is chosen are told when it is used."""
+
+    def best(trial, asked, progress, least):
+        warnings.warn("a model that is tried", RedundancyWarning, stacklevel=2)
+        return chosen_under({})
+
+    monkeypatch.setattr(module, "Trial", lambda *_: SimpleNamespace(left_out=0))
+    monkeypatch.setattr(module, "best_choice", best)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        module.search(SHIPPED, PRESETS["fast"])
+    with pytest.warns(RedundancyWarning):
+        best(None, None, None, 0)
+
+
 def test_a_motion_ends_where_it_is_too_far(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.4)
     trial = Trial(ARM, 1e-2)
@@ -833,7 +906,7 @@ def test_a_motion_ends_where_it_is_too_far(monkeypatch):
     models = CaseModels(trial.cases, model)
     (test, *_) = [test for test in trial.tests if not test.reference.is_equilibrium]
     path = models.path(test)
-    np.testing.assert_array_equal(path, tip_path(model, test.tensions))
+    np.testing.assert_array_equal(path, tip_path(model, test.commands))
     away = distance(path, test.reference.tips)
     assert models.path(test, 1.001 * away) is not None
     assert models.path(test, 0.999 * away) is None
