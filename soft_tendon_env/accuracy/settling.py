@@ -57,13 +57,19 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     angular = [strain for strain in ANGULAR if strain in free]
     moments = {"strains": angular or free, "order": FEW, "span": "rod"}
     choice = choice.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
+    choice = settled_steps(trial, choice)
+    count = coordinate_count(choice.applied_to(scene))
+    return choice._replace(coordinates=count)
+
+
+def settled_steps(trial: Trial, choice: Choice) -> Choice:
+    """The choice with time steps so fine that finer ones hardly move the tip."""
     for _ in range(MOST_TIGHTENED):
         finer = choice.with_finer_steps(FINER_STEPS)
         if trial.agree_in_motion(choice, finer):
             break
         choice = choice.with_finer_steps(TIGHTER)
-    count = coordinate_count(choice.applied_to(scene))
-    return choice._replace(coordinates=count)
+    return choice
 
 
 def settled_quadrature(trial: Trial, asked: Accuracy) -> Choice:

@@ -33,7 +33,7 @@ from soft_tendon_env.accuracy.reference import (
     distance,
     refine_once,
 )
-from soft_tendon_env.accuracy.settling import settle
+from soft_tendon_env.accuracy.settling import settle, settled_steps
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.statics import RedundancyWarning, static_equilibrium
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -106,6 +106,10 @@ SETTLED = 0.15
 
 EVERY = 3
 """One of so many inputs is looked at when steps and quadrature are settled."""
+
+RESETTLED = 2
+"""Factor of coordinates after which steps are settled anew: a model with more of them vibrates
+faster, and the same steps are less accurate. More coordinates yet would not help."""
 
 RICHEST = 3
 """Candidates with the most coordinates, of which the best is taken where none is near enough."""
@@ -456,10 +460,19 @@ def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -
         return settled
     tables = []
     fields = known_fields(trial.scene)
+    coordinates = settled.coordinates  # that steps were settled with
     for table in strain_tables(trial.scene, fields, least):
         tables.append(table)
         choice = judged(trial, settled, table, is_bounded=True)
         progress.candidate()
+        if choice is None:
+            continue
+        if not np.isfinite(choice.error) and choice.coordinates >= RESETTLED * coordinates:
+            coordinates = choice.coordinates
+            finer = settled_steps(trial, choice)
+            if finer.integrator != choice.integrator:
+                settled = settled._replace(integrator=finer.integrator)
+                choice = judged(trial, settled, table, is_bounded=True)
         if choice is not None and np.isfinite(choice.error):
             return choice
 

@@ -395,6 +395,33 @@ def test_what_an_input_ruled_out_is_judged_again_without_it(monkeypatch, is_drop
     assert choice.not_unique == is_dropped
 
 
+@pytest.mark.parametrize(("needed", "judgements"), [(1.0, 2), (0.2, 4), (0.0, 7)])
+def test_steps_are_settled_anew_where_coordinates_have_doubled(monkeypatch, needed, judgements):
+    """If none of those before was near enough: more coordinates would not help."""
+    judged = []
+
+    def judge(trial, settled, table, is_bounded):
+        tolerance = settled.integrator["tolerance"]
+        if is_bounded:
+            judged.append((table["coordinates"], tolerance))
+        is_near = table["coordinates"] > 5 and tolerance <= needed
+        error = 0.001 if is_near or not is_bounded else np.inf
+        return settled._replace(coordinates=table["coordinates"], error=error)
+
+    few = chosen_under({}, 4)._replace(integrator={"tolerance": 1.0})
+    monkeypatch.setattr(module, "settle", lambda trial, asked: few)
+    monkeypatch.setattr(module, "settled_steps", lambda trial, choice: choice.with_finer_steps(5.0))
+    tables = [{"coordinates": count} for count in (3, 7, 8, 10, 16)]
+    monkeypatch.setattr(module, "strain_tables", lambda *_: iter(tables))
+    monkeypatch.setattr(module, "judged", judge)
+    progress = SimpleNamespace(candidate=lambda: None)
+    trial = SimpleNamespace(tests=[1], scene=ARM)
+    choice = module._first_near(trial, PRESETS["fast"], progress, 0)
+    every = [(3, 1.0), (7, 1.0), (8, 1.0), (8, 0.2), (10, 0.2), (16, 0.2), (16, 0.04)]
+    np.testing.assert_allclose(judged, every[:judgements])
+    assert np.isfinite(choice.error)
+
+
 @pytest.mark.parametrize(
     ("left_out", "tried"),
     [
