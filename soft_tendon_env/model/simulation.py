@@ -108,7 +108,8 @@ class StepReport(NamedTuple):
     steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
     # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod:
-    # that of the tip is two to three times as large
+    # that of the tip is two to three times as large; where damping is light they grow in what
+    # follows
     error: float
     evaluations: int  # of the equation of motion, those of rejected steps with them
 
