@@ -139,7 +139,7 @@ class ExtendedKalmanFilter:
             q=q,
             q_dot=q_dot,
             tip_pose=moved_pose(belief.locality.terms.tip_pose, mean[layout.tip]),
-            input_error=self.space.input_error(mean, belief.locality),
+            input_error=self.space.input_error(mean),
             force_error=self.space.force_error(mean, belief.locality),
             timing=self.space.timing(mean) if None in self.known else None,
             timing_spread=_timing_spread(belief.bank),
