@@ -58,7 +58,7 @@ class Uncertainty(NamedTuple):
     sliding: float = 0.25
     latency: float = 5e-4  # [s]
     lag: float = 5e-4  # [s]
-    lag_share: float = 0.3  # probability that the actuators lag
+    lag_probability: float = 0.3  # probability that the actuators lag
     # coordinates, in units of `coordinate_scale`; their rates ten times that
     state_start: float = 1e-2
 
