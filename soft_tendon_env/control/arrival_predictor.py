@@ -87,6 +87,7 @@ class ArrivalPredictor:
             reference=now.reference._replace(ahead=now.reference.ahead - latency),
             time=time,
             actuators=actuators,
+            lead=latency,
         )
 
     def _acting(

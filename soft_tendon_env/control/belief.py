@@ -9,7 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.command_filter import Timing
-from soft_tendon_env.control.force_errors import ArmGeometry, ForceError, holding_matrix
+from soft_tendon_env.control.force_errors import (
+    ArmGeometry,
+    ForceError,
+    TendonFriction,
+    holding_matrix,
+)
 from soft_tendon_env.control.innovations import Layout, layout_of
 from soft_tendon_env.control.protocol import InputError
 from soft_tendon_env.control.rigid_motions import skew
@@ -20,10 +25,8 @@ from soft_tendon_env.tools.types import Array
 
 GRAVITY = 9.81
 """[m/s^2], by which the mass of the arm makes the unit of loads."""
-LEAST_KEPT = 0.2
-"""Least share of a tension that friction leaves, whatever coefficient is estimated."""
-SLIDING_SPEED = 5e-3
-"""Speed of a tendon at its base [m/s], above which its friction is whole in the filter."""
+GREATEST_LOSS = 0.8
+"""Greatest share of a tension that friction takes, whatever coefficient is estimated."""
 
 
 class Locality(NamedTuple):
@@ -32,7 +35,7 @@ class Locality(NamedTuple):
     terms: Terms
     load_jacobian: Array  # J^T (n, 3 places)
     holding: Array  # (n_a, n) tensions nearest to a force, see force_errors.holding_matrix
-    loss: Array  # (n_a,) shares of tensions that a coefficient of friction of 1 takes
+    loss: Array  # (n_a,) shares of tensions that a coefficient of friction of 1 takes by sliding
 
 
 class Belief(NamedTuple):
@@ -89,31 +92,28 @@ class StateSpace:
         bent = self._geometry.at(q)
         # by the capstan equation a tendon loses this share up to its end, half of it on average
         turn = np.hypot(self._turn, bent.bending)
-        sliding = np.tanh(terms.actuation.T @ q_dot / SLIDING_SPEED)
         return Locality(
             terms=terms,
             load_jacobian=bent.load_jacobian,
             holding=holding_matrix(terms),
-            loss=0.5 * turn * sliding,
+            loss=0.5 * turn,
         )
 
-    def input_error(self, mean: Array, locality: Locality) -> InputError:
-        """Errors of tensions in a state (m,): their gains less what friction takes, and offsets."""
-        layout = self.layout
-        gain = (1.0 + mean[layout.gain]) * self.kept(mean, locality)
-        return InputError(gain, mean[layout.offset])
+    def input_error(self, mean: Array) -> InputError:
+        """Errors of tensions in a state (m,): their gains and offsets."""
+        return InputError(1.0 + mean[self.layout.gain], mean[self.layout.offset])
 
-    def kept(self, mean: Array, locality: Locality) -> Array:
-        """Shares (n_a,) of the tensions that friction leaves in a state (m,)."""
-        left = 1.0 - mean[self.layout.friction] * locality.loss
-        return np.asarray(np.maximum(left, LEAST_KEPT))
+    def friction(self, mean: Array, locality: Locality) -> TendonFriction:
+        """Friction of the tendons in a state (m,)."""
+        loss = np.minimum(mean[self.layout.friction] * locality.loss, GREATEST_LOSS)
+        return TendonFriction(loss, locality.terms.actuation)
 
     def force_error(self, mean: Array, locality: Locality) -> ForceError:
         """Force that the model lacks in a state (m,): of loads, and of errors of its numbers.
 
         Q = J^T f - s K - d D q_dot - m J_t^T (J_t q_ddot + b), with the loads f, the errors s and d
         of the factors of stiffness and damping, and a payload m at the tip, whose acceleration at
-        constant rates is b.
+        constant rates is b. Friction of the tendons comes besides.
         """
         layout = self.layout
         terms = locality.terms
@@ -129,6 +129,7 @@ class StateSpace:
             damping=mean[layout.damping] * terms.damping,
             inertia=mean[layout.payload] * (tip.T @ tip),
             held=locality.holding @ at_rest,
+            friction=self.friction(mean, locality),
         )
 
 

@@ -102,6 +102,7 @@ class BeliefPrediction:
         self._keep[space.layout.offset] = offset_kept
         self._keep[space.layout.gain] = gain_kept
         self._white_tension = uncertainty.tension * space.tension
+        self._sliding = uncertainty.sliding
         self._force_unit = space.model.bending_energy / space.scale
         self._white_force = uncertainty.force
         self._inertial = uncertainty.inertial
@@ -129,10 +130,11 @@ class BeliefPrediction:
         if motion is None:
             return None
         moving = slice(layout.v.stop)
-        gain = self.space.input_error(point, last.locality).gain
+        gain = self.space.input_error(point).gain
         by_tension = motion.by_tension.sum(axis=0)
         transition = self._transition(about, motion, acting)
-        white_tension = self._white_tension
+        taken = self.space.friction(point, last.locality).loss * np.abs(acting.steps).mean(axis=0)
+        white_tension = np.hypot(self._white_tension, self._sliding * taken)
         bank = last.bank
         if acting.hypotheses is not None and bank is not None:
             # what lies between two hypotheses
@@ -208,7 +210,7 @@ class BeliefPrediction:
         """Motion over the last period; None where the model has none."""
         q, q_dot = self.space.coordinates(last.mean)
         error = self.space.force_error(last.mean, last.locality)
-        input_error = self.space.input_error(last.mean, last.locality)
+        input_error = self.space.input_error(last.mean)
         tension = input_error.gain * acting.steps + input_error.offset
         start = measured.time - self.period
         try:
@@ -236,20 +238,22 @@ class BeliefPrediction:
         layout = self.space.layout
         terms = last.locality.terms
         tip = terms.tip_jacobian[3:]
-        own_gain = 1.0 + last.mean[layout.gain]
-        kept = self.space.kept(last.mean, last.locality)
-        gain = own_gain * kept
+        input_error = self.space.input_error(last.mean)
+        friction = self.space.friction(last.mean, last.locality)
         _, last_q_dot = self.space.coordinates(last.mean)
         # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
         q_dot = np.diff(motion.q, axis=0) / self._step
         q_ddot = np.diff(motion.q_dot, axis=0) / self._step
         acceleration = tip_acceleration(terms, last_q_dot, q_ddot)
-        # generalised forces (S, n) by factors and mass
+        tension = np.maximum(input_error.gain * acting.steps + input_error.offset, 0.0)
+        taken = last.locality.loss * friction.sliding(q_dot) * tension  # (S, n_a) by a coefficient
+        # generalised forces (S, n) by factors, mass and coefficient
         forces = {
             layout.stiffness.start: -q @ terms.stiffness,
             layout.damping.start: -q_dot @ terms.damping,
             layout.payload.start: -acceleration @ tip,
+            layout.friction.start: -taken @ friction.pull.T,
         }
         by_tension = motion.by_tension.sum(axis=0)
         by_force = motion.by_force.sum(axis=0)
@@ -257,16 +261,15 @@ class BeliefPrediction:
         moving = slice(layout.v.stop)
         transition[moving, moving] = motion.by_state
         transition[moving, layout.offset] = by_tension
-        by_share = np.einsum("sit,st->it", motion.by_tension, acting.steps)
-        transition[moving, layout.gain] = by_share * kept
-        transition[moving, layout.friction.start] = -by_share @ (own_gain * last.locality.loss)
+        by_gain = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        transition[moving, layout.gain] = by_gain
         transition[moving, layout.load] = by_force @ last.locality.load_jacobian
         for column, force in forces.items():
             transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)
         if last.bank is None:
             timing = slice(layout.latency.start, layout.lag.stop)
             transition[moving, timing] = np.einsum(
-                "sit,pst->ip", motion.by_tension, gain * acting.slopes
+                "sit,pst->ip", motion.by_tension, input_error.gain * acting.slopes
             )
         return transition * self._keep[:, None]
 

@@ -1,9 +1,11 @@
 """Generalised forces that a model lacks, and motions that are corrected for them.
 
-They are loads in the world frame at places along the arm, and errors of stiffness, damping and tip
-mass:
+They are loads in the world frame at places along the arm, errors of stiffness, damping and tip
+mass, and friction of the tendons:
 
-    Q = Q_0 - S q - D v - M v_dot
+    Q = Q_0 - S q - D v - M v_dot - B (c * B^T v)
+
+Friction is a damping of the tendons, whose coefficients c fall with their rates as Coulomb's do.
 
 Rollouts of the model have the derivatives by generalised forces, so that Q costs no simulation of
 its own.
@@ -24,16 +26,48 @@ PLACES = (0.25, 0.5, 0.75, 1.0)
 """Places of the loads, as shares of the rod's length: gravity, payloads and pushes together."""
 POINTS = 2
 """Gauss points of an interval of the model's grid, where its strains are."""
+SLIDING_SPEED = 5e-3
+"""Rate of a tendon at its base [m/s], above which its friction is whole."""
+FRICTION_PASSES = 3
+"""Corrections by friction: coefficients for one motion tell the next (secants; it converges)."""
+LEAST_RATE = 1e-9
+"""Rate of a tendon [m/s] below which it does not slide."""
+
+
+class TendonFriction(NamedTuple):
+    """Friction of tendons, with one direction of sliding for all of a tendon.
+
+    A tendon that shortens at the rate r pulls with the share 1 - loss tanh(r / speed) of its
+    tension. As a damping of r this holds for both senses, and for tendons that stick.
+    """
+
+    loss: Array  # (n_a,) shares of tensions that friction takes from tendons that slide
+    pull: Array  # B (n, n_a), by which tendons shorten at the rates B^T q_dot
+
+    def sliding(self, q_dot: Array, speed: float = SLIDING_SPEED) -> Array:
+        """Directions (..., n_a) in which tendons slide at rates (..., n), from -1 to 1.
+
+        They are whole at tendon rates far above a speed [m/s].
+        """
+        return np.asarray(np.tanh(q_dot @ self.pull / speed))
+
+    def damping(self, tension: Array, q_dot: Array, speed: float) -> Array:
+        """Damping matrices (N, n, n) under tensions (N, n_a) [N] at rates (N, n) or (n,)."""
+        rate = np.maximum(np.abs(q_dot @ self.pull), LEAST_RATE)
+        taken = self.loss * np.maximum(tension, 0.0)
+        coefficient = taken * np.tanh(rate / speed) / rate
+        return np.asarray((self.pull * coefficient[:, None]) @ self.pull.T)
 
 
 class ForceError(NamedTuple):
-    """Force that a model lacks, linear in the motion: Q = constant - S q - D v - M v_dot."""
+    """Force that a model lacks: Q = constant - S q - D v - M v_dot, less friction."""
 
     constant: Array  # (n,)
     stiffness: Array  # S (n, n)
     damping: Array  # D (n, n)
     inertia: Array  # M (n, n)
     held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see holding_matrix
+    friction: TendonFriction | None = None  # None: tendons slide freely
 
 
 class BentArm(NamedTuple):
@@ -109,7 +143,11 @@ def holding_matrix(terms: Terms) -> Array:
 
 
 def corrected_rollout(
-    simulation: Simulation, tension: Array, duration: float, error: ForceError | None
+    simulation: Simulation,
+    tension: Array,
+    duration: float,
+    error: ForceError | None,
+    sliding_speed: float = SLIDING_SPEED,
 ) -> Rollout:
     """Rollout of a simulation under tensions and a force that its model lacks.
 
@@ -121,6 +159,7 @@ def corrected_rollout(
         tension: (N, n_a) [N] of periods.
         duration: of a period [s].
         error: None: the model lacks nothing, and has no derivatives by forces.
+        sliding_speed: rate of tendons [m/s] above which friction is whole.
 
     Returns:
         The motion and its derivatives.
@@ -133,11 +172,23 @@ def corrected_rollout(
             return simulation.rollout(tension, duration)
         every_force = np.eye(error.constant.size)
         rollout = simulation.rollout(tension + error.held, duration, forces=every_force)
-    return _corrected(rollout, error, duration)
+    friction = error.friction
+    if friction is None or not friction.loss.any():
+        return _corrected(rollout, error, duration)
+    # by the rates of each motion, first of that without friction
+    corrected = rollout
+    for _ in range(FRICTION_PASSES):
+        q_dot = np.diff(corrected.q, axis=0) / duration
+        damping = friction.damping(tension, q_dot, sliding_speed)
+        rubbing = error._replace(damping=error.damping + damping)
+        corrected = _corrected(rollout, rubbing, duration)
+    return corrected
 
 
 def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
-    """Rollout of a model, corrected for a force that it lacks.
+    """Rollout of a model, corrected for a force that it lacks, friction apart.
+
+    The damping may be that of every period, (N, n, n).
 
     Over a period the force is held at Q = c - E_0 x - E_1 x+, of the mean coordinates, rates and
     accelerations, and x+ = x_m(x) + B Q with the model's x_m is solved for x+:
@@ -145,9 +196,13 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
         x+ = x_m + G (c - E_0 x - E_1 x_m),    G = B (1 + E_1 B)^-1
     """
     n = rollout.q.shape[1]
-    mean = np.hstack([error.stiffness, np.zeros_like(error.damping)]) / 2.0
+    every = rollout.by_force.shape[0], n, n
+    stiffness, damping, inertia = (
+        np.broadcast_to(part, every) for part in (error.stiffness, error.damping, error.inertia)
+    )
+    mean = np.concatenate([stiffness, np.zeros(every)], axis=2) / 2.0
     # within a period rates may rise and fall: their mean is the change of the coordinates
-    change = np.hstack([error.damping, error.inertia]) / period
+    change = np.concatenate([damping, inertia], axis=2) / period
     by_start = mean - change
     by_end = mean + change
     motion = np.hstack([rollout.q, rollout.q_dot])
@@ -157,7 +212,7 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     for k, by_remainder in enumerate(by_force):
         start = motion[k] + moved[k]
         unforced = rollout.by_state[k] @ moved[k] - rollout.by_tension[k] @ error.held
-        force = error.constant - by_start @ start - by_end @ (motion[k + 1] + unforced)
+        force = error.constant - by_start[k] @ start - by_end[k] @ (motion[k + 1] + unforced)
         moved[k + 1] = unforced + by_remainder @ force
     tip_pose = rollout.tip_pose.copy()
     for k in range(1, len(tip_pose)):

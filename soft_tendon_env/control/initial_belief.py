@@ -45,7 +45,7 @@ class InitialBelief:
         self._tension = tension
         self._known = Timing(setting.latency, setting.lag)
         self._greatest = greatest
-        self._lag_share = start.lag_share
+        self._lag_probability = start.lag_probability
         self.rest = static_equilibrium(space.model, tension).q
         simulation = Simulation(space.model)
         self._effects = simulation.reset(self.rest, tension=tension).effects
@@ -116,7 +116,9 @@ class InitialBelief:
         if None not in self._known:
             return None
         layout = self.space.layout
-        bank = timing_bank.first_bank(layout.size, self._known, self._greatest, self._lag_share)
+        bank = timing_bank.first_bank(
+            layout.size, self._known, self._greatest, self._lag_probability
+        )
         means, _ = bank.moments()
         bank.deviation[layout.latency] = bank.timing.latency - means.latency
         bank.deviation[layout.lag] = bank.timing.lag - means.lag

@@ -139,7 +139,7 @@ class ExtendedKalmanFilter:
             q=q,
             q_dot=q_dot,
             tip_pose=moved_pose(belief.locality.terms.tip_pose, mean[layout.tip]),
-            input_error=self.space.input_error(mean, belief.locality),
+            input_error=self.space.input_error(mean),
             force_error=self.space.force_error(mean, belief.locality),
             timing=self.space.timing(mean) if None in self.known else None,
             timing_spread=_timing_spread(belief.bank),
@@ -234,7 +234,10 @@ class ExtendedKalmanFilter:
             left_out = None
             uncertain = noise
             if bank is not None:
-                left_out = _left_out(bank, slope)
+                # what a linearisation about their mean leaves out of the motions of hypotheses is
+                # taken for their own motions about it
+                by_timing = slope @ bank.covariance
+                left_out = by_timing @ slope.T
                 uncertain = noise + left_out
             covariance, inverse_root = _plausible(predicted, slope, uncertain, innovations)
             cross = slope @ covariance
@@ -242,7 +245,7 @@ class ExtendedKalmanFilter:
             moving = len(predicted.noise)
             if bank is not None:
                 # a measurement tells where the arm is, by whatever timing it came there
-                spread = cross + slope @ bank.covariance
+                spread = cross + by_timing
                 spread_root = _inverse_root(slope, spread, noise)
                 gain[:moving] = _gain(spread[:, :moving], spread_root)
                 sharp_root = _inverse_root(slope, cross, noise)
@@ -341,15 +344,6 @@ def _weighted_as(belief: Belief, last: timing_bank.Bank) -> Belief:
     change = bank.deviation @ bank.weight
     bank = bank._replace(deviation=bank.deviation - change[:, None])
     return belief._replace(mean=belief.mean + change, bank=bank)
-
-
-def _left_out(bank: timing_bank.Bank, slope: Array) -> Array:
-    """Covariance (k, k) of what a linearisation leaves out of the motions of hypotheses.
-
-    As all are linearised about their mean, it is taken for that of their own motions about it.
-    """
-    expected = slope @ bank.deviation
-    return np.asarray((expected * bank.weight) @ expected.T)
 
 
 def _gain(cross: Array, inverse_root: Array) -> Array:

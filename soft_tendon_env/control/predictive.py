@@ -19,7 +19,7 @@ import numpy as np
 from soft_tendon_env.control.allocation import Allocation, Rows, allocate
 from soft_tendon_env.control.command_filter import lagged_plan
 from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
-from soft_tendon_env.control.force_errors import corrected_rollout
+from soft_tendon_env.control.force_errors import SLIDING_SPEED, corrected_rollout
 from soft_tendon_env.control.objectives import LinearError, Objective, Posture
 from soft_tendon_env.control.protocol import (
     FAILURES,
@@ -72,6 +72,9 @@ class Tuning(NamedTuple):
 DEFAULT = Tuning()
 # more weight of smoothness for every period by which the arrival of commands is uncertain
 CAUTION = 4.0
+# more of the speed at which friction is whole, for every period by which the state is predicted: a
+# plan that trusts in a late direction of sliding swings about it
+BLUR = 2.0
 # relative singular value below which motions are not explained by tensions
 EXPLAINED = 1e-6
 
@@ -128,8 +131,9 @@ class Predictive(ModelController):
             effects = None if memory is None else memory.effects
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
             acting_plan = self._acting(plan, error, now)
+            sliding_speed = SLIDING_SPEED * (1.0 + BLUR * now.lead / self.period)
             rollout = corrected_rollout(
-                self._simulation, acting_plan, self._interval, now.force_error
+                self._simulation, acting_plan, self._interval, now.force_error, sliding_speed
             )
         except FAILURES:
             return self.hold(now)

@@ -81,6 +81,7 @@ class ControllerInput(NamedTuple):
     force_error: ForceError | None = None  # likewise, of the model's generalised forces
     actuators: LaggingActuators | None = None  # None: they follow at once
     timing_spread: float = 0.0  # [s] by which the arrival of commands is uncertain
+    lead: float = 0.0  # [s] by which this state is predicted ahead of the last measurement
     # (n_a,) [N] by which actuators let tensions change in a period; None: by any amount
     greatest_change: Array | None = None
 

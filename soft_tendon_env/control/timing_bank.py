@@ -53,14 +53,14 @@ class Bank(NamedTuple):
         return Timing(*means), Timing(*deviations)
 
 
-def first_bank(size: int, known: Timing, greatest: Timing, lag_share: float) -> Bank:
+def first_bank(size: int, known: Timing, greatest: Timing, lag_probability: float) -> Bank:
     """Bank when an episode begins: a grid, equally likely but that no lag is the most usual.
 
     Args:
         size: m, of the state.
         known: latency and lag [s], None where the grid is to find it.
         greatest: latency and lag [s] of the grid.
-        lag_share: probability that there is a lag at all.
+        lag_probability: probability that there is a lag at all.
 
     Returns:
         The bank, with states that are all the same.
@@ -76,8 +76,8 @@ def first_bank(size: int, known: Timing, greatest: Timing, lag_share: float) -> 
     prior = np.ones(latency.size)
     if known.lag is None:
         lagging = lag > 0.0
-        prior[lagging] = lag_share / (lags.size - 1)
-        prior[~lagging] = 1.0 - lag_share
+        prior[lagging] = lag_probability / (lags.size - 1)
+        prior[~lagging] = 1.0 - lag_probability
     log_likelihood = np.log(prior / prior.max())
     return Bank(
         timing=Timing(latency, lag),

@@ -54,9 +54,11 @@ class Uncertainty(NamedTuple):
     payload_start: float = 0.1
     friction: float = 0.002  # coefficient of friction of the tendons
     friction_start: float = 0.05
+    # white tensions, as a share of what friction takes: places of a tendon slide in other senses
+    sliding: float = 0.25
     latency: float = 5e-4  # [s]
     lag: float = 5e-4  # [s]
-    lag_share: float = 0.3  # probability that the actuators lag
+    lag_probability: float = 0.3  # probability that the actuators lag
     # coordinates, in units of `coordinate_scale`; their rates ten times that
     state_start: float = 1e-2
 

@@ -5,8 +5,10 @@ import pytest
 
 from soft_tendon_env.control.belief import tip_acceleration
 from soft_tendon_env.control.force_errors import (
+    SLIDING_SPEED,
     ArmGeometry,
     ForceError,
+    TendonFriction,
     corrected_rollout,
     holding_matrix,
 )
@@ -100,6 +102,55 @@ def test_motions_with_a_payload_are_those_of_a_model_that_has_it(model, motion):
     for k in (1, 2):
         displaced = np.abs(expected.q[k] - without.q[k]).max()
         assert np.abs(corrected.q[k] - expected.q[k]).max() < 0.2 * displaced
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+def test_friction_takes_its_share_of_tensions_of_whatever_sense(turned, model, motion):
+    """Of tendons that slide it is Coulomb's, whatever their rates; it always takes energy."""
+    q, q_dot = motion
+    q_dot = turned * q_dot
+    pull = model.terms(q, q_dot).actuation
+    friction = TendonFriction(np.array([0.1, 0.2, 0.3]), pull)
+    tension = np.array([[2.0, 1.0, 3.0]])
+    for speed_up in (1.0, 2.0):
+        rates = speed_up * q_dot
+        (damping,) = friction.damping(tension, rates, 1e-6)
+        shortening = np.sign(rates @ pull)
+        np.testing.assert_allclose(
+            damping @ rates, pull @ (friction.loss * tension[0] * shortening), rtol=1e-6
+        )
+        np.testing.assert_allclose(friction.sliding(rates, 1e-6), shortening)
+        assert rates @ damping @ rates > 0.0
+    # tendons that stick are damped, and never by less than nothing
+    (sticking,) = friction.damping(tension, 0.0 * q_dot, SLIDING_SPEED)
+    np.testing.assert_allclose(
+        sticking, (pull * friction.loss * tension[0] / SLIDING_SPEED) @ pull.T, rtol=1e-6
+    )
+    (slack,) = friction.damping(-tension, q_dot, SLIDING_SPEED)
+    np.testing.assert_array_equal(slack, 0.0)
+
+
+def test_motions_with_friction_are_those_of_a_model_that_has_it(model, motion):
+    """By the mean of the tension over a tendon: half of what the capstan takes up to its end."""
+    q, q_dot = motion
+    coefficient = 0.2
+    changes = {
+        "effects.tendon_friction.coefficient": coefficient,
+        "effects.tendon_friction.stiction_speed": SLIDING_SPEED,
+    }
+    rubbing = model.with_scene(model.scene.replace(changes))
+    simulation = Simulation(rubbing)
+    simulation.reset(q, q_dot)
+    expected = simulation.rollout(TENSION, PERIOD)
+    turn = np.hypot(model.discretisation.tendon_turn, ArmGeometry(model).at(q).bending)
+    pull = model.terms(q, q_dot).actuation
+    error = lacking(model, q, friction=TendonFriction(0.5 * coefficient * turn, pull))
+    simulation = Simulation(model)
+    simulation.reset(q, q_dot)
+    without = simulation.rollout(TENSION, PERIOD)
+    corrected = corrected_rollout(simulation, TENSION, PERIOD, error)
+    displaced = np.abs(expected.q[-1] - without.q[-1]).max()
+    assert np.abs(corrected.q[-1] - expected.q[-1]).max() < 0.3 * displaced
 
 
 def test_tensions_hold_what_tensions_make(model, motion):

@@ -277,8 +277,8 @@ def test_an_update_by_what_was_expected_is_that_of_bayes(surprised, is_iterated)
     np.testing.assert_allclose(unit * update.score, unit * score, atol=1e-6)
 
 
-def test_a_linearisation_leaves_out_how_hypotheses_differ():
-    """The covariance of what they expect, by their probabilities."""
+def test_the_covariance_of_a_bank_is_that_of_its_hypotheses():
+    """By their probabilities, also of what they expect to be measured."""
     rng = np.random.default_rng(0)
     weight = np.array([0.5, 0.3, 0.2])
     states = rng.normal(size=(4, 3))
@@ -288,8 +288,6 @@ def test_a_linearisation_leaves_out_how_hypotheses_differ():
     bank = timing_bank.Bank(timing, deviation, np.log(weight), weight)
     slope = rng.normal(size=(2, 4))
     expected = np.cov(slope @ deviation, aweights=weight, ddof=0)
-    left_out = kalman._left_out(bank, slope)
-    np.testing.assert_allclose(left_out, expected)
     of_states = slope @ bank.covariance
     np.testing.assert_allclose(of_states @ slope.T, expected)
 
