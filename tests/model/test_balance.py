@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
-from soft_tendon_env.model.load_continuation import LoadPath
+from soft_tendon_env.model.load_continuation import SOFT, LoadPath
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
@@ -93,6 +93,18 @@ def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
         assert end.evaluation.residual <= 1e-7
     assert np.log2(strays[0] / strays[1]) == pytest.approx(4.0, abs=0.3)
     np.testing.assert_allclose(strays, seen, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("stray", "is_taken"), [(0.09, True), (0.11, False)])
+def test_steps_off_their_path_are_not_taken(bent, monkeypatch, stray, is_taken):
+    """By more than a tenth of a radian in their middle, of an arm that is stiff at both ends."""
+    path = LoadPath(bent)
+    begin = path.equilibrium(np.zeros(2), 0.4)
+    assert begin.stability.least > SOFT
+    monkeypatch.setattr(path, "_stray", lambda *middle: stray)
+    end = path.step(begin, 0.5)
+    assert (end is not None) == is_taken
+    assert bool(bent.obstacle) != is_taken
 
 
 @pytest.mark.parametrize(("share", "is_continuous"), [(0.5, True), (1.5, False)])
@@ -189,7 +201,7 @@ CRITICAL = 3.0 * BENDING / LENGTH**2
 L) / k has no least at k = 0 beyond it."""
 
 
-@pytest.mark.parametrize("share", [0.9, 1.2, 1.6])
+@pytest.mark.parametrize("share", [0.9, 1.004, 1.2, 1.6])
 def test_a_column_settles_beyond_its_buckling_load_at_the_least_of_its_energy(share):
     """Slowly loaded it buckles there; let go it comes to rest bent to either side."""
     push = share * CRITICAL
