@@ -175,6 +175,7 @@ def test_evaluations_begin_at_rest_and_at_time_zero_whatever_was_evaluated_befor
     with model.workspace() as work:
         work.inputs.state[:] = 1.0
         work.inputs.clock[:] = 0.1
+    np.testing.assert_array_equal(model.tip_pose(q), first.tip_pose)
     again = model.terms(q, np.zeros(3))
     np.testing.assert_array_equal(again.tip_pose, first.tip_pose)
     np.testing.assert_array_equal(again.external_force, first.external_force)
