@@ -47,11 +47,14 @@ def aim_from(model, objective, target, q, q_dot=None, time=0.0, period=PERIOD):
 
 @of_every_kind
 def test_errors_vanish_at_the_target_alone(model, random_state, objective):
-    q, other = random_state(model, 0)[0], random_state(model, 1)[0]
-    aim = aim_from(model, objective, target_through(model, [q]), q)
+    q, _ = random_state(model, 0)
+    other, _ = random_state(model, 1)
+    here = target_through(model, [q])
+    elsewhere = target_through(model, [other])
+    aim = aim_from(model, objective, here, q)
     np.testing.assert_allclose(aim.error, 0.0, atol=1e-12)
     np.testing.assert_allclose(aim.velocity, 0.0, atol=1e-12)
-    away = aim_from(model, objective, target_through(model, [other]), q)
+    away = aim_from(model, objective, elsewhere, q)
     assert np.linalg.norm(away.error) > 0.01 * model.length
 
 

@@ -201,10 +201,12 @@ def test_one_objective_alone_or_in_a_list_is_the_same_cost(model, limits_of, hol
     target = holding(model, [2.5, 0.0, 1.0])
     q = np.zeros(model.coordinate_count)
     now = ControllerInput(q, q, model.tip_pose(q), np.zeros(3), target)
-    alone = Predictive(model, limits_of(model), PERIOD, TipPosition()).act(now)
-    listed = Predictive(model, limits_of(model), PERIOD, [TipPosition()]).act(now)
+    limits = limits_of(model)
+    objective = TipPosition()
+    alone = Predictive(model, limits, PERIOD, objective).act(now)
+    listed = Predictive(model, limits, PERIOD, [objective]).act(now)
     np.testing.assert_array_equal(alone.tension, listed.tension)
-    twice = Predictive(model, limits_of(model), PERIOD, [TipPosition(), TipPosition()]).act(now)
+    twice = Predictive(model, limits, PERIOD, [objective, TipPosition()]).act(now)
     np.testing.assert_allclose(alone.tension, twice.tension, atol=1e-6)
 
 

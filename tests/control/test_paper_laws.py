@@ -160,9 +160,13 @@ def test_the_controller_of_shapes_is_the_law(build, holding, random_state, scene
     """With kp = 1,000 and kd = 100, of the target's rate over the period."""
     model = build(scene)
     q, q_dot = random_state(model, 0)
-    first, second = np.arange(10.0), 3.0 + 0.5 * np.arange(10.0)
-    path = np.concatenate([holding(model, tension).q for tension in (first, second)])
-    target = ShapeTarget(first, (second - first) / 0.02)
+    first = np.arange(10.0)
+    second = 3.0 + 0.5 * first
+    here = holding(model, first)
+    ahead = holding(model, second)
+    path = np.concatenate([here.q, ahead.q])
+    change = second - first
+    target = ShapeTarget(first, change / 0.02)
     law = shape_tension(model, q, q_dot, target, Gains(1000.0, 100.0))
     reference = Reference(np.array([0.0, 0.02]), q=path)
     now = ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(10), reference)

@@ -150,16 +150,19 @@ def test_the_base_carries_the_arm_to_where_its_motion_leads(build, time):
     model = moving(build, **SWINGING)
     q = np.array([1.0, 0.5, 2.0])
     rest = model.tip_pose(q)
-    swing = np.sin(2.0 * np.pi * 0.7 * time)
-    parts = (time, 0.5 * time**2, swing)
-    names = ("velocity", "acceleration", "amplitude")
-    way = sum(part * np.array(SWINGING[name]) for part, name in zip(parts, names, strict=True))
+    phase = 2.0 * np.pi * 0.7 * time
+    swing = np.sin(phase)
+    way = time * np.array(SWINGING["velocity"])
+    way += 0.5 * time**2 * np.array(SWINGING["acceleration"])
+    way += swing * np.array(SWINGING["amplitude"])
     axis = np.array(SWINGING["axis"]) / np.sqrt(6.0)
-    turn = Rotation.from_rotvec((3.0 * time + 0.4 * swing) * axis).as_matrix()
+    angle = 3.0 * time + 0.4 * swing
+    turn = Rotation.from_rotvec(angle * axis).as_matrix()
     g, _, _ = tip_at(model, q, time)
     np.testing.assert_allclose(g[:3, :3], turn @ rest[:3, :3], atol=1e-12)
     base = np.array(model.scene.base.position)
-    expected = base + way + turn @ (rest[:3, 3] - base)
+    from_base = rest[:3, 3] - base
+    expected = base + way + turn @ from_base
     np.testing.assert_allclose(g[:3, 3], expected, atol=1e-12)
 
 

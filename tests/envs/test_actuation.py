@@ -6,6 +6,7 @@ import pytest
 
 from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.statics import commanded_equilibrium
@@ -237,3 +238,27 @@ def test_commands_that_are_too_late_are_refused():
     actuation(latency=20.0)
     with pytest.raises(ConfigurationError, match="at most 1000 control periods, 20 s"):
         actuation(latency=20.5)
+
+
+MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
+LAG = {"effects.actuators.time_constant": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, None),
+        (LAG, None),
+        (MEMORY, "viscoelastic_memory"),
+        ({**LAG, **MEMORY}, "viscoelastic_memory"),
+    ],
+    ids=["none", "of commands", "of the motion", "of both"],
+)
+def test_states_that_follow_the_motion_have_no_adjoint(build, changes, refused):
+    """Those that commands go through have one; what is refused is named."""
+    arms = Arms(build("three_tendon", changes), 1, 0.02, np.zeros(0), np.zeros(0))
+    if refused is None:
+        arms.check_adjoint()
+        return
+    with pytest.raises(ValueError, match=f"effects.{refused} has internal states"):
+        arms.check_adjoint()

@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 from soft_tendon_env.model.equilibrium_residual import Balance, Linearised
-from soft_tendon_env.model.load_continuation import LoadPath
+from soft_tendon_env.model.load_continuation import SOFT, LoadPath
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
@@ -66,6 +66,59 @@ def test_the_residual_is_the_angle_that_the_force_bends_by(bent):
     metric = BENDING * LENGTH
     squared = metric * (answer @ answer)
     assert turned == pytest.approx(np.sqrt(squared * LENGTH / BENDING))
+
+
+def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
+    """Their middles are off one by the fourth power of the step, judged by either end's
+    stiffness."""
+    path = LoadPath(bent)
+    begin = path.equilibrium(np.zeros(2), 0.4)
+    strays = []
+    seen = []
+    stray = path._stray
+
+    def recorded(middle, point, ahead):
+        size = stray(middle, point, ahead)
+        strays.append(size)
+        part = 0.5 * (point.evaluation.part + ahead.evaluation.part)
+        force = bent.at(middle, part).force
+        ways = [bent.angle(end.compliance @ force) for end in (point, ahead)]
+        seen.append(max(ways))
+        return size
+
+    monkeypatch.setattr(path, "_stray", recorded)
+    for step in (0.2, 0.1):
+        end = path.step(begin, 0.4 + step)
+        assert end.evaluation.part == 0.4 + step
+        assert end.evaluation.residual <= 1e-7
+    assert np.log2(strays[0] / strays[1]) == pytest.approx(4.0, abs=0.3)
+    np.testing.assert_allclose(strays, seen, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("stray", "is_taken"), [(0.09, True), (0.11, False)])
+def test_steps_off_their_path_are_not_taken(bent, monkeypatch, stray, is_taken):
+    """By more than a tenth of a radian in their middle, of an arm that is stiff at both ends."""
+    path = LoadPath(bent)
+    begin = path.equilibrium(np.zeros(2), 0.4)
+    assert begin.stability.least > SOFT
+    monkeypatch.setattr(path, "_stray", lambda *middle: stray)
+    end = path.step(begin, 0.5)
+    assert (end is not None) == is_taken
+    assert bool(bent.obstacle) != is_taken
+
+
+@pytest.mark.parametrize(("share", "is_continuous"), [(0.5, True), (1.5, False)])
+def test_strains_break_where_pushes_outweigh_the_shear_stiffness(share, is_continuous):
+    """T / |t| = G A of a straight tendon that pushes; what broke is said, and nothing else."""
+    model = model_on(load_scene("three_tendon"), 4)
+    with model.workspace() as work:
+        balance = Balance(model, np.zeros(3), work)
+        stiffness = 5e5 / 3.0 * np.pi * 0.01**2
+        push = model.rest_coordinates([-share * stiffness, 0.0, 0.0])
+        assert balance.is_continuous(np.zeros(3), push) == is_continuous
+        assert bool(balance.obstacle) != is_continuous
+        if not is_continuous:
+            assert "on the way: the tendons push past" in balance.obstacle
 
 
 def with_stiffness(balance, stiffness):
@@ -148,7 +201,7 @@ CRITICAL = 3.0 * BENDING / LENGTH**2
 L) / k has no least at k = 0 beyond it."""
 
 
-@pytest.mark.parametrize("share", [0.9, 1.2, 1.6])
+@pytest.mark.parametrize("share", [0.9, 1.004, 1.2, 1.6])
 def test_a_column_settles_beyond_its_buckling_load_at_the_least_of_its_energy(share):
     """Slowly loaded it buckles there; let go it comes to rest bent to either side."""
     push = share * CRITICAL

@@ -42,6 +42,21 @@ def test_gaps_are_those_of_the_surfaces(lying):
         np.testing.assert_allclose(contact.penetration, [DEPTH, 0.0], atol=1e-12)
 
 
+def test_the_clearance_is_that_of_the_nearest_place(build):
+    """Of a plane that comes nearer towards the tip: the distance from the axis less the radius."""
+    slope = 0.1
+    normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
+    below = [0.0, 0.0, -0.1]
+    plane = {"type": "plane", "position": below, "axis": normal.tolist()}
+    model = build("three_tendon", {"effects.contact.obstacles": [plane]})
+    contact = contact_forces(model, Simulation(model).state)
+    distance = (contact.position - below) @ normal
+    np.testing.assert_allclose(contact.gap[0], distance - RADIUS, atol=2e-3)
+    assert np.ptp(contact.gap[0]) > 0.02
+    assert contact.clearance[0] == contact.gap[0, -1]
+    assert contact.penetration[0] == 0.0
+
+
 def test_forces_are_sums_over_samples_along_the_arm(lying):
     model, state = lying
     contact = contact_forces(model, state)

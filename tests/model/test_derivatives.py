@@ -21,6 +21,7 @@ EXPLICIT = {
     }
 }
 PUSH = {"force": [0.0, 0.2, 0.0], "at": 0.3, "signal": {"type": "sine", "frequency": 2.0}}
+LAGGING = {"integrator.step": 0.01, "effects.actuators": {"time_constant": 0.03}}
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.1}]}
 
 
@@ -110,6 +111,7 @@ def assert_close(found, expected, tolerance=1e-5):
             {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}},
         ),
         pytest.param("three_tendon", MEMORY, marks=pytest.mark.slow),
+        ("three_tendon", LAGGING),
         ("three_tendon", EXPLICIT),
     ],
 )
@@ -148,6 +150,28 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
     assert_close(found.tip * unit, tips)
     if "effects.moving_base" not in changes:
         assert_close(found.tip_twist * unit, twists)
+
+
+@pytest.mark.parametrize("delay", [0.008, 0.03])
+def test_commands_act_in_a_period_from_when_they_arrive_on(delay):
+    """However many steps it has; one that arrives after its end moves nothing in it."""
+    model = build_quietly({"integrator.step": 0.005, "effects.actuators": {"delay": delay}})
+    simulation, command = in_motion(model)
+    start = simulation.state
+    found = simulation.linearize(command, PERIOD)
+    moving = 2 * model.coordinate_count
+    slopes = []
+    for unit in np.eye(3):
+
+        def evaluate(change, unit=unit):
+            return end(model, start, start.q, start.q_dot, start.effects, command + change * unit)
+
+        by_state, *_ = differences(evaluate, 3e-3)
+        slopes.append(by_state[:moving])
+    by_command = np.transpose(slopes)
+    moves = np.abs(by_command).max() > 1e-9
+    assert moves == (delay < PERIOD)
+    assert_close(found.command[:moving], by_command)
 
 
 def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():

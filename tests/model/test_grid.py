@@ -321,6 +321,14 @@ def test_independent_tensions_span_those_that_strain_the_rod():
     assert mixing.shape == (4, 3)
     product = mixing.T @ mixing
     np.testing.assert_allclose(product, np.eye(3), atol=1e-12)
+    # of whatever size the columns are, and with one that strains nothing
+    sizes = np.array([1e-5, 1.0, 1e4, 1.0])
+    scaled = sizes[:, None] * columns
+    mixing = independent_tensions(scaled @ scaled.T, 1e-3)
+    assert mixing.shape == (4, 3)
+    scaled[3] = 0.0
+    mixing = independent_tensions(scaled @ scaled.T, 1e-3)
+    np.testing.assert_allclose(np.abs(mixing), np.eye(4)[:, :3], atol=1e-12)
     # two tendons that strain alike and one beside them
     rows = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]]
     opposite = np.array(rows)

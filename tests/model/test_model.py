@@ -159,6 +159,28 @@ def test_models_of_other_numbers_fit_and_others_say_why_not(bent):
     assert without.misfit(bent) == ""
 
 
+def test_evaluations_begin_at_rest_and_at_time_zero_whatever_was_evaluated_before(build):
+    """A base that has moved on, and a memory that remembers, are of that evaluation alone."""
+    model = build(
+        "three_tendon",
+        {
+            "effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0},
+            "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}],
+        },
+    )
+    q = model.rest_coordinates([2.0, 0.0, 1.0])
+    first = model.terms(q, np.zeros(3))
+    later = model.terms(q, np.zeros(3), time=0.1)
+    assert np.abs(later.tip_pose - first.tip_pose).max() > 1e-3
+    with model.workspace() as work:
+        work.inputs.state[:] = 1.0
+        work.inputs.clock[:] = 0.1
+    np.testing.assert_array_equal(model.tip_pose(q), first.tip_pose)
+    again = model.terms(q, np.zeros(3))
+    np.testing.assert_array_equal(again.tip_pose, first.tip_pose)
+    np.testing.assert_array_equal(again.external_force, first.external_force)
+
+
 def test_an_arm_with_memory_that_is_set_to_rest_stays(build):
     """Its branches have relaxed at the strain that it is set to."""
     branches = [{"modulus": 0.5, "relaxation_time": 0.1}]

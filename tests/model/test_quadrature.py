@@ -13,6 +13,7 @@ from soft_tendon_env.model.coordinates import resolving_intervals
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.quadrature import (
     CORNERS,
+    QuadratureEstimate,
     QuadratureTest,
     _share_at_rest,
     _tensions_to_try,
@@ -82,6 +83,46 @@ def test_least_and_tolerance_are_kept():
     np.testing.assert_allclose(np.log10(ratios), 0.5, atol=0.07)
 
 
+@pytest.fixture
+def searched(monkeypatch):
+    """searched(excess): where the search from 4 intervals ends, and the numbers that it tried, for
+    errors of this excess by the number of intervals."""
+
+    def search(excess):
+        test = QuadratureTest(three_tendon())
+        tried = []
+
+        def estimate(count):
+            tried.append(count)
+            found = excess(count)
+            problem = "too coarse" if found > 1.0 else ""
+            return QuadratureEstimate(count, found, problem, found)
+
+        monkeypatch.setattr(test, "error_estimate", estimate)
+        return test.search(4).intervals, tried
+
+    return search
+
+
+@pytest.mark.parametrize("enough", [4, 5, 30, 90, 200])
+def test_the_search_goes_where_the_order_leads(searched, enough):
+    """Errors of fourth order end it within a few percent, by doublings and one step more."""
+    intervals, tried = searched(lambda count: (enough / count) ** 4)
+    assert enough <= intervals <= 1.05 * enough + 1
+    doublings = np.log2(enough / 4)
+    assert len(tried) <= np.ceil(doublings) + 2
+    assert tried == sorted(tried)
+
+
+@pytest.mark.parametrize(
+    ("order", "last"), [(0.5, 128), (1.5, MOST_INTERVALS)], ids=["hopeless", "slow"]
+)
+def test_the_search_ends_where_twice_as_many_do_not_even_halve_the_error(searched, order, last):
+    """From 96 intervals on; else it goes on to the finest."""
+    intervals, _ = searched(lambda count: 1e9 / count**order)
+    assert intervals == last
+
+
 def modes(order):
     return [{"strains": ANGULAR, "order": order, "span": "rod"}]
 
@@ -100,6 +141,15 @@ def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate = QuadratureTest(scene).error_estimate(intervals).error
     true = true_error(scene, intervals)
     assert true < estimate < 2.0 * true
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.95, True), (1.05, False)])
+def test_an_error_above_the_tolerance_is_a_problem(share, is_told):
+    error = QuadratureTest(helices(2)).error_estimate(8).error
+    allowed = helices(2).replace({"quadrature.tolerance": share * error})
+    estimate = QuadratureTest(allowed).error_estimate(8)
+    assert estimate.excess == pytest.approx(1.0 / share, rel=1e-9)
+    assert bool(estimate.problem) == is_told
 
 
 def test_the_mass_of_a_disc_is_not_missed():
@@ -186,6 +236,8 @@ def test_finer_quadratures_resolve_waves_and_fields():
     assert resolving_intervals(three_tendon()) == 3
     assert resolving_intervals(helices(3)) == pytest.approx(4 * 3, abs=1)
     assert resolving_intervals(helices(12)) == pytest.approx(4 * 12, abs=1)
+    one_fast = helices(3).replace({"tendons.1.routing": helices(12).tendons[1].routing})
+    assert resolving_intervals(one_fast) == pytest.approx(4 * 12, abs=1)
     two_pieces = helices(12).replace({"tendons.*.end": 0.2})
     assert resolving_intervals(two_pieces) == pytest.approx(4 * 12 * 2 / 3, abs=1)
     explicit = three_tendon(strain={"type": "explicit", "modes": modes(7)})
@@ -227,16 +279,24 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
 
 def test_an_arm_that_falls_over_is_compared_where_it_is_bent_by_three_radians():
     """Beyond its buckling load there is no rest to compare; a factor of 2 is for other shapes."""
+    length = 0.3
     bending = 5e5 * np.pi * 0.01**4 / 4
-    push = 1.5 * 3.0 * bending / 0.3**2  # of the load at which one constant curvature buckles
-    strain = {"type": "explicit", "modes": [{"strains": ["bend_z"], "order": 0, "span": "rod"}]}
-    scene = three_tendon(strain=strain, effects__tip_load__force=[-push, 0.0, 0.0])
-    coarse, fine = (model_on(scene, count) for count in (2, 12))
-    share, q = _share_at_rest(coarse, fine, np.zeros(3), np.zeros(1))
-    assert abs(q[0]) * 0.3 == pytest.approx(3.0, rel=1e-6)
-    way = fine.tip_pose(q)[:3, 3] - coarse.tip_pose(q)[:3, 3]
-    assert share == pytest.approx(2.0 * np.linalg.norm(way) / 0.3)
-    assert share > 0.0
+    # the load at which one constant curvature buckles
+    critical = 3.0 * bending / length**2
+    push = [-1.5 * critical, 0.0, 0.0]
+    one_curvature = {"strains": ["bend_z"], "order": 0, "span": "rod"}
+    strain = {"type": "explicit", "modes": [one_curvature]}
+    scene = three_tendon(strain=strain, effects__tip_load__force=push)
+    coarse = model_on(scene, 2)
+    fine = model_on(scene, 12)
+    slack = np.zeros(3)
+    share, q = _share_at_rest(coarse, fine, slack, np.zeros(1))
+    angle = abs(q[0]) * length
+    assert angle == pytest.approx(3.0, rel=1e-6)
+    way = fine.tip_pose(q) - coarse.tip_pose(q)
+    displacement = np.linalg.norm(way[:3, 3])
+    assert displacement > 0.0
+    assert share == pytest.approx(2.0 * displacement / length)
 
 
 @pytest.mark.parametrize(("share", "is_refused"), [(0.99, False), (1.01, True)])

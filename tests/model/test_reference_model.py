@@ -1,13 +1,16 @@
 """Reference models: their orders, parts and intervals, and the strain that they take over."""
 
 import numpy as np
+import pytest
 
+from soft_tendon_env.model import reference_model as judged
 from soft_tendon_env.model.reference_model import (
     HIGHEST_ORDER,
     INTERVALS,
     LEVELS,
     MOST_HALVINGS,
     SPARE_INTERVALS,
+    equilibrium_error,
     nearest_strain,
     part_borders,
     reference_model,
@@ -78,3 +81,58 @@ def test_the_nearest_strain_is_that_of_the_model():
     np.testing.assert_allclose(strain / scale, expected / scale, atol=0.02)
     off = fine.tip_pose(coordinates)[:3, 3] - model.tip_pose(q)[:3, 3]
     assert np.linalg.norm(off) < 1e-3 * model.length
+
+
+class TipAt:
+    """A model of an arm of a metre whose tip rests at a place [m], or that has no rest."""
+
+    scene = ARM
+    length = 1.0
+
+    def __init__(self, place):
+        self.place = place
+
+    def tip_pose(self, q):
+        pose = np.eye(4)
+        pose[0, 3] = self.place
+        return pose
+
+    def rest(self, *conditions):
+        return None if self.place is None else np.zeros(1)
+
+
+@pytest.fixture
+def error_of(monkeypatch):
+    """error_of(tips): the error of a tip at 0, and how many levels were looked at, whose reference
+    models have their tips at these places."""
+
+    def judge(tips):
+        levels = iter([TipAt(place) for place in tips])
+        monkeypatch.setattr(judged, "reference_model", lambda scene, level: next(levels))
+        monkeypatch.setattr(judged, "nearest_strain", lambda *models: np.zeros(1))
+        monkeypatch.setattr(judged, "rest_near", TipAt.rest)
+        error = equilibrium_error(TipAt(0.0), np.zeros(1), np.zeros(3), 1.0, True)
+        return error, len(tips) - len(list(levels))
+
+    return judge
+
+
+@pytest.mark.parametrize(
+    ("tips", "error", "levels"),
+    [
+        ([1.0, 1.19], 1.19, 2),
+        ([1.0, 1.5, 1.6], 1.6, 3),
+        ([1.0, 2.0, 4.0, 8.0, 16.0], 16.0 + 8.0, 5),
+        ([None, 1.0, 1.1], 1.1, 3),
+        ([1.0, None, 1.0, 1.0], 1.0, 4),
+        ([None] * 5, np.inf, 5),
+        ([1e-10, 5e-10], 5e-10, 2),
+    ],
+    ids=["agreed", "later", "never", "none at first", "none between", "none", "round-off"],
+)
+def test_levels_are_refined_until_the_error_hardly_changes(error_of, tips, error, levels):
+    """By a fifth of it from one level to the next. Where it does change to the end its last change
+    is added."""
+    found, looked_at = error_of(tips)
+    assert found == pytest.approx(error)
+    assert looked_at == levels

@@ -1,6 +1,7 @@
 """Bad input of models, simulations and states is named and changes nothing; commands beyond their
 limits get a word."""
 
+import contextlib
 import dataclasses
 import warnings
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.model.state import SAME_STRAIN
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_actuators
 
@@ -102,6 +104,19 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
         call(moving)
     assert message in str(caught.value)
     assert numbers(moving) == before
+
+
+@pytest.mark.parametrize(("share", "is_same"), [(0.5, True), (3.0, False)])
+def test_a_strain_is_that_of_its_coordinates_up_to_round_off(moving, share, is_same):
+    """As a share of the largest, also beside a strain that is none."""
+    strain = moving.state.strain.copy()
+    assert np.abs(strain).min() < 1e-3 * np.abs(strain).max()
+    off = share * SAME_STRAIN * np.abs(strain).max()
+    row = np.unravel_index(np.abs(strain).argmin(), strain.shape)
+    strain[row] += off
+    refused = pytest.raises(ValueError, match="should be the strain at state.q")
+    with contextlib.nullcontext() if is_same else refused:
+        set_state(moving, strain=strain)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of
 the strain, honest failure."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,12 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL
 from soft_tendon_env.model.model import model_on
-from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
+from soft_tendon_env.model.statics import (
+    ChordSolver,
+    RedundancyWarning,
+    commanded_equilibrium,
+    static_equilibrium,
+)
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 
@@ -98,6 +105,40 @@ def test_what_redundant_tendons_leave_out_is_told():
         assert found.tip_error == pytest.approx(off, rel=0.02)
 
 
+STRAIGHT = {
+    "routing": {"type": "straight", "offset": [0.0, 0.006]},
+    "tension_limits": [0.0, 30.0],
+}
+
+
+@pytest.mark.parametrize(
+    ("tension", "is_far"), [(7.0, False), (10.0, True)], ids=["hardly", "clearly"]
+)
+def test_redundant_tendons_are_warned_of_where_the_tip_is_off(recwarn, tension, is_far):
+    """By 1e-4 of the length, against the rod with a coordinate for every strain; a fifth tendon is
+    none of them."""
+    strains = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+    modes = [{"strains": strains, "order": 8, "span": "rod"}]
+    helices = load_scene("four_tendon").replace({"tendons": [*HELICES, STRAIGHT]})
+    model = model_on(helices, 32)
+    explicit = helices.replace({"strain": {"type": "explicit", "modes": modes}})
+    u = [tension, 0.0, 0.0, 0.0, 1.0]
+    exact = static_equilibrium(model_on(explicit, 32), u)
+    assert not recwarn
+    found = static_equilibrium(model, u)
+    way = found.tip_pose - exact.tip_pose
+    off = np.linalg.norm(way[:3, 3])
+    assert (off > 1e-4 * model.length) == is_far
+    told = [warning for warning in recwarn if warning.category is RedundancyWarning]
+    assert len(told) == is_far
+    if told:
+        named = re.search(r"its tip is off by ([\d.]+) mm", str(told[0].message))
+        assert float(named[1]) == pytest.approx(1e3 * off, rel=0.1)
+    # a tension of each alike strains nothing that has no coordinate
+    static_equilibrium(model, [30.0, 30.0, 30.0, 30.0, 1.0])
+    assert len(recwarn) == is_far
+
+
 @pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])
 @pytest.mark.parametrize("name", ["paper", "paper_16dof"])
 @pytest.mark.parametrize("step", [0.01, 0.5])
@@ -117,6 +158,27 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     moved = static_equilibrium(model, (1.0 + small) * u, near.q).q - near.q
     predicted = small * near.answer @ u
     assert np.linalg.norm(predicted - moved) < 1e-2 * np.linalg.norm(moved)
+
+
+@pytest.mark.parametrize("weight", [0.0, -9.81])
+def test_elastic_tendons_pull_by_their_stretch_within_what_drives_hold(weight):
+    """T = k (delta - (L_0 - L)), none of a slack tendon, and all of the strength of the third."""
+    elasticity = {"stiffness": 800.0, "displacement_limits": [-0.02, 0.05], "strength": 4.0}
+    gravity = {"effects__gravity__acceleration": [0.0, 0.0, weight]}
+    model = model_of("three_tendon", effects__tendon_elasticity=elasticity, **gravity)
+    command = np.array([0.006, -0.012, 0.05])
+    found, tension = commanded_equilibrium(model, command)
+    assert found.converged
+    assert found.reason == ""
+    straight = model.tendon_lengths(np.zeros(model.coordinate_count))
+    shortening = straight - model.tendon_lengths(found.q)
+    pull = 800.0 * (command - shortening)
+    assert pull[1] < 0.0
+    assert 0.0 < pull[0] < 4.0 < pull[2]
+    np.testing.assert_allclose(tension, np.clip(pull, 0.0, 4.0), rtol=1e-7)
+    assert static_equilibrium(model, tension, found.q).residual <= RESIDUAL
+    # Newton's method needs a few tensions, each with a few linearisations of the balance
+    assert found.iterations < 30
 
 
 def test_stability_is_the_part_of_the_stiffness_that_a_push_leaves():

@@ -122,6 +122,8 @@ def test_commands_are_held_over_steps(model_with):
     middles = 1.0 + 0.01 * (np.arange(12) + 0.5)
     expected = middles.reshape(4, 3, 1) * [1.0, 2.0, 0.0]
     np.testing.assert_allclose(table, expected, rtol=1e-14)
+    with pytest.raises(ValueError, match="command"):
+        table_of(model, [values, values[:2], values, values])
     single = table_of(model, lambda time: [time, 0.0, 0.0], samples=1, per_sample=1)
     np.testing.assert_allclose(single[0, 0], [1.005, 0.0, 0.0])
 

@@ -7,7 +7,7 @@ import pytest
 
 from soft_tendon_env import StrainLimitError
 from soft_tendon_env.control.rigid_motions import skew
-from soft_tendon_env.model.strain_limits import _chords_and_give
+from soft_tendon_env.model.strain_limits import _chords_and_give, nearest_limit
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +58,17 @@ def test_causes_say_whether_a_tendon_pulls_or_pushes(build, tension, cause):
     tensions[1] = tension
     with pytest.raises(StrainLimitError, match=f"tendon 1 at arc length .* {cause}"):
         model.tip_pose(model.rest_coordinates(tensions))
+
+
+@pytest.mark.parametrize("reached", [None, 0.5])
+def test_the_tension_that_is_named_is_that_of_the_part_reached(build, reached):
+    """Of all where nothing else is said."""
+    model = build("three_tendon", {"quadrature.intervals": 4})
+    q = model.rest_coordinates([0.0, 20.0, 5.0])
+    parts = [] if reached is None else [reached]
+    limit = nearest_limit(model.arm, model.grid, q, model.packed_strain(q), *parts)
+    named = 20.0 * (reached or 1.0)
+    assert f"with {named:.4g} N" in limit
 
 
 @pytest.mark.parametrize("tension", [300.0, -150.0])
