@@ -13,7 +13,7 @@ from contextlib import closing
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -169,6 +169,8 @@ class ControllerSearch(Search):
     regimes: RegimeNames = ()
     # of the benchmark, in which it is played; the model of the controller knows nothing of them
     settings: SettingNames = (NOMINAL,)
+    # and settings that act at once: what is best in each by itself may lose arms in two
+    together: tuple[Annotated[SettingNames, Field(strict=False)], ...] = ()
     seconds: Positive = 3.0  # length of an episode
     skip: NotNegative = 1.0  # [s] from which on errors count
     # of the environment; `randomize` says how arms differ from the controller's model
@@ -205,9 +207,11 @@ class ControllerSearch(Search):
         costs = []
         mean = np.nan
         regimes = self.regimes or (None,)
-        for setting, regime in product(self.settings, regimes):
-            regime_options = self._options(name, regime)
-            options = SETTINGS[setting].options(regime_options)
+        alone = [(setting,) for setting in self.settings]
+        for settings, regime in product([*alone, *self.together], regimes):
+            options = self._options(name, regime)
+            for setting in settings:
+                options = SETTINGS[setting].options(options)
             cost = self.play(make, self.task, options, self.seconds, self.skip)
             costs.append(cost)
             logarithm = np.mean(np.log(costs))

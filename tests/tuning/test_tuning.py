@@ -130,6 +130,23 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
         tune(Bowl(trials=3, fails=True), tmp_path, workers=1)
 
 
+def test_settings_are_played_alone_and_together(monkeypatch, tmp_path):
+    """The cost is the geometric mean of all."""
+    played = []
+
+    def play(search, make, task, options, seconds, skip):
+        played.append(set(options["randomize"]) & {"latency", "payload", "stiffness"})
+        return 4.0 ** len(played)
+
+    monkeypatch.setattr(ControllerSearch, "play", play)
+    together = [["latency", "load"]]
+    changes = {"settings": ["nominal", "latency"], "together": together}
+    search = ControllerSearch(**CONTROLLER | changes)
+    cost = search.cost({}, tmp_path, lambda mean: None)
+    assert played == [set(), {"latency"}, {"latency", "payload"}]
+    assert cost == pytest.approx(4.0**2)
+
+
 @pytest.mark.parametrize(
     ("kind", "changes", "message"),
     [
@@ -153,6 +170,11 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
             ControllerSearch,
             {"search": {"settling": {"low": 0.1, "high": 1.0}}},
             "search.settling is no parameter.*'settling_time'",
+        ),
+        (
+            ControllerSearch,
+            {"together": [["latency", "loads"]]},
+            "together.*'loads'.*a setting",
         ),
         (ControllerSearch, {"policy": "agent"}, "policy is 'agent': it should be a controller"),
         (
