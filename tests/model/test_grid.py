@@ -12,7 +12,9 @@ from soft_tendon_env.model.coordinates import (
 )
 from soft_tendon_env.model.grid import (
     LARGEST_PANEL,
+    actuation_columns,
     at_points,
+    chords,
     disc_inertia,
     make_grid,
     make_rod,
@@ -337,3 +339,29 @@ def test_independent_tensions_span_those_that_strain_the_rod():
     sizes = np.abs(mixing)
     expected = [[share, 0], [share, 0], [0, 1]]
     np.testing.assert_allclose(sizes, expected)
+
+
+def test_columns_of_actuation_are_what_strains_shorten_tendons_by():
+    """-d|t_c| / d(k, p), by differences; t_c is the derivative of the path in the frame of the
+    section, and a tendon that is not there has no column."""
+    y, z, y_prime, z_prime = 0.01, -0.004, 0.2, -0.3
+    geometry = np.array([y, z, y_prime, z_prime, 1.0])
+    strain = np.array([0.5, -2.0, 3.0, 1.1, 0.05, -0.02])
+
+    def chord(xi):
+        return chords(geometry, xi[:3], xi[3:])[1]
+
+    in_section = np.array([0.0, y, z])
+    turned = np.cross(strain[:3], in_section)
+    expected = turned + strain[3:] + [0.0, y_prime, z_prime]
+    np.testing.assert_allclose(chord(strain), expected, rtol=1e-14)
+    h = 1e-6
+    slopes = []
+    for way in h * np.eye(6):
+        longer = np.linalg.norm(chord(strain + way))
+        shorter = np.linalg.norm(chord(strain - way))
+        slopes.append((longer - shorter) / (2.0 * h))
+    column = actuation_columns(geometry, strain[:3], strain[3:])
+    np.testing.assert_allclose(column, np.negative(slopes), atol=1e-8)
+    absent = geometry * [1.0, 1.0, 1.0, 1.0, 0.0]
+    assert not actuation_columns(absent, strain[:3], strain[3:]).any()

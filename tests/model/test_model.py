@@ -193,6 +193,21 @@ def test_an_arm_with_memory_that_is_set_to_rest_stays(build):
     np.testing.assert_allclose(simulation.state.q, q, rtol=1e-9)
 
 
+def test_states_are_named_by_what_gives_them_a_meaning(build):
+    """Effects with internal states, and those that take other commands than tensions: a state of
+    one arm is none of another that has others."""
+    no_states = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.fluid.density": 1e3}
+    elastic = {"stiffness": 800.0, "displacement_limits": [0.0, 0.05]}
+    lag = {"time_constant": 0.03}
+    assert build("three_tendon", no_states).state_names == ()
+    changes = {**no_states, "effects.tendon_elasticity": elastic, "effects.actuators": lag}
+    model = build("three_tendon", changes)
+    # a tension and a command that has arrived of each tendon, with the time of that
+    rows = model.arm.effects.state.size
+    assert rows > 3
+    assert set(model.state_names) == {"tendon_elasticity:0", f"actuators:{rows}"}
+
+
 def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_of_their_way(build):
     """u / k, and the way along the straight arm less that along the bent one. They lead there."""
     tension = np.array([3.0, 0.5, 1.0])
