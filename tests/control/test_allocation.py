@@ -89,12 +89,15 @@ def test_rows_are_bounds_of_other_variables(problem):
     A, b, least, greatest = problem
     size = least.size
     M = np.eye(size) - 0.7 * np.eye(size, k=-1)  # changes from one to the next
-    back = np.linalg.inv(M)
-    of_z = allocate((A @ back).T @ (A @ back), -(A @ back).T @ b, least, greatest)
+    A_of_z = A @ np.linalg.inv(M)
+    of_z = allocate(A_of_z.T @ A_of_z, -A_of_z.T @ b, least, greatest)
+    hessian = A.T @ A
+    gradient = -A.T @ b
     wide = np.full(size, 1e6)
     rows = Rows(M, least, greatest)
-    of_x = allocate(A.T @ A, -A.T @ b, -wide, wide, rows=rows)
+    of_x = allocate(hessian, gradient, -wide, wide, rows=rows)
     assert of_x.solved
-    np.testing.assert_allclose(M @ of_x.x, of_z.x, atol=1e-7)
-    warm = allocate(A.T @ A, -A.T @ b, -wide, wide, of_x.multipliers, rows)
+    z = M @ of_x.x
+    np.testing.assert_allclose(z, of_z.x, atol=1e-7)
+    warm = allocate(hessian, gradient, -wide, wide, of_x.multipliers, rows)
     np.testing.assert_allclose(warm.x, of_x.x, atol=1e-9)

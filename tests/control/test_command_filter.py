@@ -60,14 +60,16 @@ def filtered(commands, latency, lag, times, steps=20_000):
 def test_means_are_those_of_the_differential_equation(latency, lag):
     """Of the last period, and of a part of the next one; and the tension now."""
     commands = np.random.default_rng(0).uniform(0.0, 5.0, HISTORY)
+    timing = Timing(latency, lag)
+    middles = (np.arange(400) + 0.5) / 400
     for start, duration in ((-PERIOD, PERIOD), (0.003, 0.008)):
-        weights = mean_weights(Timing(latency, lag), PERIOD, HISTORY, start, duration)
-        times = start + duration * (np.arange(400) + 0.5) / 400
+        weights = mean_weights(timing, PERIOD, HISTORY, start, duration)
+        times = start + duration * middles
         expected = filtered(commands, latency, lag, times).mean()
         assert weights @ commands == pytest.approx(expected, abs=0.02)
         assert weights.sum() == pytest.approx(1.0)
     if lag > 0.0:
-        now = mean_weights(Timing(latency, lag), PERIOD, HISTORY, 0.0, 0.0)
+        now = mean_weights(timing, PERIOD, HISTORY, 0.0, 0.0)
         expected = filtered(commands, latency, lag, np.array([0.0]))[0]
         assert now @ commands == pytest.approx(expected, abs=0.02)
 

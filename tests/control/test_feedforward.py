@@ -150,11 +150,13 @@ def test_a_period_looks_at_a_fifth_of_the_length_at_most(build, limits_of, holdi
     near = holding(model, [0.5, 0.0, 0.0])
     start = controller.act(input_for(model, near)).memory
     after = controller.act(input_for(model, far), start).memory
-    way = after.tip_pose[:3, 3] - start.tip_pose[:3, 3]
-    share = np.linalg.norm(way) / model.length
+    tip_before = start.tip_pose[:3, 3]
+    tip_after = after.tip_pose[:3, 3]
+    share = np.linalg.norm(tip_after - tip_before) / model.length
     assert 0.05 < share < 0.3
-    before = np.linalg.norm(FAR - start.tip_pose[:3, 3])
-    assert np.linalg.norm(FAR - after.tip_pose[:3, 3]) < before
+    away_before = np.linalg.norm(FAR - tip_before)
+    away_after = np.linalg.norm(FAR - tip_after)
+    assert away_after < away_before
 
 
 def test_every_step_lowers_errors_and_efforts(build, limits_of, far):

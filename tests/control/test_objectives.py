@@ -167,7 +167,8 @@ def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state
     away = aim_from(model, objective, target, q)
     at_start = aim_from(model, objective, target, start)
     np.testing.assert_allclose(away.velocity, at_start.velocity, rtol=1e-9)
-    np.testing.assert_allclose(away.velocity, away.jacobian @ (end - start) / PERIOD, rtol=1e-9)
+    rates = (end - start) / PERIOD
+    np.testing.assert_allclose(away.velocity, away.jacobian @ rates, rtol=1e-9)
 
 
 def test_a_radian_is_worth_a_tenth_of_the_rod(model):

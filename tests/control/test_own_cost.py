@@ -115,10 +115,12 @@ def test_the_gradient_of_the_square_is_that_of_differences(model, random_state, 
 
 @pytest.mark.parametrize("kind", OBJECTIVES)
 def test_weights_multiply_error_and_jacobian(model, random_state, kind):
-    q = 0.2 * random_state(model, 0)[0]
-    posture = posture_at(model, q, reference_at(model, random_state(model, 1)[0]))
-    single = OBJECTIVES[kind](model, 1.0).linear_error(posture)
-    triple = OBJECTIVES[kind](model, 3.0).linear_error(posture)
+    make_objective = OBJECTIVES[kind]
+    q, _ = random_state(model, 0)
+    goal, _ = random_state(model, 1)
+    posture = posture_at(model, 0.2 * q, reference_at(model, goal))
+    single = make_objective(model, 1.0).linear_error(posture)
+    triple = make_objective(model, 3.0).linear_error(posture)
     np.testing.assert_allclose(triple.error, 3.0 * single.error, rtol=1e-12)
     np.testing.assert_allclose(triple.jacobian, 3.0 * single.jacobian, rtol=1e-12)
 
@@ -143,10 +145,14 @@ def test_a_direction_is_off_by_its_angle_whatever_the_roll(model, angle):
     rest = posture_at(model, q, reference_at(model, q))
     x, y, _ = rest.tip_pose[:3, :3].T
     direction = np.cos(angle) * x + np.sin(angle) * y
-    rolled = moved_pose(rest.tip_pose, np.array([0.7, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    objective = TipDirection(tuple(direction), 1.0)
+    roll = np.array([0.7, 0.0, 0.0, 0.0, 0.0, 0.0])
+    rolled = moved_pose(rest.tip_pose, roll)
     for pose in (rest.tip_pose, rolled):
-        linear = TipDirection(tuple(direction), 1.0).linear_error(rest._replace(tip_pose=pose))
-        assert np.linalg.norm(linear.error) == pytest.approx(angle, abs=1e-12)
+        posture = rest._replace(tip_pose=pose)
+        linear = objective.linear_error(posture)
+        angle_off = np.linalg.norm(linear.error)
+        assert angle_off == pytest.approx(angle, abs=1e-12)
 
 
 def test_gaps_are_distances_between_surfaces(model):

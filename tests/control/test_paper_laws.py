@@ -114,11 +114,14 @@ def test_left_inverses_undo_the_actuation(build, random_state, scene):
     force = np.random.default_rng(0).normal(size=len(B))
     norms = {energy_left_inverse: np.linalg.inv(terms.stiffness), euclidean_left_inverse: None}
     for left_inverse, norm in norms.items():
-        tension = left_inverse(terms) @ force
-        np.testing.assert_allclose(B @ left_inverse(terms) @ B, B, atol=1e-8 * np.abs(B).max())
+        inverse = left_inverse(terms)
+        rounding = 1e-8 * np.abs(B).max()
+        np.testing.assert_allclose(B @ inverse @ B, B, atol=rounding)
+        tension = inverse @ force
         off = force - B @ tension
         weighted = off if norm is None else norm @ off
-        np.testing.assert_allclose(B.T @ weighted, 0.0, atol=1e-6 * np.abs(B.T @ force).max())
+        small = 1e-6 * np.abs(B.T @ force).max()
+        np.testing.assert_allclose(B.T @ weighted, 0.0, atol=small)
 
 
 def test_tips_that_cannot_be_accelerated_everywhere_are_refused(build, random_state):

@@ -255,15 +255,18 @@ def test_the_observer_takes_a_share_of_what_tensions_explain(model, random_state
     controller = Predictive(model, WIDE, PERIOD, TipPosition(), Tuning(observer=0.4))
     inertia = implicit_inertia(model.terms(q, 0.0 * q), PERIOD)
     rng = np.random.default_rng(0)
-    response = np.linalg.solve(inertia, rng.normal(size=(10, 10)))
+    actuation = rng.normal(size=(10, 10))
+    response = np.linalg.solve(inertia, actuation)
     before, unknown = rng.normal(size=(2, 10))
     memory = Plan(np.zeros((6, 10)), np.zeros(60), before, response, q_dot, None)
     reference = Reference(np.zeros(1))
-    now = ControllerInput(q, q_dot + response @ unknown, model.tip_pose(q), np.zeros(10), reference)
+    rates = q_dot + response @ unknown
+    now = ControllerInput(q, rates, model.tip_pose(q), np.zeros(10), reference)
     disturbance = controller._observe(memory, now)
     np.testing.assert_allclose(disturbance, before + 0.4 * unknown, rtol=1e-6)
     unpredicted = memory._replace(rates=None)
-    np.testing.assert_array_equal(controller._observe(unpredicted, now), before)
+    kept = controller._observe(unpredicted, now)
+    np.testing.assert_array_equal(kept, before)
 
 
 def test_what_a_period_s_tension_does_is_remembered(model, holding):

@@ -97,11 +97,15 @@ def test_the_skew_matrix_is_the_cross_product(seed):
 def test_poses_are_exact_at_their_instants_and_held_beyond(poses):
     for time, pose in zip(AHEAD, poses, strict=True):
         for near in (time, time + 1e-12, time - 1e-12):
-            np.testing.assert_array_equal(pose_at(AHEAD, poses, near), pose)
-    np.testing.assert_array_equal(pose_at(AHEAD, poses, -1.0), poses[0])
+            pose_near = pose_at(AHEAD, poses, near)
+            np.testing.assert_array_equal(pose_near, pose)
+    before = pose_at(AHEAD, poses, -1.0)
+    np.testing.assert_array_equal(before, poses[0])
     for time in (0.11, 1e3):
-        np.testing.assert_array_equal(pose_at(AHEAD, poses, time), poses[-1])
-        np.testing.assert_array_equal(pose_at(np.zeros(1), poses[:1], time), poses[0])
+        beyond = pose_at(AHEAD, poses, time)
+        np.testing.assert_array_equal(beyond, poses[-1])
+        still = pose_at(np.zeros(1), poses[:1], time)
+        np.testing.assert_array_equal(still, poses[0])
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -117,10 +121,14 @@ def test_poses_move_along_the_screw_between_instants(poses, first, share):
 def test_values_are_linear_between_instants_and_held_beyond():
     values = np.array([[0.0, 5.0], [1.0, 3.0], [-3.0, 3.0]])
     for time, value in zip(AHEAD, values, strict=True):
-        np.testing.assert_array_equal(value_at(AHEAD, values, time), value)
+        value_there = value_at(AHEAD, values, time)
+        np.testing.assert_array_equal(value_there, value)
     # three quarters of the first way, and a quarter of the second
-    np.testing.assert_allclose(value_at(AHEAD, values, 0.015), [0.75, 3.5])
-    np.testing.assert_allclose(value_at(AHEAD, values, 0.04), [0.0, 3.0], atol=1e-15)
-    np.testing.assert_array_equal(value_at(AHEAD, values, 7.0), values[-1])
+    on_first_way = value_at(AHEAD, values, 0.015)
+    np.testing.assert_allclose(on_first_way, [0.75, 3.5])
+    on_second_way = value_at(AHEAD, values, 0.04)
+    np.testing.assert_allclose(on_second_way, [0.0, 3.0], atol=1e-15)
+    beyond = value_at(AHEAD, values, 7.0)
+    np.testing.assert_array_equal(beyond, values[-1])
     still = value_at(np.zeros(1), values[:1], 0.3)
     np.testing.assert_array_equal(still, values[0])

@@ -124,12 +124,16 @@ def test_the_law_keeps_to_the_limits_by_the_nearest_motion(build, holding):
 def test_feedforward_is_the_shape_s_tensions_within_limits(build, holding, random_state):
     """Whatever the arm does; a period ahead."""
     model = build("paper")
-    path = [holding(model, scale * np.arange(10.0)).q[0] for scale in (1.0, 3.0)]
+    tension = np.arange(10.0)
+    start = holding(model, tension).q[0]
+    end = holding(model, 3.0 * tension).q[0]
+    reference = HALFWAY._replace(q=np.stack([start, end]))
     q, q_dot = random_state(model, 0)
-    reference = HALFWAY._replace(q=np.stack(path))
     now = ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(10), reference)
-    output = ShapeFeedforward(model, np.tile([0.0, 15.0], (10, 1)), PERIOD).act(now)
-    expected = np.minimum(2.0 * np.arange(10.0), 15.0)
+    limits = np.tile([0.0, 15.0], (10, 1))
+    controller = ShapeFeedforward(model, limits, PERIOD)
+    output = controller.act(now)
+    expected = np.minimum(2.0 * tension, 15.0)
     np.testing.assert_allclose(output.tension, expected, rtol=1e-9, atol=1e-9)
     # of 0, 16 and 18 N
     assert output.report["limited"] == pytest.approx(0.3)

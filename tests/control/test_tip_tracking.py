@@ -116,11 +116,12 @@ def test_short_periods_give_the_paper_s_law(
 def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_time):
     """To 2 % within about the settling time: a double pole takes 1.46 of it, and limits some
     periods."""
-    motion = drive(
-        TipTracking(model, WIDE, PERIOD, objective, settling_time=settling_time), model, near, 100
-    )
-    away = np.linalg.norm(motion.tip[:, :3, 3] - near.tip_position[0], axis=1)
-    took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
+    controller = TipTracking(model, WIDE, PERIOD, objective, settling_time=settling_time)
+    motion = drive(controller, model, near, 100)
+    tip_position = motion.tip[:, :3, 3]
+    away = np.linalg.norm(tip_position - near.tip_position[0], axis=1)
+    (unsettled,) = np.nonzero(away > 0.02 * away[0])
+    took = PERIOD * (1 + unsettled[-1])
     assert away[0] > 0.05 * model.length
     assert away[-1] < 1e-4 * model.length
     assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD

@@ -108,12 +108,16 @@ def test_actions_of_tensions_are_shares_of_their_range_and_back():
 
 
 def test_actions_of_increments_are_changes_within_the_limits_and_back():
-    scale = ActionScale(LEAST, GREATEST, np.array([0.5, 2.0, 1.0]))
+    increments = np.array([0.5, 2.0, 1.0])
+    scale = ActionScale(LEAST, GREATEST, increments)
     action = np.array([-1.0, 0.5, 1.0])
     command = scale.command(action, BEFORE)
     np.testing.assert_allclose(command, [-0.5, 2.0, 4.0])
-    np.testing.assert_allclose(scale.action(command, BEFORE), action)
-    np.testing.assert_array_equal(scale.action(np.array([3.0, 1.0, 2.0]), BEFORE), [1.0, 0.0, -1.0])
+    action_back = scale.action(command, BEFORE)
+    np.testing.assert_allclose(action_back, action)
+    far_command = np.array([3.0, 1.0, 2.0])
+    clipped_action = scale.action(far_command, BEFORE)
+    np.testing.assert_array_equal(clipped_action, [1.0, 0.0, -1.0])
     beyond = np.array([-3.0, 0.0, 1.5])
     np.testing.assert_allclose(scale.wanted(beyond, BEFORE), [-1.5, 1.0, 4.5])
     np.testing.assert_allclose(scale.command(beyond, BEFORE), [-1.0, 1.0, 4.0])

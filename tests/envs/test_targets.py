@@ -59,27 +59,33 @@ H = 1e-4
 def test_the_circle_is_the_paper_s():
     """Radius 0.25 m about (0.95, 0, 0), parallel to the y-z plane; the tip leans outward by 37.8
     degrees and does not roll."""
-    pose = CircleCourse(Circle()).sample(np.linspace(0.0, 4.0, 9)).tip_pose
+    course = CircleCourse(Circle())
+    times = np.linspace(0.0, 4.0, 9)
+    pose = course.sample(times).tip_pose
     R = pose[:, :3, :3]
-    x, y, z = pose[:, :3, 3].T
+    position = pose[:, :3, 3]
+    x, y, z = position.T
     radius = 0.25
     np.testing.assert_allclose(x, 0.95)
     np.testing.assert_allclose(np.hypot(y, z), radius)
     # rotations
     gram = R.swapaxes(1, 2) @ R
-    np.testing.assert_allclose(gram, np.tile(np.eye(3), (9, 1, 1)), atol=1e-15)
+    identities = np.tile(np.eye(3), (9, 1, 1))
+    np.testing.assert_allclose(gram, identities, atol=1e-15)
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
     # the tip's axis
     lean = np.radians(37.8)
-    np.testing.assert_allclose(R[:, 0, 0], np.cos(lean))
-    np.testing.assert_allclose(R[:, 1, 0], np.sin(lean) * y / radius, atol=1e-15)
-    np.testing.assert_allclose(R[:, 2, 0], np.sin(lean) * z / radius, atol=1e-15)
+    outward = np.sin(lean) / radius
+    axis_x, axis_y, axis_z = R[:, :, 0].T
+    np.testing.assert_allclose(axis_x, np.cos(lean))
+    np.testing.assert_allclose(axis_y, outward * y, atol=1e-15)
+    np.testing.assert_allclose(axis_z, outward * z, atol=1e-15)
     # across to where it leans: the axis of the shortest turn stays
     axis = np.stack([np.zeros(9), -z, y], axis=1) / radius
     turned = np.einsum("mij,mj->mi", R, axis)
     np.testing.assert_allclose(turned, axis, atol=1e-15)
     np.testing.assert_allclose(pose[0], pose[-1], atol=1e-15)
-    assert np.allclose(pose[0, :3, 3], [0.95, 0.25, 0.0])
+    assert np.allclose(position[0], [0.95, 0.25, 0.0])
 
 
 @pytest.mark.parametrize("target", ["random", "ramp", "hold"])

@@ -95,11 +95,14 @@ def test_pushes_follow_one_another_at_the_tip_and_in_the_middle():
     options = SETTINGS["pushes"].options({"scene": "three_tendon"})
     loads = options["scene"]["effects.disturbance.loads"]
     assert [load["at"] for load in loads] == pytest.approx([0.3, 0.15, 0.3])
-    times = [(load["signal"]["start"], load["signal"]["duration"]) for load in loads]
-    assert times == [(1.5, 0.2), (3.0, 0.4), (4.5, 0.6)]
-    assert all(load["force"] == [0.0, 0.0, 0.0] for load in loads)  # until one is drawn
+    signals = [load["signal"] for load in loads]
+    assert [signal["start"] for signal in signals] == [1.5, 3.0, 4.5]
+    assert [signal["duration"] for signal in signals] == [0.2, 0.4, 0.6]
+    no_force = [0.0, 0.0, 0.0]  # until one is drawn
+    assert all(load["force"] == no_force for load in loads)
     drawn = options["randomize"]["effects"]
-    assert drawn == {f"disturbance.loads.{i}.force": [(-0.5, 0.5)] * 3 for i in range(3)}
+    force_range = [(-0.5, 0.5)] * 3
+    assert drawn == {f"disturbance.loads.{i}.force": force_range for i in range(3)}
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -156,7 +156,8 @@ def test_the_table_of_errors_has_policies_in_rows_and_conditions_in_columns():
 def test_narrow_tables_have_errors_returns_and_shares_of_bad_episodes():
     errors = (0.001, 0.002, 0.003, 0.030)
     scores = [score_of(seed, error, 100.0 * error) for seed, error in enumerate(errors)]
-    position, returns, bad = number_tables({("a", "x"): Standing([scores])})
+    standings = {("a", "x"): Standing([scores])}
+    position, returns, bad = number_tables(standings)
     assert cells_of(position) == [["position [mm] RMS", "a"], ["x", "2.5 (9.0)"]]
     assert cells_of(returns) == [["return", "a"], ["x", "0.25 (0.90)"]]
     assert cells_of(bad) == [["bad episodes [%]", "a"], ["x", "25"]]
@@ -174,8 +175,12 @@ def test_narrow_tables_have_conditions_in_rows_and_policies_in_columns():
 
 
 def test_records_are_in_si_units_with_counts():
-    (row,) = records({("a", "x"): standing(0.001, 0.002, 0.003, 0.03)})
-    assert (row["policy"], row["condition"], row["members"], row["episodes"]) == ("a", "x", 1, 4)
+    standings = {("a", "x"): standing(0.001, 0.002, 0.003, 0.03)}
+    (row,) = records(standings)
+    assert row["policy"] == "a"
+    assert row["condition"] == "x"
+    assert row["members"] == 1
+    assert row["episodes"] == 4
     assert row["bad"] == 1
     assert row[RMS] == 0.0025
     assert row[f"{RMS}_mean"] == 0.009

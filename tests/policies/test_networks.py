@@ -116,13 +116,17 @@ def test_lstms_forget_and_take_in_by_their_gates():
     """c+ = f c + i tanh(g) and h+ = o tanh(c+), with the gates i, f, g, o of PyTorch's order."""
     of_input = Linear(draw(8, 4), draw(8))
     of_hidden = Linear(draw(8, 2), 0.5 * draw(8))
-    hidden, cell = draw(3, 2), draw(2, 3).T
-    next_hidden, next_cell = LstmLayer(of_input, of_hidden)(SEEN, hidden, cell)
+    layer = LstmLayer(of_input, of_hidden)
+    hidden = draw(3, 2)
+    cell = draw(2, 3).T
+    next_hidden, next_cell = layer(SEEN, hidden, cell)
     for row in range(3):
         from_input = of_input.weight @ SEEN[row] + of_input.bias
         from_hidden = of_hidden.weight @ hidden[row] + of_hidden.bias
         i, f, g, o = np.split(from_input + from_hidden, 4)
-        c = sigmoid(f) * cell[row] + sigmoid(i) * np.tanh(g)
+        kept = sigmoid(f) * cell[row]
+        taken_in = sigmoid(i) * np.tanh(g)
+        c = kept + taken_in
         np.testing.assert_allclose(next_cell[row], c, rtol=1e-5, atol=1e-6)
         h = sigmoid(o) * np.tanh(c)
         np.testing.assert_allclose(next_hidden[row], h, rtol=1e-5, atol=1e-6)

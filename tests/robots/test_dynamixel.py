@@ -94,12 +94,17 @@ def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling, w
 
 def test_lengths_are_those_that_spools_wind_up(bus, connect):
     robot = connect()
+    present_position = slice(132, 136)
     for motor, turns in zip(bus.motors.values(), (0.5, -0.25, 1.0), strict=True):
-        position = int.from_bytes(motor.table[132:136], "little", signed=True)
-        motor.table[132:136] = (position + int(4096 * turns)).to_bytes(4, "little", signed=True)
+        before = int.from_bytes(motor.table[present_position], "little", signed=True)
+        after = before + int(4096 * turns)
+        motor.table[present_position] = after.to_bytes(4, "little", signed=True)
     # a spool of 1 cm winds 2 pi cm a turn, and the third one the other way
-    expected = -2.0 * np.pi * 0.01 * np.array([0.5, -0.25, -1.0])
-    np.testing.assert_allclose(robot.read().tendon_length, expected, rtol=1e-12)
+    wound_turns = np.array([0.5, -0.25, -1.0])
+    circumference = 2.0 * np.pi * 0.01
+    expected = -circumference * wound_turns
+    tendon_length = robot.read().tendon_length
+    np.testing.assert_allclose(tendon_length, expected, rtol=1e-12)
     robot.close()
 
 
