@@ -211,7 +211,7 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity, dampi
         for command in (end, shares[:, None] * end):
             assert np.isfinite(simulate(model, command, 1.0, 0.02).tip_pose).all()
         rest, _ = commanded_equilibrium(model, 0.5 * end)
-        motion = simulate(model, 0.5 * end, 20.0, 1.0)
+        motion = simulate(model, 0.5 * end, 30.0, 1.0)  # soft cables: 1e-8 of the length after 20 s
         held = motion.tip_pose[-1]
         assert rest.converged
         way = held[:3, 3] - rest.tip_pose[:3, 3]
