@@ -229,26 +229,39 @@ def learner(env, seed=0):
     )
 
 
-def mean_return(policy, episodes=50):
-    """Their mean return of episodes that no training has met."""
-    env = make_sb3_vec_env(ID, episodes, **OPTIONS, observation="error")
+def unseen_env(observation, episodes=50):
+    """Rows of this task whose balls no training has met."""
+    env = make_sb3_vec_env(ID, episodes, **OPTIONS, observation=observation)
     env.seed(10_000)
+    return env
+
+
+def play(policy, env):
+    """Their mean return of an episode a row, and the tip's mean distance from the ball [m]."""
     observation = env.reset()
-    total = np.zeros(episodes)
+    total = np.zeros(env.num_envs)
+    distances = []
     for _ in range(PERIODS):
-        observation, rewards, _, _ = env.step(policy.predict(observation, deterministic=True)[0])
+        action, _ = policy.predict(observation, deterministic=True)
+        observation, rewards, _, infos = env.step(action)
         total += rewards
-    return their_return(total.mean())
+        distances.append([info["position_error"] for info in infos])
+    return their_return(total.mean()), np.mean(distances)
 
 
 def main(steps):
     torch.set_num_threads(1)
     policy = learner(make_sb3_vec_env(ID, ROWS, threads=1, **OPTIONS, observation="error"))
-    print(f"return {mean_return(policy):.1f} before")
+    before, _ = play(policy, unseen_env("error"))
+    print(f"return {before:.1f} before")
     began = time.process_time()
     policy.learn(steps)
     spent = time.process_time() - began
-    print(f"return {mean_return(policy):.1f} after {steps:,} steps, {spent:.0f} s of CPU time")
+    after, distance = play(policy, unseen_env("error"))
+    print(
+        f"return {after:.1f}, {1e3 * distance:.1f} mm from the ball in the mean"
+        f" after {steps:,} steps, {spent:.0f} s of CPU time"
+    )
 
 
 if __name__ == "__main__":
