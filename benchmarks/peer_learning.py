@@ -196,8 +196,8 @@ def distance_of(learner: BaseAlgorithm, observation: str) -> float:
     """Mean distance [m] from balls that the training has not met, without exploration."""
     env: VecEnv = follow_ball.unseen_env(observation)
     seen = learner.get_vec_normalize_env()
-    if seen is not None:  # observations as the training had them at its end
-        normalised = VecNormalize(env, training=False, norm_obs=seen.norm_obs, norm_reward=False)
+    if seen is not None and seen.norm_obs:  # by the statistics at the training's end
+        normalised = VecNormalize(env, training=False, norm_reward=False)
         normalised.obs_rms = seen.obs_rms
         env = normalised
     _, distance = follow_ball.play(learner, env)
