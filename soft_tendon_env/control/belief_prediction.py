@@ -14,7 +14,7 @@ import numpy as np
 from soft_tendon_env.control import timing_bank
 from soft_tendon_env.control.belief import Belief, StateSpace, tip_acceleration
 from soft_tendon_env.control.command_filter import Timing, mean_weights, weight_slopes
-from soft_tendon_env.control.force_errors import corrected_rollout
+from soft_tendon_env.control.force_errors import corrected_rollout, sliding_direction
 from soft_tendon_env.control.protocol import FAILURES, Measurement
 from soft_tendon_env.control.uncertainty import Setting
 from soft_tendon_env.model.simulation import Rollout, Simulation
@@ -247,7 +247,8 @@ class BeliefPrediction:
         q_ddot = np.diff(motion.q_dot, axis=0) / self._step
         acceleration = tip_acceleration(terms, last_q_dot, q_ddot)
         tension = np.maximum(input_error.gain * acting.steps + input_error.offset, 0.0)
-        taken = last.locality.loss * friction.sliding(q_dot) * tension  # (S, n_a) by a coefficient
+        direction = sliding_direction(friction.rates(q_dot))
+        taken = last.locality.loss * direction * tension  # (S, n_a) by a coefficient
         # generalised forces (S, n) by factors, mass and coefficient
         forces = {
             layout.stiffness.start: -q @ terms.stiffness,

@@ -11,6 +11,7 @@ from soft_tendon_env.control.force_errors import (
     TendonFriction,
     corrected_rollout,
     holding_matrix,
+    sliding_direction,
 )
 from soft_tendon_env.model.simulation import Simulation
 
@@ -122,7 +123,7 @@ def test_friction_takes_its_share_of_tensions_of_whatever_sense(turned, model, m
         np.testing.assert_allclose(
             damping @ rates, pull @ (friction.loss * tension[0] * shortening), rtol=1e-6
         )
-        np.testing.assert_allclose(friction.sliding(rates, 1e-6), shortening)
+        np.testing.assert_allclose(sliding_direction(friction.rates(rates), 1e-6), shortening)
         assert rates @ damping @ rates > 0.0
     # tendons that stick are damped, and never by less than nothing
     (sticking,) = friction.damping(tension, 0.0 * q_dot, SLIDING_SPEED)
