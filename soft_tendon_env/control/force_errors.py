@@ -72,7 +72,7 @@ class ForceError(NamedTuple):
     damping: Array  # D (n, n)
     inertia: Array  # M (n, n)
     held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see holding_matrix
-    friction: TendonFriction | None = None  # None: tendons slide freely
+    friction: TendonFriction
 
 
 class BentArm(NamedTuple):
@@ -178,7 +178,7 @@ def corrected_rollout(
         every_force = np.eye(error.constant.size)
         rollout = simulation.rollout(tension + error.held, duration, forces=every_force)
     friction = error.friction
-    if friction is None or not friction.loss.any():
+    if not friction.loss.any():
         return _corrected(rollout, error, duration)
     # by the rates of each motion, first of that without friction
     corrected = rollout

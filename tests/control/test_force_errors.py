@@ -29,8 +29,10 @@ def motion(model, random_state):
 def lacking(model, q, **parts):
     """A force error of some parts."""
     n = q.size
+    n_a = model.tendon_count
     nothing = np.zeros((n, n))
-    error = ForceError(np.zeros(n), nothing, nothing, nothing, np.zeros(model.tendon_count))
+    smooth = TendonFriction(np.zeros(n_a), np.zeros((n, n_a)))
+    error = ForceError(np.zeros(n), nothing, nothing, nothing, np.zeros(n_a), smooth)
     return error._replace(**parts)
 
 
