@@ -99,7 +99,8 @@ def cache(tmp_path, monkeypatch):
 def test_presets_keep_their_error_at_rest_and_in_motion(changes):
     """None above 1.5 times what it says, on tensions that the trial had not; the finer the preset
     the smaller the error."""
-    scene, errors = ARM.replace(changes), []
+    scene = ARM.replace(changes)
+    errors = []
     limits = np.array([tendon.tension_limits for tendon in scene.tendons]).T
     inputs = [
         *np.random.default_rng(7).uniform(*limits, (8, 3)),

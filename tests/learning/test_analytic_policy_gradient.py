@@ -72,7 +72,8 @@ def test_observations_are_normalised_as_vec_normalize_does(task, policy):
         if task == "Reach"
         else torch.as_tensor(seen)
     )
-    found, wanted = normalised(tensors, env), env.normalize_obs(seen)
+    found = normalised(tensors, env)
+    wanted = env.normalize_obs(seen)
     for key in found if task == "Reach" else [...]:
         np.testing.assert_allclose(found[key], wanted[key], atol=1e-6)
         assert (np.abs(wanted[key]) <= 2.0).all()
@@ -181,8 +182,10 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
     )
 
     def of(position, angle, change):
-        error, tip = torch.zeros(1, 1, 6), torch.zeros(1, 1, 3)
-        error[..., 0], tip[..., 0] = angle, position
+        error = torch.zeros(1, 1, 6)
+        tip = torch.zeros(1, 1, 3)
+        error[..., 0] = angle
+        tip[..., 0] = position
         return float(
             cost(
                 SimpleNamespace(

@@ -259,9 +259,9 @@ def test_transposed_tangents_are_the_transposes_of_the_tangent_and_its_inverse(a
     x[:3] *= angle / np.linalg.norm(x[:3])
     T = matrix(lambda y: tangent(pair(x), y))
     T_opposite = matrix(lambda y: tangent(pair(-x), y))
-    transposed, inverse, opposite = (
-        matrix(lambda psi, i=i: transposed_tangents(pair(x), psi)[i]) for i in range(3)
-    )
+    transposed = matrix(lambda psi: transposed_tangents(pair(x), psi)[0])
+    inverse = matrix(lambda psi: transposed_tangents(pair(x), psi)[1])
+    opposite = matrix(lambda psi: transposed_tangents(pair(x), psi)[2])
     np.testing.assert_allclose(transposed, T.T, atol=1e-13)
     np.testing.assert_allclose(inverse @ T.T, np.eye(6), atol=1e-12)
     np.testing.assert_allclose(opposite @ T_opposite.T, np.eye(6), atol=1e-12)

@@ -129,7 +129,8 @@ def test_the_tension_that_acts_is_read_on_every_arm(changes, command, build):
 
 
 def matrix(twist):
-    (kx, ky, kz), p = twist[:3], twist[3:]
+    kx, ky, kz = twist[:3]
+    p = twist[3:]
     return np.array(
         [[0.0, -kz, ky, p[0]], [kz, 0.0, -kx, p[1]], [-ky, kx, 0.0, p[2]], [0.0, 0.0, 0.0, 0.0]]
     )

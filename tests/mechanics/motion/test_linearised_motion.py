@@ -51,7 +51,10 @@ def test_gradient_is_that_of_all_terms(build, scene):
     unit = model.coordinate_scale()
     n = model.coordinate_count
     u = np.array([1.0, 3.0, 2.0])
-    q, v, a, w = (scale * unit * rng.normal(size=n) for scale in (0.3, 3.0, 30.0, 1.0))
+    q = 0.3 * unit * rng.normal(size=n)
+    v = 3.0 * unit * rng.normal(size=n)
+    a = 30.0 * unit * rng.normal(size=n)
+    w = unit * rng.normal(size=n)
 
     def power(q, v):
         terms = model.terms(q, v, time=TIME)

@@ -141,7 +141,8 @@ def test_poses_are_displaced_along_a_twist_in_their_own_frames(k):
     way = 1e-5
     unit = np.zeros(6)
     unit[k] = way
-    (a, b, c), v = unit[:3], unit[3:]
+    a, b, c = unit[:3]
+    v = unit[3:]
     twist = np.zeros((4, 4))
     twist[:3, :3] = [[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]]
     twist[:3, 3] = v
