@@ -286,7 +286,8 @@ def test_exponential_and_logarithm_are_those_of_matrices(angle, seed):
     k = angle * axis / np.linalg.norm(axis)
     exact = exponential_of(k, p)
     R, r = pose_of(k, p)
-    np.testing.assert_allclose(np.reshape(R, (3, 3)), exact[:3, :3], atol=1e-14)
+    rotation = np.reshape(R, (3, 3))
+    np.testing.assert_allclose(rotation, exact[:3, :3], atol=1e-14)
     np.testing.assert_allclose(r, exact[:3, 3], atol=1e-14)
     k_again, p_again = log_se3(R, r)
     np.testing.assert_allclose(k_again, k, atol=1e-13)
@@ -299,8 +300,10 @@ def test_steps_and_products_are_those_of_matrices(two_twists):
     start = exponential_of(first[:3], first[3:])
     R, r = pose_of(first[:3], first[3:])
     R_end, r_end = pose_step(R, r, pair(second))
-    end = start @ exponential_of(second[:3], second[3:])
-    np.testing.assert_allclose(np.reshape(R_end, (3, 3)), end[:3, :3], atol=1e-14)
+    step = exponential_of(second[:3], second[3:])
+    end = start @ step
+    rotation_end = np.reshape(R_end, (3, 3))
+    np.testing.assert_allclose(rotation_end, end[:3, :3], atol=1e-14)
     np.testing.assert_allclose(r_end, end[:3, 3], atol=1e-14)
     A = np.arange(9.0).reshape(3, 3)
     k = second[:3]
