@@ -24,10 +24,10 @@ from cycler import cycler
 from tqdm import tqdm
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.coordinate_search import search
 from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of
 from soft_tendon_env.accuracy.input_motions import HOLD, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
-from soft_tendon_env.accuracy.trial import search
 from soft_tendon_env.scene.scene import Scene, rod_length
 
 RESTS = 12

@@ -59,7 +59,8 @@ def blocks_of(text: str) -> list[Block]:
     found = []
     for match in FENCE.finditer(text):
         comments, language, file, body = match.groups()
-        line, tested = text.count("\n", 0, match.start(4)) + 1, body
+        line = text.count("\n", 0, match.start(4)) + 1
+        tested = body
         assert not REPLACEMENT.sub("", comments), f"line {line}: {comments.strip()}"
         for old, new in REPLACEMENT.findall(comments):
             assert old in tested, (
@@ -165,7 +166,8 @@ def command_lines(text: str) -> list[str]:
 @functools.cache
 def help_of(command: str) -> str:
     """What a command, or a script, says with --help."""
-    said, script = io.StringIO(), str(ROOT / command)
+    said = io.StringIO()
+    script = str(ROOT / command)
     path = [str(Path(script).parent), *sys.path]
     with (
         mock.patch.dict(os.environ, COLUMNS="1000"),

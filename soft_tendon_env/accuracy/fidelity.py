@@ -244,18 +244,27 @@ def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
     They were measured under its loads, or it has none; without friction, or its own is light; and
     with stiff tendons, or its own are nearly so.
     """
+    if fields.misfit(scene):
+        return False
     loads = scene.effects.everywhere()
     is_under_loads = loads == fields.effects or not has_strengths(loads)
-    effects = tried_effects(scene.effects)
-    friction = effects.tendon_friction
-    is_smooth = friction is None or friction.coefficient <= LIGHT_FRICTION
-    elasticity = effects.tendon_elasticity
-    is_stiff = True
-    if elasticity is not None:
-        greatest = max(tendon.tension_limits[1] for tendon in scene.tendons)
-        stretch = greatest / elasticity.stiffness
-        is_stiff = stretch <= LITTLE_STRETCH * rod_length(scene)
-    return not fields.misfit(scene) and is_under_loads and is_smooth and is_stiff
+    return is_under_loads and _has_smooth_tendons(scene) and _has_stiff_tendons(scene)
+
+
+def _has_smooth_tendons(scene: Scene) -> bool:
+    """Whether the friction of tendons is light, or there is none."""
+    friction = tried_effects(scene.effects).tendon_friction
+    return friction is None or friction.coefficient <= LIGHT_FRICTION
+
+
+def _has_stiff_tendons(scene: Scene) -> bool:
+    """Whether the greatest tension stretches tendons by little of the rod's length, or by none."""
+    elasticity = tried_effects(scene.effects).tendon_elasticity
+    if elasticity is None:
+        return True
+    greatest = max(tendon.tension_limits[1] for tendon in scene.tendons)
+    stretch = greatest / elasticity.stiffness
+    return stretch <= LITTLE_STRETCH * rod_length(scene)
 
 
 def _check(scene: Scene, choice: Choice, asked: Accuracy, fidelity: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from soft_tendon_env.accuracy import trial
+from soft_tendon_env.accuracy import coordinate_search
 from soft_tendon_env.accuracy.candidates import bare_rod, known_fields
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
 from soft_tendon_env.accuracy.loads import covers, tried_effects
@@ -51,7 +51,7 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
     try:
         folder = new_data_folder("trials")
     except OSError:  # nothing can be kept
-        return trial.search(scene, asked, least)
+        return coordinate_search.search(scene, asked, least)
     with contextlib.ExitStack() as turn:  # one process makes it, the others find it
         # What cannot be locked may be made twice, as where the file system has no locks.
         with contextlib.suppress(OSError, NotImplementedError):
@@ -68,7 +68,7 @@ def choose(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
             f" converged reference, once for loads up to those that it tries: {folder}"
         )
         with compiling_for(scene):
-            choice = trial.search(scene, asked, least)
+            choice = coordinate_search.search(scene, asked, least)
         keep(folder, key, scene, choice)
     description = choice.describe(scene)
     percent = 100 * asked.share

@@ -6,18 +6,15 @@ They are intervals and a tolerance.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from soft_tendon_env.accuracy.candidates import ANGULAR, bare_rod
 from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.trial import Trial
 from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.model.reference_model import part_borders
 from soft_tendon_env.scene.scene import MOST_INTERVALS, breakpoints, rod_length
-
-if TYPE_CHECKING:
-    from soft_tendon_env.accuracy.trial import Trial
 
 FEW = 3
 """Order of the moments that time steps are settled with."""

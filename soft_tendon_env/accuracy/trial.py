@@ -1,6 +1,6 @@
-"""Trial of an arm: coordinates, quadrature and time steps that keep its tip accurate.
+"""Trial of an arm: distances of the tip of its models from the converged reference.
 
-The tip is within a share of its length of the converged reference.
+By them `coordinate_search` finds coordinates, quadrature and time steps that keep it accurate.
 
 A trial is made once, in seconds, under loads up to a multiple of the scene's and within its tension
 limits. The arm is without obstacles, and without what lies between commands and tensions, but for
@@ -9,14 +9,10 @@ the friction of tendons and their elasticity.
 
 from __future__ import annotations
 
-import warnings
-from typing import Any
-
 import numpy as np
 
-from soft_tendon_env.accuracy.candidates import known_fields, strain_tables
 from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
-from soft_tendon_env.accuracy.choice import Accuracy, Choice
+from soft_tendon_env.accuracy.choice import Choice
 from soft_tendon_env.accuracy.hardest_motions import HardestMotions
 from soft_tendon_env.accuracy.input_motions import (
     DURATION,
@@ -25,7 +21,7 @@ from soft_tendon_env.accuracy.input_motions import (
     slack_tensions,
     tension_limits,
 )
-from soft_tendon_env.accuracy.loads import load_cases, reaches, tried_effects
+from soft_tendon_env.accuracy.loads import load_cases, tried_effects
 from soft_tendon_env.accuracy.progress import Progress
 from soft_tendon_env.accuracy.reference import (
     Ladder,
@@ -33,11 +29,9 @@ from soft_tendon_env.accuracy.reference import (
     distance,
     refine_once,
 )
-from soft_tendon_env.accuracy.settling import settle, settled_steps
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.statics import RedundancyWarning, static_equilibrium
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
 SEED = 500
@@ -86,9 +80,6 @@ FIRST_LEVELS = 2
 MOST_LEVELS = 3
 """Levels of full physics that an input gets at most."""
 
-HORIZONS = (0.1, 0.2, 0.5, 1.0, DURATION)
-"""Times [s] for which an error that grows is told."""
-
 OWN = 0
 """Case of loads that are the scene's own."""
 
@@ -106,13 +97,6 @@ SETTLED = 0.15
 
 EVERY = 3
 """One of so many inputs is looked at when steps and quadrature are settled."""
-
-RESETTLED = 2
-"""Factor of coordinates after which steps are settled anew: a model with more of them vibrates
-faster, and the same steps are less accurate. More coordinates yet would not help."""
-
-RICHEST = 3
-"""Candidates with the most coordinates, of which the best is taken where none is near enough."""
 
 
 class Trial:
@@ -415,117 +399,3 @@ class Trial:
             if distance(path, other) > allowed:
                 return False
         return True
-
-
-def search(scene: Scene, asked: Accuracy, least: int = 0) -> Choice:
-    """Choice with the fewest coordinates whose error is below what is asked for, or the best.
-
-    The error is below by MARGIN.
-
-    It holds for loads up to a multiple of the scene's, or for these alone where larger ones have no
-    unique motion, or where nothing is within what is asked for under them. least: number of
-    coordinates that it has at least.
-    """
-    with Progress(scene.name) as progress, warnings.catch_warnings():
-        # of models that are tried, which nobody asked for
-        warnings.simplefilter("ignore", RedundancyWarning)
-        for reach in reaches(scene):
-            trial = Trial(scene, asked.share, reach, progress)
-            is_last = reach == 1.0
-            if trial.left_out and not is_last:
-                continue
-            choice = best_choice(trial, asked, progress, least)
-            is_within = choice.error <= asked.share
-            if is_within or is_last:
-                break
-    return choice
-
-
-def best_choice(trial: Trial, asked: Accuracy, progress: Progress, least: int = 0) -> Choice:
-    """Choice with the fewest coordinates that a trial finds near enough, or the best.
-
-    It has `least` coordinates or more.
-    """
-    while True:
-        inputs = len(trial.tests)
-        choice = _first_near(trial, asked, progress, least)
-        # an input that turned out to be not unique may have ruled out a choice before
-        if len(trial.tests) == inputs:
-            return _with_inputs(choice, trial, asked)
-
-
-def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -> Choice:
-    settled = settle(trial, asked)
-    if not trial.tests:
-        return settled
-    tables = []
-    fields = known_fields(trial.scene)
-    coordinates = settled.coordinates  # that steps were settled with
-    for table in strain_tables(trial.scene, fields, least):
-        tables.append(table)
-        choice = judged(trial, settled, table, is_bounded=True)
-        progress.candidate()
-        if choice is None:
-            continue
-        if not np.isfinite(choice.error) and choice.coordinates >= RESETTLED * coordinates:
-            coordinates = choice.coordinates
-            finer = settled_steps(trial, choice)
-            if finer.integrator != choice.integrator:
-                settled = settled._replace(integrator=finer.integrator)
-                choice = judged(trial, settled, table, is_bounded=True)
-        if choice is not None and np.isfinite(choice.error):
-            return choice
-
-    # nothing is near enough: the best of those with the most coordinates
-    best = settled
-    for table in tables[-RICHEST:]:
-        choice = judged(trial, settled, table, is_bounded=False)
-        if choice is not None and choice.error < best.error:
-            best = choice
-    return best
-
-
-def judged(
-    trial: Trial, settled: Choice, strain: dict[str, Any], is_bounded: bool
-) -> Choice | None:
-    """Choice with a strain table and its error, see `Trial.distance`.
-
-    None: there are no independent coordinates.
-    """
-    try:
-        choice = settled.with_strain(trial.scene, strain)
-        model = trial.model(choice)
-    except ConfigurationError:
-        return None
-    error = trial.distance(model, is_bounded)
-    return choice._replace(
-        coordinates=model.coordinate_count, error=error / rod_length(trial.scene)
-    )
-
-
-def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
-    """The choice with what it was tried on, and how its error grows where that is not within."""
-    if len(trial.cases) > 1:
-        case = GREATEST
-    else:
-        case = OWN
-    largest = trial.cases[case]
-    is_accurate = choice.error <= asked.share
-    is_within = is_accurate and trial.seconds == DURATION
-    is_known = np.isfinite(choice.error)
-    if is_known and not is_within:
-        bounds_in_metres = trial.growth(trial.model(choice))
-        bounds = bounds_in_metres / rod_length(trial.scene)
-        is_accurate_until = bounds <= asked.share
-        samples = int(np.count_nonzero(is_accurate_until))
-        growth = [(seconds, float(bounds[round(seconds / HOLD)])) for seconds in HORIZONS]
-        within = HOLD * max(samples - 1, 0)
-        choice = choice._replace(seconds=within, growth=tuple(growth))
-    return choice._replace(
-        tensions=trial.share,
-        missing=trial.missing,
-        not_unique=trial.not_unique,
-        inputs=trial.inputs,
-        loads=largest.model_dump(mode="json"),
-        reach=trial.reach,
-    )

@@ -14,8 +14,8 @@ import numpy as np
 from soft_tendon_env.control import timing_bank
 from soft_tendon_env.control.belief import Belief, StateSpace, tip_acceleration
 from soft_tendon_env.control.command_filter import Timing, mean_weights, weight_slopes
-from soft_tendon_env.control.force_errors import corrected_rollout
-from soft_tendon_env.control.protocol import FAILURES, Measurement
+from soft_tendon_env.control.force_errors import ForceError, corrected_rollout, sliding_direction
+from soft_tendon_env.control.protocol import FAILURES, InputError, Measurement
 from soft_tendon_env.control.uncertainty import Setting
 from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.tools.types import Array
@@ -24,15 +24,26 @@ UNIFORM = 1.0 / np.sqrt(12.0)
 """Standard deviation of what is anywhere within a unit."""
 
 
-class ActingTension(NamedTuple):
-    """Tensions that act over the last period, before gains and offsets.
+class PeriodStart(NamedTuple):
+    """State at the beginning of a period, about which the motion is linearised."""
 
-    The period has S steps of equal length.
+    belief: Belief  # whose mean it is
+    q: Array  # (n,)
+    q_dot: Array  # (n,)
+    input_error: InputError
+    force_error: ForceError
+
+
+class ActingTension(NamedTuple):
+    """Tensions that act over the last period, of S steps of equal length.
+
+    All but `pull` are without gains and offsets.
     """
 
     steps: Array  # (S, n_a) [N] means of the steps
     slopes: Array  # (2, S, n_a) [N/s] of them, by latency and lag
     hypotheses: Array | None  # (H, S, n_a) [N] means of steps by hypothesis, where there is a bank
+    pull: Array  # (S, n_a) [N] with which tendons pull in the steps: with gains and offsets
 
 
 class PeriodMotion(NamedTuple):
@@ -124,17 +135,19 @@ class BeliefPrediction:
             The belief at the end of the period, and the transition.
         """
         layout = self.space.layout
-        about = last._replace(mean=point)
-        acting = self._acting(about, measured, weight)
-        motion = self._motion(about, measured, acting)
+        start = self._start(last._replace(mean=point))
+        acting = self._acting(start, measured, weight)
+        motion = self._motion(start, measured, acting)
         if motion is None:
             return None
         moving = slice(layout.v.stop)
-        gain = self.space.input_error(point).gain
+        gain = start.input_error.gain
         by_tension = motion.by_tension.sum(axis=0)
-        transition = self._transition(about, motion, acting)
-        taken = self.space.friction(point, last.locality).loss * np.abs(acting.steps).mean(axis=0)
-        white_tension = np.hypot(self._white_tension, self._sliding * taken)
+        transition = self._transition(start, motion, acting)
+        # a deviation needs no exact tension: that of the commands, without gains and offsets
+        commanded = np.abs(acting.steps).mean(axis=0)
+        rubbed = start.force_error.friction.loss * commanded
+        white_tension = np.hypot(self._white_tension, self._sliding * rubbed)
         bank = last.bank
         if acting.hypotheses is not None and bank is not None:
             # what lies between two hypotheses
@@ -183,21 +196,37 @@ class BeliefPrediction:
         variance[layout.load] += np.repeat(growth, 3) ** 2
         return self.period * variance
 
-    def _acting(self, last: Belief, measured: Measurement, weight: Array | None) -> ActingTension:
+    def _start(self, belief: Belief) -> PeriodStart:
+        """Mean of a belief as the beginning of a period."""
+        q, q_dot = self.space.coordinates(belief.mean)
+        return PeriodStart(
+            belief=belief,
+            q=q,
+            q_dot=q_dot,
+            input_error=self.space.input_error(belief.mean),
+            force_error=self.space.force_error(belief.mean, belief.locality),
+        )
+
+    def _acting(
+        self, start: PeriodStart, measured: Measurement, weight: Array | None
+    ) -> ActingTension:
         """Tensions that act over the last period, by the believed timing or by a weight (H,)."""
-        timing = self.space.timing(last.mean)
+        timing = self.space.timing(start.belief.mean)
+        bank = start.belief.bank
+        input_error = start.input_error
         slopes = weight_slopes(timing, self.period, self.history, self._starts, self._step)
         hypotheses = None
-        if last.bank is None or weight is None:
+        if bank is None or weight is None:
             steps = self._means(timing) @ measured.sent
         else:
-            latencies, lags = (values[:, None] for values in last.bank.timing)
+            latencies, lags = (values[:, None] for values in bank.timing)
             hypotheses = self._means(Timing(latencies, lags)) @ measured.sent
             steps = np.einsum("h,hst->st", weight, hypotheses)
         return ActingTension(
             steps=steps,
             slopes=np.array(slopes) @ measured.sent,
             hypotheses=hypotheses,
+            pull=input_error.gain * steps + input_error.offset,
         )
 
     def _means(self, timing: Timing) -> Array:
@@ -205,17 +234,15 @@ class BeliefPrediction:
         return mean_weights(timing, self.period, self.history, self._starts, self._step)
 
     def _motion(
-        self, last: Belief, measured: Measurement, acting: ActingTension
+        self, start: PeriodStart, measured: Measurement, acting: ActingTension
     ) -> PeriodMotion | None:
         """Motion over the last period; None where the model has none."""
-        q, q_dot = self.space.coordinates(last.mean)
-        error = self.space.force_error(last.mean, last.locality)
-        input_error = self.space.input_error(last.mean)
-        tension = input_error.gain * acting.steps + input_error.offset
-        start = measured.time - self.period
+        time = measured.time - self.period
+        effects = start.belief.effects
+        error = start.force_error
         try:
-            self._simulation.reset(q, q_dot, time=start, effects=last.effects)
-            rollout = corrected_rollout(self._simulation, tension, self._step, error)
+            self._simulation.reset(start.q, start.q_dot, time=time, effects=effects)
+            rollout = corrected_rollout(self._simulation, acting.pull, self._step, error)
         except FAILURES:
             return None
         return _period_motion(rollout, np.tile(self.space.scale, 2))
@@ -230,24 +257,24 @@ class BeliefPrediction:
         inertial = self._inertial * np.sqrt(np.mean(shares**2))
         return np.hypot(self._white_force, inertial) * self._force_unit
 
-    def _transition(self, last: Belief, motion: PeriodMotion, acting: ActingTension) -> Array:
+    def _transition(self, start: PeriodStart, motion: PeriodMotion, acting: ActingTension) -> Array:
         """Transition F (m, m) of deviations over a period.
 
         A bank has the deviations by timing itself, see `predict`.
         """
         layout = self.space.layout
-        terms = last.locality.terms
+        locality = start.belief.locality
+        terms = locality.terms
         tip = terms.tip_jacobian[3:]
-        input_error = self.space.input_error(last.mean)
-        friction = self.space.friction(last.mean, last.locality)
-        _, last_q_dot = self.space.coordinates(last.mean)
+        friction = start.force_error.friction
         # means of the steps (S, n)
         q = 0.5 * (motion.q[1:] + motion.q[:-1])
         q_dot = np.diff(motion.q, axis=0) / self._step
         q_ddot = np.diff(motion.q_dot, axis=0) / self._step
-        acceleration = tip_acceleration(terms, last_q_dot, q_ddot)
-        tension = np.maximum(input_error.gain * acting.steps + input_error.offset, 0.0)
-        taken = last.locality.loss * friction.sliding(q_dot) * tension  # (S, n_a) by a coefficient
+        acceleration = tip_acceleration(terms, start.q_dot, q_ddot)
+        direction = sliding_direction(friction.rates(q_dot))
+        tension = np.maximum(acting.pull, 0.0)
+        taken = locality.loss * direction * tension  # (S, n_a) by a coefficient
         # generalised forces (S, n) by factors, mass and coefficient
         forces = {
             layout.stiffness.start: -q @ terms.stiffness,
@@ -263,14 +290,13 @@ class BeliefPrediction:
         transition[moving, layout.offset] = by_tension
         by_gain = np.einsum("sit,st->it", motion.by_tension, acting.steps)
         transition[moving, layout.gain] = by_gain
-        transition[moving, layout.load] = by_force @ last.locality.load_jacobian
+        transition[moving, layout.load] = by_force @ locality.load_jacobian
         for column, force in forces.items():
             transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)
-        if last.bank is None:
+        if start.belief.bank is None:
             timing = slice(layout.latency.start, layout.lag.stop)
-            transition[moving, timing] = np.einsum(
-                "sit,pst->ip", motion.by_tension, input_error.gain * acting.slopes
-            )
+            slopes = start.input_error.gain * acting.slopes
+            transition[moving, timing] = np.einsum("sit,pst->ip", motion.by_tension, slopes)
         return transition * self._keep[:, None]
 
 

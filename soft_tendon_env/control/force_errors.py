@@ -34,6 +34,14 @@ LEAST_RATE = 1e-9
 """Rate of a tendon [m/s] below which it does not slide."""
 
 
+def sliding_direction(rate: Array, speed: float = SLIDING_SPEED) -> Array:
+    """Directions (..., n_a) in which tendons slide at rates (..., n_a) [m/s], from -1 to 1.
+
+    They are whole at rates far above a speed [m/s].
+    """
+    return np.asarray(np.tanh(rate / speed))
+
+
 class TendonFriction(NamedTuple):
     """Friction of tendons, with one direction of sliding for all of a tendon.
 
@@ -44,18 +52,15 @@ class TendonFriction(NamedTuple):
     loss: Array  # (n_a,) shares of tensions that friction takes from tendons that slide
     pull: Array  # B (n, n_a), by which tendons shorten at the rates B^T q_dot
 
-    def sliding(self, q_dot: Array, speed: float = SLIDING_SPEED) -> Array:
-        """Directions (..., n_a) in which tendons slide at rates (..., n), from -1 to 1.
-
-        They are whole at tendon rates far above a speed [m/s].
-        """
-        return np.asarray(np.tanh(q_dot @ self.pull / speed))
+    def rates(self, q_dot: Array) -> Array:
+        """Rates (..., n_a) [m/s] at which tendons shorten, of rates (..., n) of coordinates."""
+        return np.asarray(q_dot @ self.pull)
 
     def damping(self, tension: Array, q_dot: Array, speed: float) -> Array:
         """Damping matrices (N, n, n) under tensions (N, n_a) [N] at rates (N, n) or (n,)."""
-        rate = np.maximum(np.abs(q_dot @ self.pull), LEAST_RATE)
+        rate = np.maximum(np.abs(self.rates(q_dot)), LEAST_RATE)
         taken = self.loss * np.maximum(tension, 0.0)
-        coefficient = taken * np.tanh(rate / speed) / rate
+        coefficient = taken * sliding_direction(rate, speed) / rate
         return np.asarray((self.pull * coefficient[:, None]) @ self.pull.T)
 
 
@@ -67,7 +72,7 @@ class ForceError(NamedTuple):
     damping: Array  # D (n, n)
     inertia: Array  # M (n, n)
     held: Array  # (n_a,) [N] tensions that come nearest to it at rest, see holding_matrix
-    friction: TendonFriction | None = None  # None: tendons slide freely
+    friction: TendonFriction
 
 
 class BentArm(NamedTuple):
@@ -173,7 +178,7 @@ def corrected_rollout(
         every_force = np.eye(error.constant.size)
         rollout = simulation.rollout(tension + error.held, duration, forces=every_force)
     friction = error.friction
-    if friction is None or not friction.loss.any():
+    if not friction.loss.any():
         return _corrected(rollout, error, duration)
     # by the rates of each motion, first of that without friction
     corrected = rollout

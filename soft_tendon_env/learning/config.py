@@ -15,7 +15,12 @@ from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import APG, DAGGER, hyperparameter_problems
+from soft_tendon_env.learning.hyperparameters import (
+    APG,
+    DAGGER,
+    hyperparameter_problems,
+    read_hyperparameters,
+)
 from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
 from soft_tendon_env.tools.configuration import (
@@ -84,7 +89,8 @@ class Training(Configuration):
         learning_rate: a number, or (first, last) with a straight line between them, or with
             "geometric" behind them a straight line between their logarithms.
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names;
-            `activation_fn` is a name in torch.nn.
+            `activation_fn` is a name in torch.nn. Those that the `cost` of APG does not read are
+            left out.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see
             policies/integral.py; None: none.
@@ -150,6 +156,11 @@ class Training(Configuration):
             known = not_registered(algorithm, ALGORITHMS)
             raise ValueError(f"should be an algorithm to train with: {known}")
         return algorithm
+
+    @field_validator("hyperparameters")
+    @classmethod
+    def _say_what_is_read(cls, hyperparameters: dict[str, Any]) -> dict[str, Any]:
+        return read_hyperparameters(hyperparameters)
 
     @field_validator("options")
     @classmethod

@@ -74,6 +74,10 @@ RANGES: Mapping[str, Range] = {
     "rounds": AT_LEAST_ONE,
 }
 """Least and greatest of numbers beyond which algorithms would train without a word, to no good."""
+UNREAD: Mapping[str, tuple[str, ...]] = {
+    "reward": ("position_scale", "angle_scale", "far_weight"),
+}
+"""Hyperparameters of APG that a cost does not read, by its name: those of the errors alone."""
 
 
 def training_class(algorithm: str) -> Any:
@@ -91,6 +95,18 @@ def training_class(algorithm: str) -> Any:
             f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"'
         ) from error
     return getattr(module, algorithm)
+
+
+def read_hyperparameters(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Hyperparameters without those that their `cost` does not read.
+
+    A training has such of one that it extends: they would tell two alike from one another.
+    """
+    unread: tuple[str, ...] = ()
+    cost = given.get("cost")
+    if isinstance(cost, str):
+        unread = UNREAD.get(cost, ())
+    return {name: value for name, value in given.items() if name not in unread}
 
 
 def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:

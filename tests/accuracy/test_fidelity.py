@@ -41,7 +41,8 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
     for changes in (moments, {"quadrature.intervals": 9}, {"integrator.step": 0.01}):
         (part,) = {key.split(".")[0] for key in changes}
         changed = scene.replace(changes)
-        kept, standard = at_fidelity(changed, None), at_fidelity(scene, "standard")
+        kept = at_fidelity(changed, None)
+        standard = at_fidelity(scene, "standard")
         for name in ("strain", "quadrature", "integrator"):
             assert getattr(kept, name) == getattr(changed if name == part else standard, name)
         assert at_fidelity(changed, "scene") == changed
@@ -125,7 +126,8 @@ def test_a_length_is_an_accuracy_and_others_are_refused():
         ("0.6mm", 2e-3, "standard"),
         ("0.06mm", 2e-4, "fine"),
     ):
-        asked, preset = accuracy_of(scene, length), PRESETS[near]
+        asked = accuracy_of(scene, length)
+        preset = PRESETS[near]
         assert asked.share == pytest.approx(share)
         assert asked.least == preset.least
         assert asked.tolerance == pytest.approx(preset.tolerance * min(share / preset.share, 1.0))

@@ -39,7 +39,8 @@ def test_the_error_bar_bounds_the_error():
         }
     )
     inputs = [motion_tensions(curled, "smooth", 0, 0.3), np.array([3.0, 0.0, 5.0])]
-    rough, fine = (reference_motions(curled, inputs, tolerance) for tolerance in (1e-3, 1e-6))
+    rough = reference_motions(curled, inputs, 1e-3)
+    fine = reference_motions(curled, inputs, 1e-6)
     assert LEVELS.index(rough.level) < LEVELS.index(fine.level)
     for before, after, bar in zip(rough.tips, fine.tips, rough.tip_errors, strict=True):
         assert 0.0 < np.linalg.norm(after - before, axis=1).max() <= bar

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy import kept_trials
+from soft_tendon_env.accuracy import coordinate_search, kept_trials
 from soft_tendon_env.accuracy import trial as module
 from soft_tendon_env.accuracy.candidates import bare_rod, strain_tables
 from soft_tendon_env.accuracy.case_models import CaseModels, TrialInput
@@ -99,7 +99,8 @@ def cache(tmp_path, monkeypatch):
 def test_presets_keep_their_error_at_rest_and_in_motion(changes):
     """None above 1.5 times what it says, on tensions that the trial had not; the finer the preset
     the smaller the error."""
-    scene, errors = ARM.replace(changes), []
+    scene = ARM.replace(changes)
+    errors = []
     limits = np.array([tendon.tension_limits for tendon in scene.tendons]).T
     inputs = [
         *np.random.default_rng(7).uniform(*limits, (8, 3)),
@@ -125,7 +126,7 @@ def test_presets_keep_their_error_at_rest_and_in_motion(changes):
 def test_presets_keep_their_error_under_all_loads_of_the_range(changes, preset):
     """None above what it says, under loads from a third of the scene's to the largest ones."""
     scene = ARM.replace({**changes, "effects.tip_load.mass": 0.01})
-    choice = module.search(scene, PRESETS[preset])
+    choice = coordinate_search.search(scene, PRESETS[preset])
     inputs = [
         *np.random.default_rng(8).uniform(*tension_limits(scene), (8, 3)),
         *(motion_tensions(scene, kind, 71, 1.0) for kind in USUAL),
@@ -168,7 +169,7 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     (path,) = cache.glob("*.json")
 
     other = choice._replace(coordinates=99)
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: other)
+    monkeypatch.setattr(coordinate_search, "search", lambda scene, asked, least: other)
     assert choose(ARM, PRESETS["fast"]) == choice
     path.write_bytes(path.read_bytes()[:-9])  # damaged
     assert choose(ARM, PRESETS["fast"]).coordinates == 99
@@ -193,7 +194,9 @@ def test_it_is_made_once_and_kept(cache, monkeypatch):
     ids=["empty", "no text", "a list", "another digest", "deep"],
 )
 def test_a_damaged_file_of_a_trial_is_made_anew(cache, monkeypatch, content):
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    monkeypatch.setattr(
+        coordinate_search, "search", lambda scene, asked, least: chosen_under(LARGEST, 7)
+    )
     choose(ARM, PRESETS["fast"])
     (path,) = cache.glob("*.json")
     path.write_bytes(content)
@@ -203,7 +206,9 @@ def test_a_damaged_file_of_a_trial_is_made_anew(cache, monkeypatch, content):
 
 @pytest.mark.parametrize("coordinates", [None, "7", 8])
 def test_a_changed_number_of_a_trial_is_noticed(cache, monkeypatch, coordinates):
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    monkeypatch.setattr(
+        coordinate_search, "search", lambda scene, asked, least: chosen_under(LARGEST, 7)
+    )
     choose(ARM, PRESETS["fast"])
     (path,) = cache.glob("*.json")
     file = json.loads(path.read_text())
@@ -213,7 +218,9 @@ def test_a_changed_number_of_a_trial_is_noticed(cache, monkeypatch, coordinates)
 
 
 def test_a_trial_that_cannot_be_locked_is_made(cache, monkeypatch):
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: chosen_under(LARGEST, 7))
+    monkeypatch.setattr(
+        coordinate_search, "search", lambda scene, asked, least: chosen_under(LARGEST, 7)
+    )
     key = trial_digest(ARM, PRESETS["fast"])
     (cache / f"{key}.lock").mkdir(parents=True)
     assert choose(ARM, PRESETS["fast"]).coordinates == 7
@@ -228,7 +235,7 @@ def test_smaller_loads_use_the_trial_again_and_larger_ones_begin_another(cache, 
         greatest = load_cases(scene, REACH, 0)[1]
         return chosen_under(greatest.model_dump(mode="json"), coordinates=len(tried))
 
-    monkeypatch.setattr(module, "search", made)
+    monkeypatch.setattr(coordinate_search, "search", made)
     loaded = ARM.replace({"effects.tip_load": {"mass": 0.02, "force": [0.0, 0.1, 0.0]}})
     cases = [
         ({}, 1),
@@ -259,7 +266,7 @@ def test_loads_within_the_range_begin_no_trial_at_any_preset(cache, monkeypatch,
         tried.append(asked)
         return chosen_under(LARGEST)
 
-    monkeypatch.setattr(module, "search", made)
+    monkeypatch.setattr(coordinate_search, "search", made)
     for factor in (1.0, 0.5, 1.2, 0.0):
         loads = scaled_effects(ARM.effects, factor)
         at_fidelity(ARM.replace({"effects": loads}), preset)
@@ -308,9 +315,9 @@ def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
     def best(trial, asked, progress, least):
         return chosen_under({}, 3, error if trial.reach > 1.0 else 0.004)
 
-    monkeypatch.setattr(module, "Trial", FakeTrial)
-    monkeypatch.setattr(module, "best_choice", best)
-    assert module.search(ARM, PRESETS["fast"]).error == 0.004
+    monkeypatch.setattr(coordinate_search, "Trial", FakeTrial)
+    monkeypatch.setattr(coordinate_search, "best_choice", best)
+    assert coordinate_search.search(ARM, PRESETS["fast"]).error == 0.004
     assert tried == reached
 
 
@@ -362,7 +369,7 @@ def test_larger_loads_that_buckle_a_column_are_left_at_once(monkeypatch):
 )
 def test_a_column_near_its_buckling_load_gets_few_coordinates(young_modulus, most, left_out):
     asked = PRESETS["fast"]
-    choice = module.search(standing(young_modulus), asked)
+    choice = coordinate_search.search(standing(young_modulus), asked)
     assert choice.coordinates <= most
     assert choice.error <= asked.share / module.MARGIN
     assert choice.left_out == left_out
@@ -387,9 +394,9 @@ def test_what_an_input_ruled_out_is_judged_again_without_it(monkeypatch, is_drop
         error = 0.001 if is_near else np.inf
         return choice._replace(coordinates=count, error=error)
 
-    monkeypatch.setattr(module, "judged", judge)
-    monkeypatch.setattr(module, "known_fields", lambda scene: None)
-    choice = module.best_choice(trial, PRESETS["fast"], Progress("arm", shown=False))
+    monkeypatch.setattr(coordinate_search, "judged", judge)
+    monkeypatch.setattr(coordinate_search, "known_fields", lambda scene: None)
+    choice = coordinate_search.best_choice(trial, PRESETS["fast"], Progress("arm", shown=False))
     assert judged == coordinates
     assert choice.coordinates == judged[-1]
     assert choice.not_unique == is_dropped
@@ -409,14 +416,16 @@ def test_steps_are_settled_anew_where_coordinates_have_doubled(monkeypatch, need
         return settled._replace(coordinates=table["coordinates"], error=error)
 
     few = chosen_under({}, 4)._replace(integrator={"tolerance": 1.0})
-    monkeypatch.setattr(module, "settle", lambda trial, asked: few)
-    monkeypatch.setattr(module, "settled_steps", lambda trial, choice: choice.with_finer_steps(5.0))
+    monkeypatch.setattr(coordinate_search, "settle", lambda trial, asked: few)
+    monkeypatch.setattr(
+        coordinate_search, "settled_steps", lambda trial, choice: choice.with_finer_steps(5.0)
+    )
     tables = [{"coordinates": count} for count in (3, 7, 8, 10, 16)]
-    monkeypatch.setattr(module, "strain_tables", lambda *_: iter(tables))
-    monkeypatch.setattr(module, "judged", judge)
+    monkeypatch.setattr(coordinate_search, "strain_tables", lambda *_: iter(tables))
+    monkeypatch.setattr(coordinate_search, "judged", judge)
     progress = SimpleNamespace(candidate=lambda: None)
     trial = SimpleNamespace(tests=[1], scene=ARM)
-    choice = module._first_near(trial, PRESETS["fast"], progress, 0)
+    choice = coordinate_search._first_near(trial, PRESETS["fast"], progress, 0)
     every = [(3, 1.0), (7, 1.0), (8, 1.0), (8, 0.2), (10, 0.2), (16, 0.2), (16, 0.04)]
     np.testing.assert_allclose(judged, every[:judgements])
     assert np.isfinite(choice.error)
@@ -564,7 +573,7 @@ def test_another_arm_or_accuracy_is_another_trial(change, same):
 def test_where_nothing_reaches_it_a_preset_warns_and_a_length_is_refused(monkeypatch):
     loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
     best = chosen_under(loads, 3, 0.012)
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: best)
+    monkeypatch.setattr(coordinate_search, "search", lambda scene, asked, least: best)
     with pytest.warns(
         FidelityWarning,
         match=r"as 'fast' asks, 1 % of the length.*3 coordinates, were within 1.2 %",
@@ -590,7 +599,7 @@ def test_where_there_is_no_reference_it_says_why_and_what_to_do(
     """And never that the tip is within inf %."""
     loads = load_cases(ARM, REACH, 0)[1].model_dump(mode="json")
     choice = chosen_under(loads, 3, np.inf)._replace(missing=missing, not_unique=not_unique)
-    monkeypatch.setattr(module, "search", lambda scene, asked, least: choice)
+    monkeypatch.setattr(coordinate_search, "search", lambda scene, asked, least: choice)
     monkeypatch.setattr(kept_trials, "say_once", print)
     other = ARM.replace({"segments.0.density": 700.0 + missing})
     with pytest.warns(FidelityWarning, match=f"the accuracy of .* is not known: .*{reason}"):
@@ -737,7 +746,7 @@ def test_what_is_left_of_a_geometric_series_is_bounded(ratio):
 def test_where_work_ends_a_trial_says_for_how_long_it_promises(monkeypatch, cache):
     """Again where the choice is read from the cache."""
     monkeypatch.setattr(module, "MOST_WORK", 1e7)
-    monkeypatch.setattr(module, "strain_tables", lambda scene, fields, least: [MOMENTS])
+    monkeypatch.setattr(coordinate_search, "strain_tables", lambda scene, fields, least: [MOMENTS])
     heard = []
     for _ in range(2):
         with pytest.warns(FidelityWarning, match=r"'fast'.*1 % of the length") as caught:
@@ -866,7 +875,7 @@ def test_a_lightly_damped_arm_keeps_what_it_promises():
     exact = reference_motions(LIVELY, inputs, 2e-4 * rod_length(LIVELY), most=4).tips
     counts = []
     for preset in ("fast", "standard"):
-        choice = module.search(LIVELY, PRESETS[preset])
+        choice = coordinate_search.search(LIVELY, PRESETS[preset])
         model = build_model(choice.applied_to(LIVELY))
         counts.append(choice.coordinates)
         samples = round(choice.seconds / HOLD) + 1
@@ -887,7 +896,7 @@ def test_presets_keep_their_promise_with_elastic_tendons():
     inputs = [motion_tensions(elastic, kind, 73, 2.0) / 1200.0 for kind in USUAL]
     exact = reference_motions(elastic, inputs, 5e-5 * rod_length(elastic), most=4).tips
     for preset in ("fast", "standard"):
-        choice = module.search(elastic, PRESETS[preset])
+        choice = coordinate_search.search(elastic, PRESETS[preset])
         assert choice.speaks_of_all
         model = build_model(choice.applied_to(elastic))
         for commands, tips in zip(inputs, exact, strict=True):
@@ -917,11 +926,11 @@ def test_models_that_are_tried_warn_of_nothing(monkeypatch):
         warnings.warn("a model that is tried", RedundancyWarning, stacklevel=2)
         return chosen_under({})
 
-    monkeypatch.setattr(module, "Trial", lambda *_: SimpleNamespace(left_out=0))
-    monkeypatch.setattr(module, "best_choice", best)
+    monkeypatch.setattr(coordinate_search, "Trial", lambda *_: SimpleNamespace(left_out=0))
+    monkeypatch.setattr(coordinate_search, "best_choice", best)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        module.search(SHIPPED, PRESETS["fast"])
+        coordinate_search.search(SHIPPED, PRESETS["fast"])
     with pytest.warns(RedundancyWarning):
         best(None, None, None, 0)
 

@@ -44,8 +44,10 @@ def drive():
         controller, arm, target, periods, memory=None, period=0.02, act=lambda tension: tension
     ):
         simulation = arm if isinstance(arm, Simulation) else Simulation(arm)
-        model, tension = simulation.model, np.zeros(simulation.model.tendon_count)
-        tensions, reports = [], []
+        model = simulation.model
+        tension = np.zeros(simulation.model.tendon_count)
+        tensions = []
+        reports = []
         path = [simulation.state.q]
         for k in range(periods):
             state = simulation.state
@@ -54,7 +56,8 @@ def drive():
                 ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), tension, wanted),
                 memory,
             )
-            tension, memory = decision.tension, decision.memory
+            tension = decision.tension
+            memory = decision.memory
             simulation.step(act(tension), period)
             tensions.append(tension)
             reports.append(decision.report)

@@ -16,7 +16,8 @@ def problem(request):
     """A random full-rank task |A x - b|^2 with bounds: A (m + 2, m), b, least, greatest."""
     rng = np.random.default_rng(request.param)
     size = rng.integers(1, 13)
-    A, b = rng.normal(size=(size + 2, size)), 3.0 * rng.normal(size=size + 2)
+    A = rng.normal(size=(size + 2, size))
+    b = 3.0 * rng.normal(size=size + 2)
     unit = 10.0 ** rng.uniform(-3.0, 3.0)
     return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
 
@@ -31,7 +32,8 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     other_solver = lsq_linear(A, b, (least, greatest), method="bvls", tol=1e-14)
     np.testing.assert_allclose(x, other_solver.x, atol=1e-7)
     slope = A.T @ (A @ x - b) / np.trace(A.T @ A)
-    is_least, is_greatest = x - least < 1e-9, greatest - x < 1e-9
+    is_least = x - least < 1e-9
+    is_greatest = greatest - x < 1e-9
     assert (x >= least).all()
     assert (x <= greatest).all()
     assert (slope[is_least] > 0.0).all()
@@ -43,7 +45,8 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
 
 def test_a_warm_start_ends_where_a_cold_one_does(problem):
     A, b, least, greatest = problem
-    hessian, gradient = A.T @ A, -A.T @ b
+    hessian = A.T @ A
+    gradient = -A.T @ b
     cold = allocate(hessian, gradient, least, greatest)
     opposite = allocate(hessian, -gradient, least, greatest)
     starts = [cold.multipliers, opposite.multipliers, 0.0 * least]

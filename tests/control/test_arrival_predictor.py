@@ -68,7 +68,8 @@ def test_the_prediction_is_the_motion_under_the_commands_in_transit(
 def test_a_lag_acts_on(model, moving):
     """Commands in transit are filtered, and the plan begins with the tension that acts then."""
     now, arm = moving
-    lag, latency = 0.015, 0.02
+    lag = 0.015
+    latency = 0.02
     predicted = ArrivalPredictor(model, Timing(latency, lag), PERIOD).predict(now, SENT)
     commands = np.array(SENT)
     mean = mean_weights(Timing(latency, lag), PERIOD, len(SENT), 0.0, PERIOD) @ commands
@@ -89,7 +90,8 @@ def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
     displacement = np.array([0.1, -0.2, 0.05, 0.01, 0.02, -0.01])
     beside = now._replace(tip_pose=moved_pose(now.tip_pose, displacement))
     predictor = ArrivalPredictor(model, Timing(0.05, 0.0), PERIOD)
-    straight, displaced = (predictor.predict(each, SENT) for each in (now, beside))
+    straight = predictor.predict(now, SENT)
+    displaced = predictor.predict(beside, SENT)
     moved = np.linalg.solve(now.tip_pose, straight.tip_pose)
     np.testing.assert_allclose(displaced.tip_pose, beside.tip_pose @ moved, atol=1e-9)
     assert np.abs(pose_error(now.tip_pose, straight.tip_pose)).max() > 0.01

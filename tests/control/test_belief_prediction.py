@@ -71,7 +71,8 @@ def test_a_prediction_about_another_state_is_its_tangent(part, estimator, moving
     belief, measured = moving
     layout = estimator.space.layout
     rows = slice(layout.v.stop)
-    left_out, moved = [], []
+    left_out = []
+    moved = []
     for share in (1.0, 0.5):
         mean = belief.mean.copy()
         mean[getattr(layout, part)] += share * PARTS[part]

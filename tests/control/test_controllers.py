@@ -54,14 +54,17 @@ def test_tensions_stay_within_limits_whatever_happens(build, random_state, limit
     """Inputs that jump from one to another, with the memory of the last; every controller does
     something in them."""
     model = build(scene)
-    limits, memory, asked = limits_of(model), None, []
+    limits = limits_of(model)
+    memory = None
+    asked = []
     controller = entry.make(model, limits, PERIOD)
     for seed in range(6):
         now = controller_input(model, random_state, seed)
         for _ in range(5):
             decision = controller.act(now, memory)
             assert_sound(decision, limits)
-            now, memory = now._replace(tension=decision.tension), decision.memory
+            now = now._replace(tension=decision.tension)
+            memory = decision.memory
             asked.append(decision.tension)
     assert np.ptp(asked, axis=0).max() > 0.1
 
@@ -75,7 +78,8 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
         entry.make(model, limits, PERIOD),
         [entry.make(model, limits, PERIOD) for _ in range(2)],
     )
-    memories, last = [(None, None)] * 2, [None] * 2
+    memories = [(None, None)] * 2
+    last = [None] * 2
     for step in range(4):
         for arm in range(2):
             now = controller_input(model, random_state, 10 * arm + step)

@@ -142,7 +142,8 @@ def test_the_step_balances_the_linearised_equation_of_motion(terms, h):
     """At its end, with forces linearised about its beginning: those of the effects change with the
     rates by -D_F (v+ - v), and both stiffnesses act on the way h v+."""
     rng = np.random.default_rng(0)
-    v, u = rng.normal(size=4), rng.normal(size=2)
+    v = rng.normal(size=4)
+    u = rng.normal(size=2)
     step = implicit_step(terms, v, h)
     end = step.free + step.response @ u
     way = h * end

@@ -50,7 +50,9 @@ LONG = [
 def followed_equilibria(controller, model, targets):
     """Equilibria (periods, n) that are followed, with arms that are elsewhere: nothing measured
     enters."""
-    rng, memory, path = np.random.default_rng(0), None, []
+    rng = np.random.default_rng(0)
+    memory = None
+    path = []
     for target in targets:
         q = rng.normal(size=model.coordinate_count)
         memory = controller.act(
@@ -133,7 +135,8 @@ def test_of_tensions_that_do_the_same_the_least_are_taken(build, limits_of):
     pose = static_equilibrium(model, tight).tip_pose
     target = Reference(np.zeros(1), tip_position=pose[None, :3, 3])
     controller = StaticFeedforward(model, limits, PERIOD, TipPosition())
-    now, memory = input_for(model, target), None
+    now = input_for(model, target)
+    memory = None
     for _ in range(60):
         decision = controller.act(now, memory)
         memory = decision.memory
@@ -179,7 +182,8 @@ class Listener:
     """A controller that holds still and keeps what it is told."""
 
     def act(self, now, memory=None):
-        self.now, self.memory = now, memory
+        self.now = now
+        self.memory = memory
         return ControllerOutput(np.zeros(3), "memory", {"singular": 0.0})
 
 
@@ -277,7 +281,8 @@ def test_what_cannot_be_reached_is_approached_and_held_still(
 ):
     """After five and a half seconds; with feedforward alone the arm still swings then.
     docs/how_to/extend.md says what is asked."""
-    model, limits = build(scene), limits_of(build(scene))
+    model = build(scene)
+    limits = limits_of(model)
     controller = entry.make(model, limits, PERIOD)
     motion = drive(controller, model, far, 275)
     change = np.abs(np.diff(motion.tension[-26:], axis=0)) / np.ptp(limits, axis=1)

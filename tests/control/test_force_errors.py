@@ -11,6 +11,7 @@ from soft_tendon_env.control.force_errors import (
     TendonFriction,
     corrected_rollout,
     holding_matrix,
+    sliding_direction,
 )
 from soft_tendon_env.model.simulation import Simulation
 
@@ -28,8 +29,10 @@ def motion(model, random_state):
 def lacking(model, q, **parts):
     """A force error of some parts."""
     n = q.size
+    n_a = model.tendon_count
     nothing = np.zeros((n, n))
-    error = ForceError(np.zeros(n), nothing, nothing, nothing, np.zeros(model.tendon_count))
+    smooth = TendonFriction(np.zeros(n_a), np.zeros((n, n_a)))
+    error = ForceError(np.zeros(n), nothing, nothing, nothing, np.zeros(n_a), smooth)
     return error._replace(**parts)
 
 
@@ -122,7 +125,7 @@ def test_friction_takes_its_share_of_tensions_of_whatever_sense(turned, model, m
         np.testing.assert_allclose(
             damping @ rates, pull @ (friction.loss * tension[0] * shortening), rtol=1e-6
         )
-        np.testing.assert_allclose(friction.sliding(rates, 1e-6), shortening)
+        np.testing.assert_allclose(sliding_direction(friction.rates(rates), 1e-6), shortening)
         assert rates @ damping @ rates > 0.0
     # tendons that stick are damped, and never by less than nothing
     (sticking,) = friction.damping(tension, 0.0 * q_dot, SLIDING_SPEED)

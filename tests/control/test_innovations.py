@@ -46,7 +46,8 @@ def exact_measurement(model, mean):
     """What the sensors of an arm in the state of a filter say."""
     layout = layout_of(model, PLACES)
     scale = model.coordinate_scale()
-    q, q_dot = scale * mean[layout.z], scale * mean[layout.v]
+    q = scale * mean[layout.z]
+    q_dot = scale * mean[layout.v]
     terms = model.terms(q, q_dot)
     strain, slope = model.strain_at(q, SENSORS)
     return Measurement(

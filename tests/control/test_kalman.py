@@ -49,11 +49,14 @@ def live(found, model, periods, timing=(0.0, 0.0), start=None, gain=1.0, rng=Non
     """Estimates that a filter makes in every period of an arm under smooth tensions, from rest or a
     start, and q and q_dot as they were; gain (n_a,) of the tendons, rng of the sensors' noise,
     force(time) (n,) that pushes."""
-    simulation, n = Simulation(model), model.tendon_count
-    sent, last = [np.zeros(n)] * 40, None
+    simulation = Simulation(model)
+    n = model.tendon_count
+    sent = [np.zeros(n)] * 40
+    last = None
     if start is not None:
         simulation.reset(start, 0 * start)
-    estimates, states = [], []
+    estimates = []
+    states = []
     for k in range(periods):
         told = measurement(model, simulation.state, sent[-found.history :], k * PERIOD, found.needs)
         if rng is not None:
@@ -338,7 +341,8 @@ def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(model):
     told = measurement(model, Simulation(model).state, sent, 0.0, EVERYTHING)
     last = found.estimate(told, None)
     direction = model.coordinate_scale() * np.array([1.0, -0.5, 0.3])
-    moved, loads = [], []
+    moved = []
+    loads = []
     for size in (0.003, 0.03, 0.3):
         state = Simulation(model).reset(size * direction, np.zeros(3))
         told = measurement(model, state, sent, PERIOD, EVERYTHING)

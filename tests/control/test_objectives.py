@@ -61,7 +61,9 @@ def test_errors_vanish_at_the_target_alone(model, random_state, objective):
 @of_every_kind
 def test_the_error_is_that_of_the_aim(model, random_state, objective):
     """At the target's instant that is asked for."""
-    q, first, second = (random_state(model, seed)[0] for seed in range(3))
+    q, _ = random_state(model, 0)
+    first, _ = random_state(model, 1)
+    second, _ = random_state(model, 2)
     target = target_through(model, [first, second], (0.0, 0.1))
     for time in (0.0, 0.04, 0.1):
         error = objective.error(q, model.tip_pose(q), target, time)
@@ -72,7 +74,8 @@ def test_the_error_is_that_of_the_aim(model, random_state, objective):
 @of_every_kind
 def test_the_jacobian_is_the_fall_of_the_error_near_the_target(model, random_state, objective):
     """error(q + dq) = -jacobian dq to first order: what is left falls with the square of dq."""
-    q, other = random_state(model, 0)[0], random_state(model, 1)[0]
+    q = random_state(model, 0)[0]
+    other = random_state(model, 1)[0]
     target = target_through(model, [q])
     jacobian = aim_from(model, objective, target, q).jacobian
     same = objective.jacobian(model.terms(q, 0.0 * q).tip_jacobian)
@@ -96,7 +99,8 @@ def test_the_bias_is_the_acceleration_that_no_coordinate_makes(model, random_sta
     """The change of J q_dot at constant q_dot less that of the target's velocity; a position is
     seen in the tip's frame, which turns, and its velocity changes in space."""
     q, q_dot = random_state(model, 2)
-    goal, next_goal = random_state(model, 3)[0], random_state(model, 4)[0]
+    goal = random_state(model, 3)[0]
+    next_goal = random_state(model, 4)[0]
     share = 1e-6 / PERIOD
     slow = goal + share * (next_goal - goal)
     target = target_through(model, [goal, slow], (0.0, PERIOD))
@@ -162,7 +166,9 @@ def test_the_velocity_of_a_pose_is_its_twist_in_the_frame_of_the_tip(model, rand
 
 def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state):
     objective = Shape(model)
-    start, end, q = (random_state(model, seed)[0] for seed in range(3))
+    start, _ = random_state(model, 0)
+    end, _ = random_state(model, 1)
+    q, _ = random_state(model, 2)
     target = target_through(model, [start, end], (0.0, PERIOD))
     away = aim_from(model, objective, target, q)
     at_start = aim_from(model, objective, target, start)
@@ -197,7 +203,10 @@ def test_a_model_sees_the_pose_displaced_as_its_tip_is(model, random_state):
     """A model that reaches what it sees has the arm at the target; the errors are one motion in two
     frames."""
     objective = TipPose()
-    tip_pose, goal = (model.tip_pose(random_state(model, seed)[0]) for seed in range(2))
+    q, _ = random_state(model, 0)
+    tip_pose = model.tip_pose(q)
+    next_q, _ = random_state(model, 1)
+    goal = model.tip_pose(next_q)
     measured = moved_pose(tip_pose, DISPLACEMENT)
     target = Reference(np.zeros(1), goal[None])
     seen = objective.seen_from(tip_pose, target, measured).tip_pose[0]
@@ -210,7 +219,8 @@ def test_a_model_sees_the_pose_displaced_as_its_tip_is(model, random_state):
 @pytest.mark.parametrize("told", ["pose", "position"])
 def test_a_model_sees_the_position_displaced_as_its_tip_is(model, random_state, told):
     q = random_state(model, 0)[0]
-    tip_pose, goal = model.tip_pose(q), model.tip_pose(random_state(model, 1)[0])
+    tip_pose = model.tip_pose(q)
+    goal = model.tip_pose(random_state(model, 1)[0])
     measured = moved_pose(tip_pose, np.array([0.0, 0.0, 0.0, 0.01, 0.02, -0.01]))
     target = Reference(np.zeros(1), tip_position=goal[None, :3, 3])
     if told == "pose":
@@ -228,7 +238,9 @@ def test_a_target_that_is_moved_back_leaves_its_share_of_the_error(
 ):
     """Of the error of the pose that it is moved to, at the instant that is asked for; at all others
     it is moved by as much."""
-    nearest, first, second = (random_state(model, seed)[0] for seed in range(3))
+    nearest, _ = random_state(model, 0)
+    first, _ = random_state(model, 1)
+    second, _ = random_state(model, 2)
     target = target_through(model, [first, second], (0.0, 0.1))
     pose = model.tip_pose(nearest)
     moved = objective.moved_back(target, pose, 0.1, share)

@@ -48,10 +48,12 @@ def acceleration(terms, q_dot, tension):
 def test_the_target_seen_from_a_moving_tip_against_differences(build, random_state):
     model = build("paper")
     q, q_dot = random_state(model, 0)
-    t, apart = 0.7, 1e-5
+    t = 0.7
+    apart = 1e-5
 
     def seen(s):
-        terms, wanted = model.terms(q + s * q_dot, q_dot), on_circle(t + s)
+        terms = model.terms(q + s * q_dot, q_dot)
+        wanted = on_circle(t + s)
         return adjoint(inverse_pose(terms.tip_pose) @ wanted.pose) @ wanted.twist
 
     terms = model.terms(q, q_dot)
@@ -68,7 +70,8 @@ def test_the_target_seen_from_a_moving_tip_against_differences(build, random_sta
 def test_full_actuation_gives_the_tip_the_commanded_acceleration(
     build, random_state, left_inverse, seed
 ):
-    model, wanted = build("paper"), on_circle(0.3 + seed)
+    model = build("paper")
+    wanted = on_circle(0.3 + seed)
     q, q_dot = random_state(model, seed)
     terms = model.terms(q, q_dot)
     twist = terms.tip_jacobian @ q_dot
@@ -88,7 +91,8 @@ def test_full_actuation_gives_the_tip_the_commanded_acceleration(
 
 
 def test_shape_laws_are_the_printed_ones(build, random_state):
-    wanted, gains = ShapeTarget(np.arange(10.0), 2.0 * np.arange(10.0)), Gains(1000.0, 100.0)
+    wanted = ShapeTarget(np.arange(10.0), 2.0 * np.arange(10.0))
+    gains = Gains(1000.0, 100.0)
     q, q_dot = random_state(build("paper"), 0)
     expected = (
         wanted.tension + 100.0 * (wanted.tension_rate - q_dot) + 1000.0 * (wanted.tension - q)

@@ -68,7 +68,8 @@ def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_t
 
     simulation = Simulation(model)
     simulation.reset(now.q, now.q_dot)
-    present, cost = error(now.q, 0), 0.0
+    present = error(now.q, 0)
+    cost = 0.0
     for k, tension in enumerate(plan, 1):
         simulation.step(tension, PERIOD)
         left = error(simulation.state.q, k) - np.exp(-4.0 * k * PERIOD / settling_time) * present
@@ -104,8 +105,10 @@ SLOPES = {**OBJECTIVES, "shape": LateShape}
 def test_the_plan_improves_along_the_slope_of_the_simulation(model, kind, holding, seed):
     """The Jacobians of a rollout are not those of the simulation: the slopes agree within a tenth.
     The inputs may err."""
-    now, objective = near(model, holding, seed), SLOPES[kind](model)
-    controller, simulation = Predictive(model, WIDE, PERIOD, objective), Simulation(model)
+    now = near(model, holding, seed)
+    objective = SLOPES[kind](model)
+    controller = Predictive(model, WIDE, PERIOD, objective)
+    simulation = Simulation(model)
     plan = np.tile(now.tension, (controller.horizon, 1))
     error = InputError(
         1.0 + 0.2 * seed * np.cos(np.arange(10.0)), 0.5 * seed * np.sin(np.arange(10.0))
@@ -129,10 +132,12 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, kind, holdin
 
 @pytest.mark.parametrize("kind", OBJECTIVES)
 def test_the_plan_that_is_remembered_is_better_than_holding_on(model, kind, holding):
-    now, objective = near(model, holding, 0), OBJECTIVES[kind](model)
+    now = near(model, holding, 0)
+    objective = OBJECTIVES[kind](model)
     better = Predictive(model, WIDE, PERIOD, objective).act(now).memory.tension
     held = np.tile(now.tension, (len(better), 1))
-    before, after = (predicted_cost(model, objective, now, plan) for plan in (held, better))
+    before = predicted_cost(model, objective, now, held)
+    after = predicted_cost(model, objective, now, better)
     assert after < 0.7 * before
 
 
@@ -171,13 +176,15 @@ def test_the_plan_is_the_least_of_errors_efforts_and_changes(model, holding, hol
         for _ in range(10):
             aside = size * rng.normal(size=plan.shape)
             # a least of a quadratic: both sides cost more, by as much
-            more, less = cost(better + aside) - least, cost(better - aside) - least
+            more = cost(better + aside) - least
+            less = cost(better - aside) - least
             assert more == pytest.approx(less, rel=1e-3)
             assert more > 0.0
 
 
 def test_bounds_hold_for_the_whole_plan(model, holding, drive):
-    limits, target = np.tile([2.0, 9.0], (10, 1)), holding(model, np.linspace(-10.0, 20.0, 10))
+    limits = np.tile([2.0, 9.0], (10, 1))
+    target = holding(model, np.linspace(-10.0, 20.0, 10))
     controller = Predictive(model, limits, PERIOD, Shape(model))
     motion = drive(controller, model, target, 20)
     plan = motion.memory.tension
@@ -333,7 +340,8 @@ def test_what_is_predicted_is_what_happens(build, kind):
         Predictive(model, np.tile([0.0, 5.0], (3, 1)), PERIOD, TipPosition()),
     )
     target = simulation.tip_pose[None, :3, 3] + [-0.01, 0.03, 0.02]
-    memory, tension = None, np.zeros(3)
+    memory = None
+    tension = np.zeros(3)
     for _ in range(25):
         state = simulation.state
         reference = Reference(np.zeros(1), tip_position=target)
@@ -343,7 +351,8 @@ def test_what_is_predicted_is_what_happens(build, kind):
             ),
             memory,
         )
-        memory, tension = decision.memory, decision.tension
+        memory = decision.memory
+        tension = decision.tension
         simulation.step(
             tension + memory.disturbance, PERIOD
         )  # what the controller takes for granted

@@ -60,7 +60,8 @@ def test_moves_are_exponentials_on_the_right_and_errors_undo_them(seed):
 
 
 def test_poses_that_are_not_contiguous_are_taken():
-    pose, target = random_pose(0), random_pose(1)
+    pose = random_pose(0)
+    target = random_pose(1)
     transposed = pose_error(np.asfortranarray(pose), np.asfortranarray(target))
     np.testing.assert_array_equal(transposed, pose_error(pose, target))
 

@@ -29,10 +29,12 @@ def test_the_law_holds_at_the_end_of_the_period(build, random_state, arm, kp, kd
     of the implicit step under u itself."""
     model = build(*ARMS[arm])
     q, q_dot = random_state(model, 0)
-    goal, next_goal = random_state(model, 1)[0], random_state(model, 2)[0]
+    goal = random_state(model, 1)[0]
+    next_goal = random_state(model, 2)[0]
     reference = HALFWAY._replace(q=np.stack([goal, 2.0 * next_goal - goal]))
     controller = ShapeTracking(model, wide(model), PERIOD)
-    controller.kp, controller.kd = kp, kd
+    controller.kp = kp
+    controller.kd = kd
     now = ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), reference)
     output = controller.act(now)
     terms = model.terms(q, q_dot)
@@ -47,7 +49,8 @@ def test_the_law_holds_at_the_end_of_the_period(build, random_state, arm, kp, kd
     push = terms.stiffness @ (kd * rate_error + kp * (next_goal - next_q))
     law = tensions @ next_goal + np.linalg.pinv(stiffness_aa) @ tensions @ push
     # of redundant tendons only the motion is determined
-    motion, law_motion = step.response @ output.tension, step.response @ law
+    motion = step.response @ output.tension
+    law_motion = step.response @ law
     np.testing.assert_allclose(motion, law_motion, atol=1e-4 * np.abs(law_motion).max())
     assert output.report["singular"] == 0.0
 
@@ -71,9 +74,9 @@ def test_gains_give_the_slowest_mode_its_settling_time_and_damping(build, settli
     terms = model.terms(rest, rest)
     squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
     mode = modes[:, np.argmin(squares.real)].real
-    mass, own, stiffness = (
-        mode @ matrix @ mode for matrix in (terms.mass, terms.damping, terms.stiffness)
-    )
+    mass = mode @ terms.mass @ mode
+    own = mode @ terms.damping @ mode
+    stiffness = mode @ terms.stiffness @ mode
     rate = (own + controller.kd * stiffness) / mass
     square = (1.0 + controller.kp) * stiffness / mass
     poles = np.roots([1.0, rate, square])

@@ -54,7 +54,8 @@ def pose_law(terms, q_dot, pose, twist):
 def position_law(terms, q_dot, pose, twist):
     """(39) for the position alone, whose error in space obeys e_ddot + kd e_dot + kp e = 0."""
     angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
-    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
+    R = terms.tip_pose[:3, :3]
+    r = terms.tip_pose[:3, 3]
     r_ddot = PAPER_GAINS.kd * (pose[:3, :3] @ twist[3:] - R @ linear) + PAPER_GAINS.kp * (
         pose[:3, 3] - r
     )
@@ -88,7 +89,8 @@ def test_short_periods_give_the_paper_s_law(
     )
     if isinstance(objective, TipPosition):
         twist[:3] = 0.0  # a straight way
-    expected, off = law(terms, q_dot, pose, twist), []
+    expected = law(terms, q_dot, pose, twist)
+    off = []
     for period in (1e-5, 1e-6, 1e-7):
         poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
         now = ControllerInput(
@@ -145,7 +147,8 @@ def controller_input(model, random_state, period):
 def test_short_periods_give_the_paper_s_law_of_shapes(build, arm, random_state):
     """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes:
     in its tenth a tenth."""
-    shaped, off = build(*ARMS[arm]), []
+    shaped = build(*ARMS[arm])
+    off = []
     wide = np.tile([-1e6, 1e6], (shaped.tendon_count, 1))
     for period in (1e-8, 1e-9):
         now, rates = controller_input(shaped, random_state, period)
@@ -220,7 +223,8 @@ def test_the_law_holds_over_the_period(model, moving, monkeypatch, objective, in
         model, limits, PERIOD, objective, settling_time=0.3, integral_time=integral_time
     )
     terms = model.terms(moving.q, moving.q_dot)
-    aim, later = (objective.aim(moving, terms, time, PERIOD) for time in (0.0, PERIOD))
+    aim = objective.aim(moving, terms, 0.0, PERIOD)
+    later = objective.aim(moving, terms, PERIOD, PERIOD)
     integral = INTEGRAL[: aim.error.size]
     output = tracking.act(moving._replace(input_error=error), TipMemory(integral, np.zeros(10)))
     acting = output.tension

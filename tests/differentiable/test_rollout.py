@@ -51,9 +51,11 @@ def test_a_rollout_is_the_environments_own_episode(task, action, rate_limit, eve
         "preview": [0.02, 0.1],
         "history": 2,
     }
-    envs, other = rows_of(task, **options), rows_of(task, **options)
+    envs = rows_of(task, **options)
+    other = rows_of(task, **options)
     envs.reset(seed=3)
-    actions, seen = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3))), []
+    actions = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3)))
+    seen = []
 
     def policy(observation):
         seen.append(observation)
@@ -64,7 +66,8 @@ def test_a_rollout_is_the_environments_own_episode(task, action, rate_limit, eve
     expected += [other.step(action.numpy())[0] for action in found.action]
     for observation, wanted in zip([*seen, found.observation], expected, strict=True):
         assert_observations_equal(observation, wanted, episodes_of(envs).layout.slices)
-    mine, its = episodes_of(envs), episodes_of(other)
+    mine = episodes_of(envs)
+    its = episodes_of(other)
     assert all(
         same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name))
         for name in ("q", "q_dot", "xi")
@@ -88,7 +91,8 @@ def assert_observations_equal(observation, wanted, slices):
     if isinstance(wanted, dict):
         for name in ("achieved_goal", "desired_goal"):
             np.testing.assert_allclose(observation[name], wanted[name], atol=1e-7)
-        observation, wanted = observation["observation"], wanted["observation"]
+        observation = observation["observation"]
+        wanted = wanted["observation"]
     assert observation.dtype == torch.float32
     assert observation.shape == wanted.shape
     for name, where in slices.items():  # a history has differences of such numbers over a tenth
@@ -203,7 +207,8 @@ def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
 
     cost(at).backward()
     gradient = torch.cat([parameter.grad.flatten() for parameter in policy.parameters()])
-    directions, h = torch.randn(8, at.numel(), dtype=torch.float64), 1e-3
+    directions = torch.randn(8, at.numel(), dtype=torch.float64)
+    h = 1e-3
     with torch.no_grad():
         slopes = torch.stack(
             [(cost(at + h * way) - cost(at - h * way)) / (2.0 * h) for way in directions]
@@ -371,12 +376,14 @@ def slopes(value, pose, h=1e-6):
 )
 def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
     rng = np.random.default_rng(0)
-    axis, weight = rng.normal(size=3), rng.normal(size=6)
+    axis = rng.normal(size=3)
+    weight = rng.normal(size=6)
     pose = moved_pose(np.eye(4), rng.normal(size=6))
     wanted = moved_pose(
         pose, np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(size=3)])
     )
-    g, g_bar = (torch.tensor(of, requires_grad=True) for of in (pose[None], wanted[None, None]))
+    g = torch.tensor(pose[None], requires_grad=True)
+    g_bar = torch.tensor(wanted[None, None], requires_grad=True)
     error = pose_logarithm(g, g_bar)
     np.testing.assert_array_equal(error.detach()[0, 0], pose_error(pose, wanted))
     (error[0, 0] @ torch.tensor(weight)).backward()

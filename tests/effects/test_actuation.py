@@ -80,10 +80,9 @@ def test_a_delay_is_exact_at_any_time(uniform, delay):
     steps and not of where they end."""
     rng = np.random.default_rng(0)
     table = rng.uniform(0.0, 3.0, (10, 3))
-    late, prompt = (
-        Simulation(uniform(changes={**FINE, **more}))
-        for more in ({"effects.actuators.delay": delay}, {})
-    )
+    delayed = {**FINE, "effects.actuators.delay": delay}
+    late = Simulation(uniform(changes=delayed))
+    prompt = Simulation(uniform(changes=FINE))
     for u in table:
         late.step(u, 0.02)
     before = delay

@@ -44,9 +44,9 @@ def test_a_pulse_is_there_from_its_start_to_its_end(build):
         "three_tendon", loads({**load, "force": [0.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]})
     )
     signal = {"type": "pulse", "start": 0.1, "duration": 0.06}
-    pushed, pulse = (
-        build("three_tendon", loads(table)) for table in (load, {**load, "signal": signal})
-    )
+    pushed = build("three_tendon", loads(load))
+    signalled = {**load, "signal": signal}
+    pulse = build("three_tendon", loads(signalled))
     state = Simulation(plain).state
     for model, duration in ((plain, 0.1), (pushed, 0.06), (plain, 0.14)):
         state = simulate(model, [1.0, 0.0, 2.0], duration, 0.02, initial=state).final

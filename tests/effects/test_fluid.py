@@ -187,10 +187,10 @@ def test_buoyancy_and_added_mass_are_those_of_the_displaced_fluid():
     fluid = {"effects.fluid": {"density": 800.0, "added_mass": 1.0}}
     gravity = {"effects.gravity.acceleration": [0.0, -3.0, 0.0]}
     still = np.zeros(3)
-    dry, wet, immersed = (
-        straight_arm(changes).terms(still, still)
-        for changes in (gravity, {**gravity, **fluid}, fluid)
-    )
+    dry = straight_arm(gravity).terms(still, still)
+    both = {**gravity, **fluid}
+    wet = straight_arm(both).terms(still, still)
+    immersed = straight_arm(fluid).terms(still, still)
     share = 1.0 - 800.0 / DENSITY
     np.testing.assert_allclose(wet.external_force, share * dry.external_force, atol=1e-12)
     np.testing.assert_allclose(immersed.external_force, 0.0, atol=1e-15)

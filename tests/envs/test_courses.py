@@ -149,7 +149,9 @@ def test_targets_out_of_reach_are_as_far_from_the_base_as_is_said(beyond):
     """In the direction of a pose that can be held, with its orientation."""
     scene = {"scene": "three_tendon", "base.position": [0.5, 0.0, -0.2]}
     target = {"type": "out_of_reach", "beyond": beyond}
-    env, held = (TipPoseEnv(scene=scene, fidelity="fast", target=kind) for kind in (target, "hold"))
+    arm = {"scene": scene, "fidelity": "fast"}
+    env = TipPoseEnv(**arm, target=target)
+    held = TipPoseEnv(**arm, target="hold")
     poses = []
     for each in (env, held):
         each.reset(seed=3)

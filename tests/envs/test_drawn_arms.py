@@ -150,7 +150,9 @@ def test_info_has_what_was_drawn_where_episodes_begin():
     }
     env = TipPoseEnv(**SMALL, randomize=ranges)
     rows = TipPoseVectorEnv(3, 2, **SMALL, randomize=ranges)
-    found, (_, info), none = env.reset(seed=5)[1]["drawn"], rows.reset(seed=4), np.zeros((3, 3))
+    found = env.reset(seed=5)[1]["drawn"]
+    _, info = rows.reset(seed=4)
+    none = np.zeros((3, 3))
     scene = env.episodes.arms.model_of(0).scene
     actuation = env.episodes.actuation
     assert {*found} == {

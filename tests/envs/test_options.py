@@ -249,7 +249,8 @@ BAD_ACTIONS += ["up", [True] * 3, None, ["a"] * 3]
 
 
 def test_bad_actions_are_refused_before_anything_changes(everything, live, same):
-    env, twin = (TipPoseEnv(**SMALL, randomize=everything) for _ in range(2))
+    env = TipPoseEnv(**SMALL, randomize=everything)
+    twin = TipPoseEnv(**SMALL, randomize=everything)
     live(env, 0, 5)
     live(twin, 0, 5)
     for action in BAD_ACTIONS:

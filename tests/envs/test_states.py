@@ -30,14 +30,13 @@ def bent(env, tension=TENSION, seconds=0.1):
 )
 def test_episodes_begin_in_a_state_and_go_on_as_a_simulation_does(scene, same):
     """A row is the single environment."""
-    env, rows = (
-        make(scene=scene, fidelity="fast", action="tension", **size)
-        for make, size in ((TipPoseEnv, {}), (TipPoseVectorEnv, {"num_envs": 3}))
-    )
+    options = {"scene": scene, "fidelity": "fast", "action": "tension"}
+    env = TipPoseEnv(**options)
+    rows = TipPoseVectorEnv(**options, num_envs=3)
     state = bent(env)
     first, _ = env.reset(seed=5, options={"state": state})
     found, _ = rows.reset(seed=4, options={"state": [None, state, None]})
-    usual, _ = TipPoseEnv(scene=scene, fidelity="fast", action="tension").reset(seed=4)
+    usual, _ = TipPoseEnv(**options).reset(seed=4)
     assert same(found[1], first)
     assert same(found[0], usual)
     assert not same(found[2], found[1])
@@ -125,7 +124,8 @@ def test_the_state_can_be_set_in_mid_episode(scene, same):
     """Noise, past observations and commands on their way stay as they are; right after a reset it
     is as the option of reset."""
     options = {"history": 2, "randomize": {"latency": 0.03, "noise": {"position": 1e-3}}}
-    env, twin = (TipPoseEnv(scene=scene, fidelity="fast", **options) for _ in range(2))
+    env = TipPoseEnv(scene=scene, fidelity="fast", **options)
+    twin = TipPoseEnv(scene=scene, fidelity="fast", **options)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
     for each in (env, twin):
         each.reset(seed=1)

@@ -366,10 +366,10 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     """By the seed alone, for one arm and for rows; begun at any control period; bounded in
     number."""
     target = {"type": "random", "period": 2.0, "knot_period": 0.5}
-    env, other, rows = (
-        make(scene=HANGING, fidelity="fast", target=target)
-        for make in (TipPoseEnv, TipPoseEnv, TipPoseVectorEnv)
-    )
+    options = {"scene": HANGING, "fidelity": "fast", "target": target}
+    env = TipPoseEnv(**options)
+    other = TipPoseEnv(**options)
+    rows = TipPoseVectorEnv(**options)
     times = 0.02 * np.arange(100)
     seen = {}
     for seed in (3, 8, 1):

@@ -197,7 +197,8 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
 def test_bad_arguments_of_reset_are_refused_before_anything_changes(
     given, message, everything, same
 ):
-    vector, twin = (TipPoseVectorEnv(2, **SMALL, randomize=everything) for _ in range(2))
+    vector = TipPoseVectorEnv(2, **SMALL, randomize=everything)
+    twin = TipPoseVectorEnv(2, **SMALL, randomize=everything)
     for env in (vector, twin):
         env.reset(seed=3)
         env.step(np.ones((2, 3)))

@@ -44,7 +44,8 @@ class Still:
 def own_policies(monkeypatch):
     """A module of a user's, by the name that its policies have."""
     module = type(sys)("arena_policies")
-    module.Still, module.__file__ = Still, __file__
+    module.Still = Still
+    module.__file__ = __file__
     monkeypatch.setitem(sys.modules, "arena_policies", module)
 
 
@@ -204,7 +205,8 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
         effects = [effect]
     for cell, believes in ((told, effects), (untold, [])):
         policy, envs = cell.open()
-        believed, there = policy.estimator.model, episodes_of(envs).model
+        believed = policy.estimator.model
+        there = episodes_of(envs).model
         assert [*believed.scene.effects.chosen()] == believes
         assert [*there.scene.effects.chosen()] == effects
         assert believed.coordinate_count < there.coordinate_count
@@ -248,7 +250,8 @@ def test_gaps_are_of_who_is_no_controller_to_the_controllers(other, kind):
 
 @pytest.mark.slow
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
-    config, out = tmp_path / "small.toml", tmp_path / "out"
+    config = tmp_path / "small.toml"
+    out = tmp_path / "out"
     table = "".join(
         f"{key} = {json.dumps(value)}\n"
         for key, value in {**SHORT, "settings": ["nominal", "latency"]}.items()

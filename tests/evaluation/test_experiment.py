@@ -57,7 +57,8 @@ def test_each_part_has_a_progress_bar_of_its_own_name(tmp_path, monkeypatch):
 
 def test_other_code_is_another_result(tmp_path, monkeypatch):
     """Of modules that are not installed too, such as one that registers a controller."""
-    before, module = code_digest(), type(sys)("own_controllers")
+    before = code_digest()
+    module = type(sys)("own_controllers")
     module.__file__ = str(tmp_path / "own_controllers.py")
     monkeypatch.setitem(sys.modules, "own_controllers", module)
     found = set()

@@ -78,7 +78,8 @@ def test_a_jump_in_the_last_step_is_nobodys_error():
 def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency, share):
     """Of a sine whose changes from step to step have a known amplitude; at the Nyquist frequency
     all of them are of one size."""
-    period, amplitude = 0.02, 3.0
+    period = 0.02
+    amplitude = 3.0
     time = period * np.arange(301)
     tension = np.stack(
         [amplitude * np.cos(2 * np.pi * frequency * time), np.zeros(time.size)], axis=1
@@ -142,7 +143,8 @@ def test_a_divergence_is_counted_and_stays_out_of_the_errors():
 
 
 def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
-    still, fast = np.ones((151, 2)), np.ones((151, 2))
+    still = np.ones((151, 2))
+    fast = np.ones((151, 2))
     fast[::2] += 0.5
 
     def judged(error, tension, **more):
@@ -284,7 +286,8 @@ def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(for
         )
 
     register("metric", "farthest", Metric("farthest [mm]", far, 1e3))
-    known, none = ([score(episode(seed=seed, period=0.02), skip=0.0)] for seed in (7, 0))
+    known = [score(episode(seed=7, period=0.02), skip=0.0)]
+    none = [score(episode(seed=0, period=0.02), skip=0.0)]
     assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
     assert math.isnan(Standing([known * 3 + none]).mean("farthest").high)
     assert Standing([known * 3 + none]).mean("farthest").value == 0.3

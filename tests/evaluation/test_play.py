@@ -32,7 +32,8 @@ class Constant:
     """The same action always; counts its calls in the state that it gives back."""
 
     def __init__(self, *action):
-        self.action, self.calls = np.array(action, dtype=np.float32), []
+        self.action = np.array(action, dtype=np.float32)
+        self.calls = []
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         self.calls.append((state, bool(episode_start[0]), deterministic))
@@ -63,9 +64,11 @@ def make_rows(task="TipPose", rows=3, **options):
 
 @pytest.mark.parametrize("task", IDS)
 def test_rows_live_through_the_episodes_of_single_environments(task):
-    seeds, controller = [7, 1, 4], "feedforward"
+    seeds = [7, 1, 4]
+    controller = "feedforward"
     options = {"preview": [0.02 * k for k in range(1, 11)]}
-    env, envs = make(task, **options), make_rows(task, **options)
+    env = make(task, **options)
+    envs = make_rows(task, **options)
     ones = [play(make_policy(controller, env), env, [seed])[0] for seed in seeds]
     together = play(make_policy(controller, envs), envs, seeds)
     for one, row in zip(ones, together, strict=True):

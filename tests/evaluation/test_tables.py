@@ -216,7 +216,9 @@ def test_the_bounds_of_a_gap_in_return_are_in_order():
 
 
 def test_verdicts_say_where_intervals_leave_out_zero():
-    ahead, behind, between = Mean(-2.0, -3.0, -1.0), Mean(2.0, 1.0, 3.0), Mean(0.0, -1.0, 1.0)
+    ahead = Mean(-2.0, -3.0, -1.0)
+    behind = Mean(2.0, 1.0, 3.0)
+    between = Mean(0.0, -1.0, 1.0)
     touching = Mean(-0.5, -1.0, 0.0)
     _, items = verdict({"position": {"x": ahead, "y": behind, "z": between, "w": touching}})
     assert items == "- By position: ahead in x; behind in y; not separated in z, w."

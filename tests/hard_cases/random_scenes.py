@@ -105,7 +105,8 @@ def drawn_routing(dice, radius, length):
             "phase": dice.uniform(0, 360),
         }
     knots = int(dice.integers(4, 9))
-    y, z = (list(radius * dice.uniform(-0.7, 0.7, knots)) for _ in range(2))
+    y = list(radius * dice.uniform(-0.7, 0.7, knots))
+    z = list(radius * dice.uniform(-0.7, 0.7, knots))
     return {"type": "table", "arc_length": list(np.linspace(0, length, knots)), "y": y, "z": z}
 
 

@@ -281,8 +281,11 @@ def test_density_ratio_of_a_hundred(straight_tendons, measured, tip_distance, de
         for rho in densities
     ]
     scene = Scene(name="two", segments=segments, tendons=tendons)
-    model, fine = (ste.build_model(scene.replace({"integrator.step": h})) for h in (step, 0.0005))
-    motion, finer = (ste.simulate(m, [10.0, 0.0, 3.0], 1.0, 0.05) for m in (model, fine))
+    model = ste.build_model(scene.replace({"integrator.step": step}))
+    fine = ste.build_model(scene.replace({"integrator.step": 0.0005}))
+    tension = [10.0, 0.0, 3.0]
+    motion = ste.simulate(model, tension, 1.0, 0.05)
+    finer = ste.simulate(fine, tension, 1.0, 0.05)
     measured("to steps of 0.5 ms [mm]", 1e3 * tip_distance(motion.tip_pose, finer.tip_pose))
     assert np.abs(motion.q).max() < 20.0
     assert tip_distance(motion.tip_pose, finer.tip_pose) < 0.02

@@ -13,11 +13,13 @@ from soft_tendon_env.differentiable import rollout
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.analytic_policy_gradient import (
     APG,
+    COSTS,
     APGSettings,
     TrackingCost,
     clip_rows,
     normalised,
 )
+from soft_tendon_env.learning.hyperparameters import UNREAD
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -70,7 +72,8 @@ def test_observations_are_normalised_as_vec_normalize_does(task, policy):
         if task == "Reach"
         else torch.as_tensor(seen)
     )
-    found, wanted = normalised(tensors, env), env.normalize_obs(seen)
+    found = normalised(tensors, env)
+    wanted = env.normalize_obs(seen)
     for key in found if task == "Reach" else [...]:
         np.testing.assert_allclose(found[key], wanted[key], atol=1e-6)
         assert (np.abs(wanted[key]) <= 2.0).all()
@@ -179,8 +182,10 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
     )
 
     def of(position, angle, change):
-        error, tip = torch.zeros(1, 1, 6), torch.zeros(1, 1, 3)
-        error[..., 0], tip[..., 0] = angle, position
+        error = torch.zeros(1, 1, 6)
+        tip = torch.zeros(1, 1, 3)
+        error[..., 0] = angle
+        tip[..., 0] = position
         return float(
             cost(
                 SimpleNamespace(
@@ -203,6 +208,21 @@ def test_the_cost_by_the_reward_is_what_it_lacks():
     cost = agent._cost(trajectories, [])
     missing = 1.0 - trajectories.reward.mean()
     assert float(cost.detach()) == pytest.approx(float(missing), abs=1e-12)
+
+
+@pytest.mark.parametrize(("cost", "is_read"), [("errors", True), ("reward", False)])
+def test_scales_of_errors_are_read_by_their_cost_alone(cost, is_read):
+    env = envs(rows=2, observation=OBSERVED)
+    env.reset()
+    episodes = env.env.episodes
+    agent = APG("MlpPolicy", env, **SMALL)
+    trajectories = rollout(agent.rows, lambda seen: agent.policy.act(seen, seen[:, :0])[0], 2)
+    usual = COSTS[cost](episodes, APGSettings())(trajectories)
+    for name in UNREAD["reward"]:
+        settings = APGSettings(**{name: 0.5})
+        changed = COSTS[cost](episodes, settings)(trajectories)
+        is_changed = bool(changed != usual)
+        assert is_changed == is_read, name
 
 
 def test_the_average_of_weights_acts_and_is_saved(tmp_path):

@@ -1,10 +1,16 @@
 """Files of trainings that extend others: what is merged, what is replaced, and what is refused."""
 
+import json
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation.entrants import check_alike
+from soft_tendon_env.learning.checkpoints import config_record
 from soft_tendon_env.learning.config import find_config, read_table, read_training
+from soft_tendon_env.policies.agent import CONFIG, trained_folder
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tuning.search import TrainingSearch
 
@@ -137,3 +143,32 @@ def test_a_mistake_of_the_extended_file_is_said_with_its_name(write):
     path = write("mine.toml", 'extends = "base.toml"')
     with pytest.raises(ConfigurationError, match="base.toml: is not valid TOML"):
         read_training(path)
+
+
+def test_another_seed_of_a_further_training_compares_with_those_that_ship(tmp_path):
+    """Its record has nothing of the training that it extends but what its own cost reads."""
+    training = read_training(find_config("apg_tip_pose_reward"), seed=5)
+    envs = gym.make_vec(IDS["TipPose"], num_envs=1, threads=1, **training.options)
+    record = config_record(training, envs.unwrapped.episodes)
+    (tmp_path / CONFIG).write_text(json.dumps(record))
+    fifth = trained_folder() / "apg" / "TipPose" / "seed_4"
+    check_alike([fifth, tmp_path], "TipPose")
+    record["hyperparameters"]["angle_scale"] = 0.05
+    (tmp_path / CONFIG).write_text(json.dumps(record))
+    with pytest.raises(ValueError, match="has hyperparameters = .*: compare it apart"):
+        check_alike([fifth, tmp_path], "TipPose")
+
+
+def test_what_a_cost_does_not_read_is_left_out_and_what_it_reads_stays(write):
+    path = write(
+        "mine.toml",
+        """
+        extends = "base.toml"
+        hyperparameters.angle_scale = 0.1
+        hyperparameters.smoothness = 2.0
+        """,
+    )
+    by_errors = read_training(path).hyperparameters
+    by_reward = read_training(path, ["hyperparameters.cost=reward"]).hyperparameters
+    assert by_errors.keys() - by_reward.keys() == {"angle_scale"}
+    assert by_reward["smoothness"] == 2.0

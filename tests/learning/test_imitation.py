@@ -38,7 +38,8 @@ def errors_of_the_teacher(task, steps=120, **options):
         **{**ARM, **options},
     )
     envs.reset(seed=0)
-    episodes, errors = envs.unwrapped.episodes, []
+    episodes = envs.unwrapped.episodes
+    errors = []
     teacher = imitation.Teacher(episodes, 0.2)
     for _ in range(steps):
         actions = teacher.actions()

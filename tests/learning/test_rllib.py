@@ -29,7 +29,8 @@ def running():
 def test_hyperparameters_keep_their_values_under_rllibs_names():
     for name in ("ppo_tip_pose_nominal", "ppo_shape", "ppo_reach"):
         chosen = read_training(find_config(name))
-        found, given = make_config(chosen, 2), chosen.hyperparameters
+        found = make_config(chosen, 2)
+        given = chosen.hyperparameters
         assert (found.minibatch_size, found.num_epochs, found.gamma) == (
             given["batch_size"],
             given["n_epochs"],

@@ -30,10 +30,6 @@ def test_the_papers_arm_has_the_numbers_of_the_agents_that_ship(algorithm):
     record = json.loads((trained_folder() / algorithm / "TipPose" / CONFIG).read_text())
     last = find_config("apg_tip_pose_reward") if algorithm == "apg" else config(algorithm)
     training = read_training(last).model_dump(mode="json")
-    if algorithm == "apg":
-        # of the errors, in the training that it extends: the reward has scales of its own
-        for unread in ("position_scale", "angle_scale", "far_weight"):
-            del training["hyperparameters"][unread]
     assert training["options"] == {"control_period": 0.02, **record["options"]}
     for key in ("hyperparameters", "seconds"):
         assert training[key] == record[key]

@@ -48,7 +48,9 @@ TERMINATED = (True, False)
     ],
 )
 def test_rows_are_what_single_environments_are(id, options, ends, same):
-    rows, rng, seen = 3, np.random.default_rng(0), set()
+    rows = 3
+    rng = np.random.default_rng(0)
+    seen = set()
     ours = make_sb3_vec_env(id, rows, **options)
     theirs = DummyVecEnv([lambda: Monitor(gym.make(id, **options)) for _ in range(rows)])
     assert (ours.observation_space, ours.action_space) == (
@@ -61,7 +63,8 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
         assert same(ours.reset(), theirs.reset())
         for _ in range(30):
             action = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape)).astype(np.float32)
-            result, expected = ours.step(action), theirs.step(action)
+            result = ours.step(action)
+            expected = theirs.step(action)
             assert same(timeless(result), timeless(expected))  # infos of plain values among them
             seen |= {
                 (info["diverged"], info["TimeLimit.truncated"])

@@ -344,7 +344,10 @@ def test_independent_tensions_span_those_that_strain_the_rod():
 def test_columns_of_actuation_are_what_strains_shorten_tendons_by():
     """-d|t_c| / d(k, p), by differences; t_c is the derivative of the path in the frame of the
     section, and a tendon that is not there has no column."""
-    y, z, y_prime, z_prime = 0.01, -0.004, 0.2, -0.3
+    y = 0.01
+    z = -0.004
+    y_prime = 0.2
+    z_prime = -0.3
     geometry = np.array([y, z, y_prime, z_prime, 1.0])
     strain = np.array([0.5, -2.0, 3.0, 1.1, 0.05, -0.02])
 

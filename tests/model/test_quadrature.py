@@ -252,7 +252,8 @@ def test_the_least_inertia_is_that_of_the_worst_combination():
     coarse = test.model(1)
     fine = test.model(12)
     still = np.zeros(3)
-    M, M_fine = (model.terms(still, still).mass for model in (coarse, fine))
+    M = coarse.terms(still, still).mass
+    M_fine = fine.terms(still, still).mass
     product = np.linalg.solve(M_fine, M)
     ratios = np.linalg.eigvals(product).real
     least = pytest.approx(ratios.min(), rel=1e-9)

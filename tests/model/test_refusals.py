@@ -139,7 +139,8 @@ def test_a_strain_is_that_of_its_coordinates_up_to_round_off(moving, share, is_s
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, message):
     """As many numbers of another meaning would be read as this arm's; from a file too."""
-    stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, ours))
+    stranger = ste.Simulation(build("four_tendon", theirs))
+    arm = ste.Simulation(build("four_tendon", ours))
     stranger.reset(np.full(stranger.model.coordinate_count, 0.1))
     before = numbers(arm)
     stranger.state.save(tmp_path / "state.npz")

@@ -134,7 +134,8 @@ class Malice:
 
 @pytest.mark.parametrize("name", ["weights.npz", "statistics.npz", "config.json"])
 def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name):
-    folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
+    folder = write_agent(tmp_path / "agent", *trained)
+    ran = tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
     (folder / name).write_bytes(pickle.dumps(Malice(ran)))
     if name != "config.json":
@@ -146,7 +147,8 @@ def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name
 
 
 def test_objects_among_an_agents_arrays_are_not_unpickled(tmp_path, trained):
-    folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
+    folder = write_agent(tmp_path / "agent", *trained)
+    ran = tmp_path / "it_ran"
     weights = {**read_weights(folder / WEIGHTS), BIAS: np.array([Malice(ran)])}
     np.savez(folder / WEIGHTS, **weights)
     sign(folder)

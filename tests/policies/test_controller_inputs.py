@@ -66,7 +66,9 @@ def test_targets_are_poses_from_the_tip_on_now_and_ahead():
 
 
 def test_coordinates_of_targets_are_ways_from_the_arm_or_stand_by_themselves():
-    q, way, ahead = np.array([1.0, 2.0]), np.array([0.5, -0.5]), np.array([0.1, 0.2, 0.3, 0.4])
+    q = np.array([1.0, 2.0])
+    way = np.array([0.5, -0.5])
+    ahead = np.array([0.1, 0.2, 0.3, 0.4])
     groups = {"coordinates": q, "target_coordinates": way}
     np.testing.assert_array_equal(_target_coordinates(groups, 1), [[1.5, 1.5]])
     groups["coordinate_preview"] = ahead

@@ -24,7 +24,8 @@ class Probe:
     all of them, and counts."""
 
     def __init__(self):
-        self.weights, self.seen = np.arange(1.0, 4.0), []
+        self.weights = np.arange(1.0, 4.0)
+        self.seen = []
 
     def act(self, now, memory=None):
         self.seen.append((now, memory))
@@ -78,14 +79,16 @@ def begun(env):
 def assert_told(now, env, row, seconds):
     """What a controller is told of a row is what its episode has."""
     episodes = env.unwrapped.episodes
-    state, pose = episodes.state(row), episodes.arms.reading.tip_pose[row]
+    state = episodes.state(row)
+    pose = episodes.arms.reading.tip_pose[row]
     assert now.time == pytest.approx(seconds)
     np.testing.assert_allclose(now.q, state.q, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.q_dot, state.q_dot, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(now.tip_pose, pose, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.tip_pose[:3, :3] @ now.tip_pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_array_equal(now.tip_pose[3], [0.0, 0.0, 0.0, 1.0])
-    wanted, task = episodes.trajectories.at(row, seconds + now.reference.ahead), episodes.task
+    wanted = episodes.trajectories.at(row, seconds + now.reference.ahead)
+    task = episodes.task
     np.testing.assert_allclose(
         now.reference.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12
     )
@@ -106,9 +109,11 @@ def assert_told(now, env, row, seconds):
 @pytest.mark.parametrize("task", IDS)
 def test_controllers_are_told_what_is_and_do_what_they_decide(kind, task):
     env = short(kind, IDS[task])
-    inner, rows = env.env if kind == "sb3" else env, 1 if kind == "single" else 3
+    inner = env.env if kind == "sb3" else env
+    rows = 1 if kind == "single" else 3
     policy, probe = probed(env)
-    observation, state = begun(env), None
+    observation = begun(env)
+    state = None
     asked = np.tile(inner.unwrapped.episodes.start_tension, (rows, 1))
     for step in range(5):
         action, state = policy.predict(observation, state)

@@ -148,8 +148,11 @@ def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, opt
         **more,
     }
     env, policy = made("filtered:tracking", scene=scene, **{"fidelity": "scene", **options})
-    (observation, _), state, scale = env.reset(seed=0), None, env.unwrapped.model.coordinate_scale()
+    observation, _ = env.reset(seed=0)
+    state = None
+    scale = env.unwrapped.model.coordinate_scale()
     for _ in range(10):
-        arm, (action, state) = env.unwrapped.state, policy.predict(observation, state)
+        arm = env.unwrapped.state
+        action, state = policy.predict(observation, state)
         assert abs((state[0].estimate.q - arm.q) / scale).max() < 1e-5
         observation, *_ = env.step(action)

@@ -41,7 +41,8 @@ def groups(envs, seen):
 
 
 def test_ways_are_seen_with_their_integral_now_and_ahead():
-    envs, policy = rows_of("TipPose"), Seen()
+    envs = rows_of("TipPose")
+    policy = Seen()
     way = np.array([0.1, 0.0, -0.2, 0.3, 0.05, 0.0], dtype=np.float32)
     given, state = (
         observed(envs, target_error=way, preview=np.tile(2.0 * way, 2), tip_position=0.5),
@@ -77,14 +78,16 @@ def test_a_target_that_is_not_observed_as_a_way_is_refused():
 
 def test_goals_move_with_the_integral_of_the_way_to_them():
     """In a tenth of the rod's length: the integral is bounded in these units."""
-    envs, policy = rows_of("Reach"), Seen()
+    envs = rows_of("Reach")
+    policy = Seen()
     length = envs.unwrapped.episodes.model.length
     way = np.array([0.01, -0.005, 0.002])
     tip = np.tile([0.1, 0.2, 0.0], (2, 1)).astype(np.float32)
     goal = (tip + way).astype(np.float32)
     flat = np.zeros((2, 3), dtype=np.float32)
     given = {"observation": flat, "achieved_goal": tip, "desired_goal": goal}
-    integral, state = IntegralPolicy(policy, envs, TIME), None
+    integral = IntegralPolicy(policy, envs, TIME)
+    state = None
     share = envs.unwrapped.episodes.period / TIME
     for calls in range(1, 4):
         _, state = integral.predict(given, state)
@@ -101,8 +104,10 @@ def test_goals_move_with_the_integral_of_the_way_to_them():
 
 def test_nothing_is_integrated_on_the_way_and_nothing_is_left_of_the_last_episode():
     """Row by row; any part of the error that is large is enough."""
-    envs, policy = rows_of("TipPose"), Seen()
-    near, far = np.full(6, 0.4, dtype=np.float32), np.full(6, 0.1, dtype=np.float32)
+    envs = rows_of("TipPose")
+    policy = Seen()
+    near = np.full(6, 0.4, dtype=np.float32)
+    far = np.full(6, 0.1, dtype=np.float32)
     far[2] = -0.9
     given = observed(envs, target_error=near)
     columns = envs.unwrapped.episodes.layout.slices["target_error"]

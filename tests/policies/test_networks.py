@@ -78,14 +78,17 @@ def draw(*shape):
 
 
 def test_layers_are_their_formulas():
-    weight, bias = draw(2, 4), draw(2)
+    weight = draw(2, 4)
+    bias = draw(2)
     products = np.array([[sum(w * x) for w in weight] for x in SEEN])
     np.testing.assert_allclose(Linear(weight)(SEEN), products, rtol=1e-5)
     affine = Linear(weight, bias)
     np.testing.assert_allclose(affine(SEEN), products + bias, rtol=1e-5)
     clipped = np.clip(SEEN, -0.5, 0.5)
     np.testing.assert_array_equal(Clip(0.5)(SEEN), clipped)
-    mean, deviation, scale = draw(4), np.abs(draw(4)) + 1.0, draw(4)
+    mean = draw(4)
+    deviation = np.abs(draw(4)) + 1.0
+    scale = draw(4)
     renormalisation = Renormalisation(mean, deviation, scale, draw(4))
     expected = scale * (SEEN - mean) / deviation + draw(4)
     np.testing.assert_allclose(renormalisation(SEEN), expected, rtol=1e-5)
@@ -96,8 +99,10 @@ def test_layers_are_their_formulas():
 
 def test_the_memory_is_a_minimal_gated_unit():
     """m+ = (1 - f) m + f tanh(W [x, f m] + c), with f = sigmoid(V [x, m] + b)."""
-    V, b = draw(3, 7), draw(3)
-    W, c = 0.5 * V, 0.2 * b
+    V = draw(3, 7)
+    b = draw(3)
+    W = 0.5 * V
+    c = 0.2 * b
     memory = draw(3, 3)
     gates = Gates(Linear(V, b), Linear(W, c))
     assert gates.size == 3
@@ -133,7 +138,9 @@ def test_lstms_forget_and_take_in_by_their_gates():
 
 
 def test_gains_multiply_the_way_to_the_target():
-    way, gain, latent = draw(5, 3), draw(2, 5), draw(3, 5)
+    way = draw(5, 3)
+    gain = draw(2, 5)
+    latent = draw(3, 5)
     gains = Gains(1, Linear(way), Linear(gain))
     expected = (latent * (SEEN[:, 1:] @ way.T)) @ gain.T
     np.testing.assert_allclose(gains(latent, SEEN[:, 1:]), expected, rtol=1e-5)
@@ -186,7 +193,8 @@ def test_actions_of_sac_are_squashed_between_their_bounds(clip_mean):
         for part in ("weight", "bias"):
             arrays[f"actor.mu.0.{part}"] = arrays.pop(f"actor.mu.{part}")
     network = build_network(read_architecture("SAC", arguments), arrays, OBSERVATIONS, ACTIONS)
-    low, high = ACTIONS.low, ACTIONS.high
+    low = ACTIONS.low
+    high = ACTIONS.high
     expected = low + 0.5 * (np.tanh(mean) + 1.0) * (high - low)
     np.testing.assert_allclose(network.predict(SEEN)[0], expected, rtol=1e-5)
 
@@ -211,7 +219,8 @@ def test_crossq_renormalises_before_every_layer_and_after_the_last():
     hidden = renormalised(SEEN, 0) @ arrays[f"{name}.1.weight"].T + arrays[f"{name}.1.bias"]
     latent = renormalised(np.maximum(hidden, 0.0), 3)
     mean = latent @ arrays["actor.mu.weight"].T + arrays["actor.mu.bias"]
-    low, high = ACTIONS.low, ACTIONS.high
+    low = ACTIONS.low
+    high = ACTIONS.high
     expected = low + 0.5 * (np.tanh(mean) + 1.0) * (high - low)
     np.testing.assert_allclose(network.predict(SEEN)[0], expected, rtol=1e-4)
     arrays[f"{name}.0.ra_var"][0] = -1.0
@@ -286,7 +295,8 @@ def test_actions_and_memory_of_many_rows_are_those_of_few(monkeypatch):
 def test_normalised_observations_are_in_deviations_and_clipped(tmp_path):
     """clip((o - mean) / sqrt(variance + epsilon)), also after writing and reading; parts without
     statistics pass."""
-    mean, variance = np.array([0.5, -1.0, 0.0, 2.0]), np.array([4.0, 0.25, 1e-4, 9.0])
+    mean = np.array([0.5, -1.0, 0.0, 2.0])
+    variance = np.array([4.0, 0.25, 1e-4, 9.0])
     normalization = Normalization({"": Moments(mean, variance)}, clip=2.5, epsilon=0.01)
     save_normalization(tmp_path / "statistics.npz", normalization)
     read = read_normalization(tmp_path / "statistics.npz", OBSERVATIONS)

@@ -44,7 +44,8 @@ def seen():
 
 def played(policy, seen, starts):
     """Actions (periods, ..) of a policy that gets its state back."""
-    actions, state = [], None
+    actions = []
+    state = None
     for observation, start in zip(seen, starts, strict=True):
         action, state = policy.predict(observation, state, start)
         actions.append(action)

@@ -56,7 +56,8 @@ def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
 
 @pytest.mark.parametrize("folder", SEEDS, ids=lambda folder: "-".join(folder.parts[-3:]))
 def test_seeds_beside_an_agent_had_the_same_training(folder):
-    one, other = (read_run(place) for place in (folder.parent, folder))
+    one = read_run(folder.parent)
+    other = read_run(folder)
     assert {key: one[key] for key in ALIKE} == {key: other[key] for key in ALIKE}
     assert (folder / "weights.npz").read_bytes() != (folder.parent / "weights.npz").read_bytes()
     assert folder.name == f"seed_{other['seed']}" != f"seed_{one['seed']}"

@@ -29,7 +29,8 @@ class Honest:
     cheat = act = staticmethod(lambda *given: given[-1])
 
     def __init__(self, env):
-        self.env, self.size = env, env.action_space.shape[-1]
+        self.env = env
+        self.size = env.action_space.shape[-1]
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         self.cheat(observation)
@@ -88,7 +89,8 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
         else gym.make(IDS["TipPose"], **options)
     )
     known = policy_environment(env)
-    one, other = episodes_of(known), episodes_of(env)
+    one = episodes_of(known)
+    other = episodes_of(env)
     assert known.observation_space == env.observation_space
     assert known.action_space == env.action_space
     assert one.period == 0.04

@@ -116,7 +116,8 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
         for trials in (6, 12):
             tune(Bowl(trials=trials), tmp_path / name, workers=1)
     run_trial(Bowl(trials=12), tmp_path / "one")
-    one, other = (done(Bowl(trials=12), tmp_path / name) for name in ("one", "other"))
+    one = done(Bowl(trials=12), tmp_path / "one")
+    other = done(Bowl(trials=12), tmp_path / "other")
     assert len(one) == len(other) == 12
     assert [trial.params for trial in one] == [trial.params for trial in other]
     with pytest.raises(

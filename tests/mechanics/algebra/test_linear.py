@@ -188,9 +188,9 @@ def test_bounded_systems_meet_the_conditions_of_complementarity(seed):
     greatest = rng.uniform(0.1, 1.0, n)
     for start in (np.zeros(n), greatest, 0.5 * greatest):
         x = start.copy()
-        solve_bounded(
-            matrix, right, least, greatest, x, np.zeros(n, dtype=np.int64), np.zeros((n, n + 1))
-        )
+        sides = np.zeros(n, dtype=np.int64)
+        system = np.zeros((n, n + 1))
+        solve_bounded(matrix, right, least, greatest, x, sides, system)
         rest = matrix @ x - right
         at_least = x == least
         at_greatest = x == greatest

@@ -65,16 +65,17 @@ def test_a_matrix_that_is_not_positive_definite_is_told(place, entry):
 
 def test_products_and_scales_are_those_of_the_matrix():
     matrix = section(2, 6)
+    entries = entries_of(matrix)
     x, c = np.random.default_rng(3).normal(size=(2, 6))
-    np.testing.assert_allclose(
-        np.ravel(symmetric_product(entries_of(matrix), twist(x))), matrix @ x, atol=1e-14
-    )
-    np.testing.assert_allclose(np.ravel(scale6(twist(c), twist(x))), c * x)
+    product = symmetric_product(entries, twist(x))
+    np.testing.assert_allclose(np.ravel(product), matrix @ x, atol=1e-14)
+    scaled = scale6(twist(c), twist(x))
+    np.testing.assert_allclose(np.ravel(scaled), c * x)
     assert squared_norm(twist(x)) == pytest.approx(x @ x)
-    scaled = np.eye(6) + np.diag(c) @ matrix @ np.diag(c)
-    np.testing.assert_allclose(
-        scaled_stiffness(entries_of(matrix), twist(c)), entries_of(scaled), atol=1e-14
-    )
+    scale = np.diag(c)
+    expected = entries_of(np.eye(6) + scale @ matrix @ scale)
+    found = scaled_stiffness(entries, twist(c))
+    np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 @kernel

@@ -40,17 +40,19 @@ def test_a_failed_step_keeps_the_last_good_motion(build):
         {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0},
     )
     arms = arms_of(model, rows=2)
-    arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
+    both = np.arange(2)
+    straight = np.zeros((2, model.coordinate_count))
+    arms.place(both, straight)
     tension = np.tile([2.0, 0.0, 0.0], (2, 2, 1))
-    arms.step(tension, np.arange(2))
+    arms.step(tension, both)
     tension[1, 1] = [1e6, 0.0, 0.0]  # the second half of row 1's period
     half = arms_of(model, rows=1, period=0.01)
     half.rows.q[0] = arms.rows.q[1]
     half.rows.q_dot[0] = arms.rows.q_dot[1]
     half.rows.xi[0] = arms.rows.xi[1]
-    arms.step(tension, np.arange(2))
+    arms.step(tension, both)
     half.step(tension[1:, :1], np.arange(1))
-    assert arms.outcome.status.tolist()[0] == 0
+    assert arms.outcome.status[0] == 0
     assert arms.outcome.status[1] != 0
     assert arms.outcome.rejected[1] == 1
     np.testing.assert_array_equal(arms.rows.q[1], half.rows.q[0])
@@ -114,10 +116,12 @@ def tension_of(arms, row, command):
 )
 def test_the_tension_that_acts_is_read_on_every_arm(changes, command, build):
     command = np.array(command)
-    arms = arms_of(build("three_tendon", {"quadrature.intervals": 2, **changes}), rows=2)
+    model = build("three_tendon", {"quadrature.intervals": 2, **changes})
+    arms = arms_of(model, rows=2)
     rows = np.arange(2)
     held = np.array([[2.0, 0.5, 1.0], [0.0, 1.5, 1.0]])
-    arms.place(rows, np.zeros((2, arms.model.coordinate_count)), held)
+    straight = np.zeros((2, model.coordinate_count))
+    arms.place(rows, straight, held)
     np.testing.assert_allclose(arms.reading.tension, held, rtol=1e-9, atol=1e-12)
     later = np.stack([0.5 * command, command])
     arms.step(later[:, None], rows)
@@ -129,7 +133,8 @@ def test_the_tension_that_acts_is_read_on_every_arm(changes, command, build):
 
 
 def matrix(twist):
-    (kx, ky, kz), p = twist[:3], twist[3:]
+    kx, ky, kz = twist[:3]
+    p = twist[3:]
     return np.array(
         [[0.0, -kz, ky, p[0]], [kz, 0.0, -kx, p[1]], [-ky, kx, 0.0, p[2]], [0.0, 0.0, 0.0, 0.0]]
     )
@@ -173,9 +178,11 @@ def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
     step = np.tile(np.eye(4), (20, 1, 1))
     step[:, :3, :3] = Rotation.from_rotvec(angle * axes).as_matrix()
     step[:, :3, 3] = rng.normal(size=(20, 3))
-    found = errors(pose, (pose @ step)[:, None])[:, 0]
-    np.testing.assert_allclose(
-        np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14
-    )
-    for g, g_bar, twist in zip(pose, pose @ step, found, strict=True):
-        np.testing.assert_allclose(g @ expm(matrix(twist)), g_bar, atol=1e-10)
+    wanted = pose @ step
+    found = errors(pose, wanted[:, None])[:, 0]
+    angles = np.linalg.norm(found[:, :3], axis=1)
+    round_off = 1e-7 if angle > 3 else 1e-15 + 1e-14
+    np.testing.assert_allclose(angles, angle, atol=round_off)
+    for g, g_bar, twist in zip(pose, wanted, found, strict=True):
+        moved = g @ expm(matrix(twist))
+        np.testing.assert_allclose(moved, g_bar, atol=1e-10)

@@ -51,7 +51,10 @@ def test_gradient_is_that_of_all_terms(build, scene):
     unit = model.coordinate_scale()
     n = model.coordinate_count
     u = np.array([1.0, 3.0, 2.0])
-    q, v, a, w = (scale * unit * rng.normal(size=n) for scale in (0.3, 3.0, 30.0, 1.0))
+    q = 0.3 * unit * rng.normal(size=n)
+    v = 3.0 * unit * rng.normal(size=n)
+    a = 30.0 * unit * rng.normal(size=n)
+    w = unit * rng.normal(size=n)
 
     def power(q, v):
         terms = model.terms(q, v, time=TIME)
@@ -65,16 +68,12 @@ def test_gradient_is_that_of_all_terms(build, scene):
         return w @ (force - terms.mass @ a)
 
     def gradient(x, y):
-        steps = 1e-4 * np.diag(unit)
-        return (
-            np.array(
-                [
-                    (power(q + x * step, v + y * step) - power(q - x * step, v - y * step)) / 2e-4
-                    for step in steps
-                ]
-            )
-            / unit
-        )
+        slopes = []
+        for step in 1e-4 * np.diag(unit):
+            ahead = power(q + x * step, v + y * step)
+            behind = power(q - x * step, v - y * step)
+            slopes.append((ahead - behind) / 2e-4)
+        return np.array(slopes) / unit
 
     scratch = make_scratch(model.arm, 1)
     memory = zeros(GradientMemory, sizes_of(model.arm))
@@ -99,25 +98,28 @@ def test_gradient_is_that_of_all_terms(build, scene):
         (memory.by_q, gradient(1.0, 0.0)),
         (memory.by_rate - damping, gradient(0.0, 10.0) / 10.0),
     ):
-        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(found, expected, atol=1e-5 * largest)
 
 
 @pytest.mark.parametrize("scene", ["bare", "gravity and payload", "loads inside", "fluid"])
 def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
-    simulation = Simulation(build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]}))
+    model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
+    simulation = Simulation(model)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        simulation.step(rng.uniform(1.0, 4.0, 3), PERIOD)
-    arm = simulation.model.arm
-    n = simulation.model.coordinate_count
+        tension = rng.uniform(1.0, 4.0, 3)
+        simulation.step(tension, PERIOD)
+    arm = model.arm
+    n = model.coordinate_count
     motion = simulation._motion
     scratch = make_scratch(arm, 2)
     method = Extrapolated(2, 2, True, False, 1e-9)
     scratch.work.strain.xi[:] = motion.xi
-    assert (
-        evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch)
-        == OK
-    )
+    u = np.ones(3)
+    q = motion.q
+    q_dot = motion.q_dot
+    assert evaluate_force(arm, method, u, q, q_dot, motion.state, 0.0, scratch) == OK
     matrices_of_motion(arm, method, scratch)
     matrices = scratch.first.matrices
     mass = matrices.M
@@ -128,29 +130,30 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
         unit = np.eye(n)
         nothing = np.zeros((n, 2 * n))
         system = mass + h * damping + h**2 * stiffness
-        v = np.linalg.solve(system, np.hstack([-h * stiffness, mass, h * unit]))
-        by_q = np.hstack([unit, nothing]) + h * v
+        right = np.hstack([-h * stiffness, mass, h * unit])
+        v = np.linalg.solve(system, right)
+        still = np.hstack([unit, nothing])
+        by_q = still + h * v
         held = np.hstack([nothing, unit])
         return np.vstack([by_q, v, held])
 
     def close(found, expected):
         for part in (slice(0, 2 * n), slice(2 * n, None)):
-            np.testing.assert_allclose(
-                found[:, part], expected[:, part], atol=1e-9 * np.abs(expected[:, part]).max()
-            )
+            block = expected[:, part]
+            largest = np.abs(block).max()
+            np.testing.assert_allclose(found[:, part], block, atol=1e-9 * largest)
 
     plan = make_plan(arm, 1, 1, np.zeros((n, n - 3)))
     plan.forces[:] = np.eye(n)
     for count in (1, 3):
-        coarse = step(PERIOD / count)
-        fine = step(0.5 * PERIOD / count)
+        h = PERIOD / count
         found = np.zeros((2 * n, 3 * n))
-        add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, plan, found)
-        add_jacobian(scratch.first, PERIOD / count, count, -1.0, plan, found)
-        expected = (
-            2.0 * np.linalg.matrix_power(fine, 2 * count) - np.linalg.matrix_power(coarse, count)
-        )[: 2 * n]
-        close(found, expected)
+        add_jacobian(scratch.first, 0.5 * h, 2 * count, 2.0, plan, found)
+        add_jacobian(scratch.first, h, count, -1.0, plan, found)
+        fine = np.linalg.matrix_power(step(0.5 * h), 2 * count)
+        coarse = np.linalg.matrix_power(step(h), count)
+        expected = 2.0 * fine - coarse
+        close(found, expected[: 2 * n])
     rows = []
     for unit in np.eye(2 * n):
         q = unit[:n].copy()
@@ -158,4 +161,6 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
         impulse = np.zeros((2, n))
         assert transposed_map(scratch.first, PERIOD, scratch, q, v, impulse) == OK
         rows.append(np.concatenate([q, v, impulse.sum(axis=0)]))
-    close(np.array(rows), (2.0 * step(0.5 * PERIOD) @ step(0.5 * PERIOD) - step(PERIOD))[: 2 * n])
+    half = step(0.5 * PERIOD)
+    expected = 2.0 * half @ half - step(PERIOD)
+    close(np.array(rows), expected[: 2 * n])

@@ -123,8 +123,9 @@ def test_one_column_without_inertia_balances_damping():
     model = arm_with({})
     scratch, _ = step_with(model, 1, inertia=False)
     M, D, G, force = linear_system(model, Q, RATES, TENSION)
-    force = force + model.terms(Q, RATES, TENSION).bias
-    q, v = substep((0.0 * M, D, G), force, Q, RATES, H)
+    bias = model.terms(Q, RATES, TENSION).bias
+    weightless = (0.0 * M, D, G)
+    q, v = substep(weightless, force + bias, Q, RATES, H)
     np.testing.assert_allclose(scratch.q, q, rtol=1e-9)
     np.testing.assert_allclose(scratch.v, v, rtol=1e-9, atol=1e-9)
 
@@ -149,9 +150,9 @@ def test_two_columns_extrapolate_one_step_and_two_halves(changes, frozen):
     for found, one, two in zip((scratch.q, scratch.v), whole, halves, strict=True):
         extrapolated = 2.0 * two - one
         np.testing.assert_allclose(found, extrapolated, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(
-        scratch.error_q, halves[0] - whole[0], rtol=1e-6, atol=1e-6 * np.abs(Q).max()
-    )
+    difference = halves[0] - whole[0]
+    largest = np.abs(Q).max()
+    np.testing.assert_allclose(scratch.error_q, difference, rtol=1e-6, atol=1e-6 * largest)
     assert attempt.evaluations == 2
     assert attempt.rows == 2
 
@@ -518,19 +519,18 @@ def test_moved_poses_undo_errors_and_cotangents_are_differences():
     h = 1e-6
     for row in range(2):
         for j in range(3):
+            one_pose = pose[row : row + 1]
+            one_goal = goal[row : row + 1, j : j + 1]
             for k, unit in enumerate(h * np.eye(6)):
                 moves = np.array([[unit, -unit]])
                 poses, goals = np.tile(np.eye(4), (2, 1, 2, 1, 1))
-                move_poses(pose[row : row + 1], moves, poses)
-                move_poses(goal[row, j : j + 1], moves, goals)
+                move_poses(one_pose, moves, poses)
+                move_poses(one_goal[0], moves, goals)
                 ends = np.empty((2, 2, 1, 6))
                 for side in range(2):
-                    pose_errors(
-                        poses[:, side], goal[row : row + 1, j : j + 1], ends[0, side : side + 1]
-                    )
-                    pose_errors(
-                        pose[row : row + 1], goals[:, side : side + 1], ends[1, side : side + 1]
-                    )
+                    alone = slice(side, side + 1)
+                    pose_errors(poses[:, side], one_goal, ends[0, alone])
+                    pose_errors(one_pose, goals[:, alone], ends[1, alone])
                 change = ends[:, 0, 0] - ends[:, 1, 0]
                 slopes = change / (2 * h)
                 expected = slopes @ cotangent[row, j]

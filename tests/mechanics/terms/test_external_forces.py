@@ -141,7 +141,8 @@ def test_poses_are_displaced_along_a_twist_in_their_own_frames(k):
     way = 1e-5
     unit = np.zeros(6)
     unit[k] = way
-    (a, b, c), v = unit[:3], unit[3:]
+    a, b, c = unit[:3]
+    v = unit[3:]
     twist = np.zeros((4, 4))
     twist[:3, :3] = [[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]]
     twist[:3, 3] = v
@@ -149,9 +150,13 @@ def test_poses_are_displaced_along_a_twist_in_their_own_frames(k):
     pose = np.eye(4)
     pose[:3, :3] = expm(turned)
     pose[:3, 3] = [0.1, -0.2, 0.3]
-    rows = np.tile([*pose[:3, :3].ravel(), *pose[:3, 3]], (LANES, 1))
-    field = node_field(rows)
+    moved = pose @ expm(twist)
+    fields = []
+    for matrix in (pose, moved):
+        R = matrix[:3, :3].ravel()
+        r = matrix[:3, 3]
+        rows = np.tile([*R, *r], (LANES, 1))
+        fields.append(node_field(rows))
+    field, expected = fields
     displace(field, k, way)
-    expected = pose @ expm(twist)
-    expected_rows = np.tile([*expected[:3, :3].ravel(), *expected[:3, 3]], (LANES, 1))
-    np.testing.assert_allclose(field, node_field(expected_rows), atol=way**2)
+    np.testing.assert_allclose(field, expected, atol=way**2)

@@ -76,7 +76,8 @@ def test_implicit_strain_balances_tensions_and_passive_fields(
     """(30): Sigma (xi - xi*) = Phi_a(xi) tau + Phi_p q_p to round-off, in the strains that
     exist."""
     model = build(name, changes)
-    strain, (q, _) = model.arm.strain, random_state(model, 1)
+    strain = model.arm.strain
+    q, _ = random_state(model, 1)
     X, xi = model.strain(q)
     tau = np.zeros(model.tendon_count)
     strain_tension(strain, q, tau)

@@ -99,19 +99,15 @@ def net_force(model, work, at_points):
     inertia = rod.inertia.reshape(-1, 6, LANES)
     acceleration = np.array(loads.acceleration)
     dead = inertia[:, None, 3] * acceleration[:, None]
-    force -= np.einsum(
-        "jpal,pbal,pbl->j",
-        work.kinematics.J.reshape(n, -1, 6, LANES)[:, :, 3:],
-        pose[:, :9].reshape(-1, 3, 3, LANES),
-        dead,
-    )
+    J_nodes = work.kinematics.J.reshape(n, -1, 6, LANES)
+    J_linear = J_nodes[:, :, 3:]
+    R = pose[:, :9].reshape(-1, 3, 3, LANES)
+    force -= np.einsum("jpal,pbal,pbl->j", J_linear, R, dead)
     rotation = pose[-1, :9, -1]
     R_tip = rotation.reshape(3, 3)
-    return (
-        force
-        - tip[:, 3:] @ R_tip.T @ np.array(loads.force)
-        - tip[:, :3] @ R_tip.T @ np.array(loads.moment)
-    )
+    tip_force = R_tip.T @ np.array(loads.force)
+    tip_moment = R_tip.T @ np.array(loads.moment)
+    return force - tip[:, 3:] @ tip_force - tip[:, :3] @ tip_moment
 
 
 @pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)

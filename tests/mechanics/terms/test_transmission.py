@@ -112,7 +112,8 @@ def test_friction_acts_against_the_rate_at_which_tendons_are_pulled_in(workspace
     q_dot = np.array([2.0, 5.0, 3.0])
     work = rubbing(model, workspace_at, q, q_dot, tension)
     h = 1e-6
-    ahead, behind = (model.tendon_lengths(q + s * h * q_dot) for s in (1, -1))
+    ahead = model.tendon_lengths(q + h * q_dot)
+    behind = model.tendon_lengths(q - h * q_dot)
     pulled_in = (behind - ahead) / (2 * h)
     rates = work.friction.rate.reshape(model.tendon_count, -1)
     np.testing.assert_allclose(rates[:, 0], pulled_in, rtol=1e-6, atol=1e-9)
