@@ -40,7 +40,8 @@ def number(value: float | None, digits: int = 3) -> str:
     largest = 10.0**digits - 0.5
     if abs(value) >= largest:  # all digits are before the point
         return f"{value:.0f}"
-    return f"{value:#.{digits}g}".removesuffix(".")
+    without_sign_of_zero = value + 0.0
+    return f"{without_sign_of_zero:#.{digits}g}".removesuffix(".")
 
 
 def measured_number(value: float) -> str:
