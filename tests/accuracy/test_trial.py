@@ -714,8 +714,11 @@ def test_a_motion_is_known_as_far_as_its_work_reaches():
     assert not cut.is_whole
     assert cut.error == np.inf
     cut.refine()
-    away = np.linalg.norm(cut.tips - whole.tips[: len(cut.tips)], axis=1)
-    assert np.all(away <= cut.errors + whole.errors[: len(cut.tips)])
+    count = len(cut.tips)
+    off = cut.tips - whole.tips[:count]
+    away = np.linalg.norm(off, axis=1)
+    errors = cut.errors + whole.errors[:count]
+    assert np.all(away <= errors)
     within = cut.rows_within(cut.errors[3])
     assert cut.errors[within] <= cut.errors[3]
 
@@ -770,8 +773,10 @@ def test_a_motion_that_is_not_certain_is_tried_with_smaller_tensions(monkeypatch
     usual = HardestMotions(LIVELY).hardest("redrawn", module.SEED, 0.2)
 
     def rows(trial, reference):
-        is_large = not reference.is_equilibrium and reference.commands.max() > 0.3 * usual.max()
-        return 0 if is_large else certain(trial, reference)
+        is_motion = not reference.is_equilibrium
+        if is_motion and reference.commands.max() > 0.3 * usual.max():
+            return 0
+        return certain(trial, reference)
 
     monkeypatch.setattr(Trial, "_certain_rows", rows)
     trial = Trial(LIVELY, 1e-2)
@@ -864,8 +869,10 @@ def test_presets_keep_their_promise_where_rubbing_tendons_are_let_out(coefficien
     tensions = np.concatenate([rises, rises[:20:-1]])
     tips = tip_path(build_model(exact), tensions)
     for preset in ("fast", "standard"):
-        path = tip_path(build_model(at_fidelity(scene, preset)), tensions)
-        assert distance(path, tips) <= PRESETS[preset].share * rod_length(scene), preset
+        model = build_model(at_fidelity(scene, preset))
+        path = tip_path(model, tensions)
+        allowed = PRESETS[preset].share * rod_length(scene)
+        assert distance(path, tips) <= allowed, preset
 
 
 @pytest.mark.slow
@@ -883,7 +890,8 @@ def test_a_lightly_damped_arm_keeps_what_it_promises():
         for tensions, tips in zip(inputs, exact, strict=True):
             path = tip_path(model, tensions)
             away = distance(path[:samples], tips[:samples])
-            assert away <= PRESETS[preset].share * rod_length(LIVELY), preset
+            allowed = PRESETS[preset].share * rod_length(LIVELY)
+            assert away <= allowed, preset
     assert counts == sorted(counts)
 
 
@@ -900,23 +908,27 @@ def test_presets_keep_their_promise_with_elastic_tendons():
         assert choice.speaks_of_all
         model = build_model(choice.applied_to(elastic))
         for commands, tips in zip(inputs, exact, strict=True):
-            away = distance(tip_path(model, commands), tips)
-            assert away <= PRESETS[preset].share * rod_length(elastic), preset
+            path = tip_path(model, commands)
+            allowed = PRESETS[preset].share * rod_length(elastic)
+            assert distance(path, tips) <= allowed, preset
 
 
 def test_motions_of_elastic_tendons_are_displacements(monkeypatch):
     """Within limits; rests are under tensions, as those of other tendons."""
     monkeypatch.setattr(module, "SECONDS", 0.1)
     monkeypatch.setattr(module, "RESTS", 2)
-    trial = Trial(ARM.replace({"effects.tendon_elasticity": SPRINGS}), 1e-2)
+    elastic = ARM.replace({"effects.tendon_elasticity": SPRINGS})
+    trial = Trial(elastic, 1e-2)
     without = Trial(ARM, 1e-2)
     assert len(trial.tests) == len(without.tests) == 6
     for test, other in zip(trial.tests, without.tests, strict=True):
         if test.reference.is_equilibrium:
             np.testing.assert_array_equal(test.commands, other.commands)
         else:
-            assert test.commands.max() <= 0.02
-            assert test.commands.max() > 0.1 * tension_limits(ARM)[1].max() / 700.0
+            longest = test.commands.max()
+            greatest_stretch = tension_limits(ARM)[1].max() / 700.0
+            assert longest <= 0.02
+            assert longest > 0.1 * greatest_stretch
 
 
 def test_models_that_are_tried_warn_of_nothing(monkeypatch):

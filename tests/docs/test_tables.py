@@ -66,7 +66,9 @@ def test_every_kind_has_a_table():
 def test_every_entry_has_a_row(kind, name):
     text = CELLS.get(kind, "`{}`".format)(name)
     pattern = re.compile(re.escape(text) + r"(?![\w-])")
-    assert any(pattern.search(row) for row in rows(PAGES[kind])), f"{PAGES[kind]} has no row {text}"
+    page = PAGES[kind]
+    is_there = any(pattern.search(row) for row in rows(page))
+    assert is_there, f"{page} has no row {text}"
 
 
 def test_tables_that_are_filled_have_texts():

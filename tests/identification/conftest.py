@@ -69,7 +69,8 @@ def record_of(folder, placed):
         measurement = Plants(scene, model, placed, ()).measurement(np.zeros(0))
         if period:
             start = Simulation(model).reset_at_rest(tensions[0])
-            q = simulate(model, tensions[:-1], period * (len(tensions) - 1), period, start).q
+            duration = period * (len(tensions) - 1)
+            q = simulate(model, tensions[:-1], duration, period, start).q
         else:
             q = [static_equilibrium(model, u).q for u in tensions]
         poses = np.array([model.backbone_at(sample, placed.arc_lengths) for sample in q])

@@ -28,11 +28,13 @@ def test_a_cycle_encloses_the_area_of_a_rectangle_with_slanted_sides():
     """Of amplitude a and half-width w a play loses 4 w (a - w) in a whole cycle."""
     half_width = 0.2
     amplitude = 1.5
-    cycle = amplitude * np.sin(np.linspace(0.0, 4.0 * np.pi, 4001))
+    phase = np.linspace(0.0, 4.0 * np.pi, 4001)
+    cycle = amplitude * np.sin(phase)
     arriving = after_play(cycle[:, None], np.array([half_width]))[:, 0]
     second = slice(2000, 4001)
     area = np.trapezoid(cycle[second], arriving[second])
-    assert area == pytest.approx(4.0 * half_width * (amplitude - half_width), rel=1e-3)
+    expected = 4.0 * half_width * (amplitude - half_width)
+    assert area == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,8 @@ def test_backlash_is_one_for_all_tendons_and_a_share_of_their_range(plants):
 
 
 def test_a_hold_knows_the_commands_before_it_in_its_file(plants):
-    session = 1e-3 * np.array([[0.0, 0, 0], [4.0, 0, 0], [2.0, 1.0, 0], [2.0, 1.0, 0]])
+    millimetres = [[0.0, 0, 0], [4.0, 0, 0], [2.0, 1.0, 0], [2.0, 1.0, 0]]
+    session = 1e-3 * np.array(millimetres)
     backlash, gain = plants.parameters
     x = np.array([backlash.coordinate(5e-4), gain.coordinate(1.5)])
 

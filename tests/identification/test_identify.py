@@ -59,14 +59,14 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     x = np.full(len(parameters), 0.02)
     J = readings.jacobian(x)
     d = 3e-4
-    other = np.stack(
-        [
-            (readings.residual(x + step) - readings.residual(x - step)) / (2 * d)
-            for step in d * np.eye(x.size)
-        ],
-        axis=-1,
-    )
-    assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
+    slopes = []
+    for step in d * np.eye(x.size):
+        ahead = readings.residual(x + step)
+        behind = readings.residual(x - step)
+        slopes.append((ahead - behind) / (2 * d))
+    other = np.stack(slopes, axis=-1)
+    off = np.abs(J - other).max()
+    assert off < 1e-5 * np.abs(J).max()
 
 
 def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
@@ -89,14 +89,14 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
     )
     x = np.full(4, 0.02)
     d = 1e-4
-    other = np.stack(
-        [
-            (readings.residual(x + step) - readings.residual(x - step)) / (2 * d)
-            for step in d * np.eye(4)
-        ],
-        axis=-1,
-    )
-    assert np.abs(readings.jacobian(x) - other).max() < 1e-6 * np.abs(other).max()
+    slopes = []
+    for step in d * np.eye(4):
+        ahead = readings.residual(x + step)
+        behind = readings.residual(x - step)
+        slopes.append((ahead - behind) / (2 * d))
+    other = np.stack(slopes, axis=-1)
+    off = np.abs(readings.jacobian(x) - other).max()
+    assert off < 1e-6 * np.abs(other).max()
 
 
 def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
@@ -222,8 +222,10 @@ def test_outliers_are_named(arm, holds, placed, tmp_path):
 
 def test_labels_exchanged_in_a_held_out_hold_are_named(arm, holds, placed, tmp_path):
     rows = [row.split(",") for row in holds.read_text().splitlines()]
-    of_middle, of_tip = rows[7][7:10], rows[7][10:13]  # of holds6
-    rows[7][7:13] = of_tip + of_middle
+    holds6 = rows[7]
+    of_middle = holds6[7:10]
+    of_tip = holds6[10:13]
+    holds6[7:13] = of_tip + of_middle
     path = tmp_path / "holds.csv"
     path.write_text("\n".join(map(",".join, rows)))
     estimate = identify(arm, path, placed, [E, RHO], fidelity="scene")
@@ -236,7 +238,10 @@ def test_labels_exchanged_in_a_held_out_hold_are_named(arm, holds, placed, tmp_p
 def test_fewer_data_than_parameters_are_told(arm, record, placed, truth):
     path = record("single", truth, [[1.0, 0.0, 0.0]])
     header, row = path.read_text().splitlines()
-    path.write_text("\n".join([header, ",".join([*row.split(",")[:7], *[""] * 6])]) + "\n")
+    one_marker = row.split(",")[:7]
+    no_others = [""] * 6
+    shortened = ",".join(one_marker + no_others)
+    path.write_text(f"{header}\n{shortened}\n")
     with pytest.raises(ValueError, match="there are 3 readings for 3 parameters without priors"):
         identify(arm, path, placed, [E, RHO, "segments.0.damping"], fidelity="scene", held_out=0)
 
@@ -291,8 +296,10 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(
         arm, turned, placed, [E, RHO, "segments.*.damping", "base"], fidelity="scene", held_out=0
     )
     assert found.errors[0] < 5e-4
-    assert np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
-    assert np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3
+    turned_by = np.subtract(found.scene.base.rotation, base["rotation"])
+    assert np.abs(turned_by).max() < 0.5
+    moved_by = np.subtract(found.scene.base.position, base["position"])
+    assert np.abs(moved_by).max() < 1e-3
     assert found.markers.frame == placed.frame
     save_estimate(found, tmp_path)
     scene = load_scene(tmp_path / "scene.toml")
@@ -301,7 +308,8 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(
     table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
     drawn = {f"base.{name}.{axis}" for name in base for axis in range(3)}
     assert table.keys() == {E, RHO, *drawn}
-    assert table[E][0] < found.value[0] < table[E][1]
+    low, high = table[E]
+    assert low < found.value[0] < high
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
@@ -311,7 +319,8 @@ def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_o
     elastic = arm.replace(
         {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}}
     )
-    plants = Plants(elastic, build_model(elastic), placed, read_parameters([E], elastic, placed))
+    parameters = read_parameters([E], elastic, placed)
+    plants = Plants(elastic, build_model(elastic), placed, parameters)
     commands = np.array([[2e-3, 0.0, 0.0], [0.0, 4e-3, 0.0], [1e-3, 0.0, 3e-3]])
     still = [
         Recording(f"{i}", "simulated", one[None], np.zeros((1, 3, 3)), 0.0, {})
@@ -352,11 +361,13 @@ def robot(moving):
 def steps(record_of, moving, robot):
     """Three motions of steps between random tensions."""
     random = np.random.default_rng(2)
-    tensions = [np.repeat(random.uniform(0.0, 4.0, (3, 3)), 40, axis=0) for _ in range(3)]
-    return [
-        record_of(moving, f"steps{i}", robot, table, period=PERIOD, seed=i)
-        for i, table in enumerate(tensions)
-    ]
+    files = []
+    for i in range(3):
+        levels = random.uniform(0.0, 4.0, (3, 3))
+        tensions = np.repeat(levels, 40, axis=0)
+        file = record_of(moving, f"steps{i}", robot, tensions, period=PERIOD, seed=i)
+        files.append(file)
+    return files
 
 
 @pytest.mark.slow

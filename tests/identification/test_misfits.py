@@ -75,7 +75,7 @@ def test_positions_below_a_share_of_the_arm_do_not_stand_out():
 
 def test_held_out_holds_that_are_met_badly_are_named_with_the_worst_first():
     def change(order, residual):
-        residual[[2, 6, 10], 0] += np.array([[4e-3, 0, 0], [0, 6e-3, 0], [0, 0, -5e-3]])
+        residual[[2, 6, 10], 0] += np.diag([4e-3, 6e-3, -5e-3])
         residual[[2, 6, 10], 1] += [0.0, 3.5e-3, 0.0]
 
     (text,) = texts_of(misfits_of(3, change=change))
@@ -137,13 +137,17 @@ def test_residuals_above_a_known_noise_are_told():
 def test_residuals_that_follow_the_squares_of_commands_are_told():
     misfits = misfits_of(5, holds=30, every=0)
     for misfit in misfits:
-        misfit.residual[0, :, 1] += 2e-4 * misfit.recording.command[0, 2] ** 2
+        command = misfit.recording.command[0, 2]
+        misfit.residual[0, :, 1] += 2e-4 * command**2
     (text,) = texts_of(misfits)
     assert text.startswith("Residuals of holds follow the commands, by ")
     size = float(text.split("by ")[1].split(" mm")[0])
-    law = 1e3 * 2e-4 * np.array([misfit.recording.command[0, 2] ** 2 for misfit in misfits])
+    commands = np.array([misfit.recording.command[0, 2] for misfit in misfits])
+    law = 1e3 * 2e-4 * commands**2  # [mm]
+    mean_square = (law**2).mean()
     # a third of the coordinates have it
-    assert size == pytest.approx(np.sqrt((law**2).mean() / 3.0), rel=0.1)
+    expected = np.sqrt(mean_square / 3.0)
+    assert size == pytest.approx(expected, rel=0.1)
 
 
 def motion(residual, positions=None):
@@ -169,7 +173,8 @@ def test_successive_residuals_of_a_motion_that_follow_each_other_are_told():
 
 
 def test_a_sample_that_stands_out_of_a_slow_error_is_an_outlier_and_the_slow_error_is_none():
-    slow = 8e-3 * np.sin(np.arange(12) / 4.0)[:, None, None] * np.ones((12, 2, 3))
+    wave = np.sin(np.arange(12) / 4.0)
+    slow = 8e-3 * wave[:, None, None] * np.ones((12, 2, 3))
     assert not any("stand out" in text for text in texts_of(motion(slow)))
     slow[7, 1] += [0.0, 0.02, 0.0]
     assert any("above all m1 in 'steps'" in text for text in texts_of(motion(slow)))

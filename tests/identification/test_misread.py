@@ -29,7 +29,8 @@ def holds_of(name):
     length = sum(segment.length for segment in scene.segments)
     model = build_model(scene.replace(softer))
     most = 0.4 * np.array([tendon.tension_limits[1] for tendon in scene.tendons])
-    tensions = np.random.default_rng(5).uniform(0.0, 1.0, (10, len(scene.tendons))) * most
+    shares = np.random.default_rng(5).uniform(0.0, 1.0, (10, most.size))
+    tensions = shares * most
     places = np.array([0.6, 1.0]) * length
     positions = [
         model.backbone_at(static_equilibrium(model, tension).q, places)[:, :3, 3]
@@ -154,13 +155,19 @@ def motion():
         0.02,
         Simulation(model).reset_at_rest(tensions[0]),
     )
-    return scene, np.column_stack([ran.time, tensions, ran.tip_pose[:, :3, 3]])
+    tips = ran.tip_pose[:, :3, 3]
+    rows = np.column_stack([ran.time, tensions, tips])
+    return scene, rows
 
 
 def identify_damping(folder, scene, rows, columns=None):
     path = folder / "steps.csv"
     header = ["time", *(f"tension_{i}" for i in range(3)), "m_x", "m_y", "m_z"]
-    path.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows.tolist()]))
+    lines = []
+    for row in [header, *rows.tolist()]:
+        cells = map(str, row)
+        lines.append(",".join(cells))
+    path.write_text("\n".join(lines))
     markers = MarkerSet(markers={"m": Marker(arc_length=0.3)}, columns=columns or {})
     return identify(scene, path, markers, ["segments.*.damping"], held_out=0, fidelity="scene")
 

@@ -282,7 +282,9 @@ def motion(times, tensions=None):
         [repr(time), *map(str, u), *map(str, p)]
         for time, u, p in zip(times, tensions, moving.tolist(), strict=True)
     ]
-    return "\n".join(",".join(row) for row in [["time", *HEADER[1:]], *rows]) + "\n"
+    header = ["time", *HEADER[1:]]
+    lines = [",".join(row) for row in [header, *rows]]
+    return "\n".join(lines) + "\n"
 
 
 @pytest.mark.parametrize(
@@ -365,7 +367,10 @@ def test_what_cannot_be_read_is_told_with_its_place(tmp_path, content, message):
     ],
 )
 def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
-    times = [begin + period * (k + 0.1 * (k % 2)) for k in range(20)]  # with jitter
+    times = []
+    for k in range(20):
+        jitter = 0.1 * (k % 2)
+        times.append(begin + period * (k + jitter))
     markers = MarkerSet(markers=MARKERS.markers, columns={"time": {"unit": unit}})
     (found,) = read(tmp_path, motion(times), markers)
     assert found.period == pytest.approx(

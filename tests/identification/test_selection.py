@@ -73,7 +73,8 @@ def test_nothing_is_tried_where_held_out_readings_are_met_as_well_as_those_of_th
 
 
 def test_priors_pull_the_parameters_that_stay():
-    estimate, fit_error, judge = linear(np.array([3.0, 0.1, -2.0, 0.1]), [3.0, -1, -2, -1], 0.05)
+    truth = np.array([3.0, 0.1, -2.0, 0.1])
+    estimate, fit_error, judge = linear(truth, [3.0, -1, -2, -1], 0.05)
     prior = np.array([0.0, 0.0, 1e9, 0.0])  # that keeps the third where it is
     fewer_parameters_text(estimate._replace(prior=prior), fit_error, judge)
     assert judge.trials[-1][2] == pytest.approx(estimate.x[2], abs=1e-6)

@@ -146,10 +146,12 @@ def test_numbers_that_are_drawn_are_shares_of_their_ranges():
 
 
 def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
-    gradient = torch.tensor([[1.0, 0.0], [0.0, -2.0], [30.0, 40.0], [0.0, 0.0], [0.0, 3.0]])
+    rows = [[1.0, 0.0], [0.0, -2.0], [30.0, 40.0], [0.0, 0.0], [0.0, 3.0]]
+    gradient = torch.tensor(rows)
     clipped = clip_rows(gradient, 2.0)
     np.testing.assert_allclose(clipped[2], [2.4, 3.2])
-    np.testing.assert_array_equal(clipped[[0, 1, 3, 4]], gradient[[0, 1, 3, 4]])
+    others = [0, 1, 3, 4]
+    np.testing.assert_array_equal(clipped[others], gradient[others])
     few = torch.tensor([[0.0], [0.0], [5.0]])
     assert torch.equal(clip_rows(few, 2.0), few)
     assert torch.equal(clip_rows(gradient, np.inf), gradient)
@@ -203,7 +205,8 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
 def test_the_cost_by_the_reward_is_what_it_lacks():
     env = envs(rows=4, observation=OBSERVED)
     env.reset()
-    agent = APG("MlpPolicy", env, settings=APGSettings(cost="reward", smoothness=0.0), **SMALL)
+    settings = APGSettings(cost="reward", smoothness=0.0)
+    agent = APG("MlpPolicy", env, settings=settings, **SMALL)
     trajectories = rollout(agent.rows, lambda seen: agent.policy.act(seen, seen[:, :0])[0], 6)
     cost = agent._cost(trajectories, [])
     missing = 1.0 - trajectories.reward.mean()

@@ -62,7 +62,8 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
         {} if task == "Reach" else {"target": {"type": "random", "knot_period": 2.0}}
     )  # the law for shapes lags behind
     errors = errors_of_the_teacher(task, **action, **slow, randomize=DRAWN)
-    rms = np.sqrt(np.mean(errors[-25:-1] ** 2, axis=0))
+    squares = errors[-25:-1] ** 2
+    rms = np.sqrt(np.mean(squares, axis=0))
     assert (rms < 0.02).all(), "in the second episode too, on other arms"
 
 

@@ -85,8 +85,12 @@ def acting_network(folder, algorithm, arguments, network, observations):
 def draw_rows(space):
     draw = np.random.default_rng(0)
     if isinstance(space, gym.spaces.Dict):
-        return {key: draw.normal(size=(COUNT, *part.shape)) for key, part in space.spaces.items()}
-    return draw.normal(size=(COUNT, *space.shape)).astype(np.float32)
+        rows = {}
+        for key, part in space.spaces.items():
+            rows[key] = draw.normal(size=(COUNT, *part.shape))
+        return rows
+    drawn = draw.normal(size=(COUNT, *space.shape))
+    return drawn.astype(np.float32)
 
 
 def one_row(rows, number):

@@ -46,7 +46,8 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
             chosen.arms * given["n_steps"],
             given["target_kl"],
         )
-        assert found.lr == [[0, chosen.learning_rate[0]], [chosen.steps, chosen.learning_rate[1]]]
+        first, last = chosen.learning_rate
+        assert found.lr == [[0, first], [chosen.steps, last]]
         assert (found.num_env_runners, found.num_envs_per_env_runner) == (2, chosen.arms // 2)
 
 

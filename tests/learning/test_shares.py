@@ -28,8 +28,10 @@ def config(algorithm):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_papers_arm_has_the_numbers_of_the_agents_that_ship(algorithm):
     record = json.loads((trained_folder() / algorithm / "TipPose" / CONFIG).read_text())
-    last = find_config("apg_tip_pose_reward") if algorithm == "apg" else config(algorithm)
-    training = read_training(last).model_dump(mode="json")
+    path = config(algorithm)
+    if algorithm == "apg":
+        path = find_config("apg_tip_pose_reward")
+    training = read_training(path).model_dump(mode="json")
     assert training["options"] == {"control_period": 0.02, **record["options"]}
     for key in ("hyperparameters", "seconds"):
         assert training[key] == record[key]

@@ -49,7 +49,11 @@ RUNS = {
 
 def curve(folder):
     with open(folder / "evaluations.csv", newline="") as file:
-        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+        rows = []
+        for cells in csv.DictReader(file):
+            row = {name: float(value) for name, value in cells.items()}
+            rows.append(row)
+        return rows
 
 
 @pytest.mark.usefixtures("recurrent_ppo")
@@ -81,7 +85,8 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
         assert found["algorithm"] == chosen.algorithm
         assert found["record"]["versions"]["torch"]
     path = str(tmp_path / "last")
-    env = gym.make(IDS[chosen.task], max_episode_steps=20, **policy_options(path, chosen.task, {}))
+    options = policy_options(path, chosen.task, {})
+    env = gym.make(IDS[chosen.task], max_episode_steps=20, **options)
     summary = summarise(
         evaluate(load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip)
     )
@@ -94,7 +99,11 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path
 def test_episodes_of_arms_do_not_all_begin_together(training):
     env = train.make_training_env(training(arms=10, seconds=0.4))
     env.reset()
-    ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
+    still = np.zeros((10, 3))
+    ends = []
+    for _ in range(60):
+        _, _, has_ended, _ = env.step(still)
+        ends.append(int(has_ended.sum()))
     assert ends[:20] == [1, 0] * 10, "one of ten every two of twenty steps"
     assert ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
 
@@ -159,8 +168,11 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path
     with pytest.raises(InterruptedError):
         part(stop)
     found = part(None)
-    weights = [model.policy.state_dict().values() for model in (whole, found)]
-    assert all(bool((one == other).all()) for one, other in zip(*weights, strict=True))
+    weights = whole.policy.state_dict()
+    found_weights = found.policy.state_dict()
+    assert found_weights.keys() == weights.keys()
+    for name, values in weights.items():
+        assert bool((found_weights[name] == values).all()), name
 
 
 @pytest.mark.slow
@@ -180,13 +192,16 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
-    done = checkpoints.read_checkpoint(checkpoints.find_checkpoint(out / "last"))["steps_done"]
+    checkpoint = checkpoints.find_checkpoint(out / "last")
+    done = checkpoints.read_checkpoint(checkpoint)["steps_done"]
     assert 64 <= done < 10_000_000
     more = config.read_training(path, [f"steps={done + 128}"])
     train.train(more, out, train.checkpoint_to_resume(out, more, resume=True))
     rows = [row["steps"] for row in curve(out)]
     assert rows == sorted(set(rows))
-    assert rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
+    assert rows[-1] == done + 128
+    last = checkpoints.read_checkpoint(out / "last")
+    assert last["steps_done"] == done + 128
 
 
 @pytest.mark.slow

@@ -59,10 +59,13 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
     )
     for seed in (5, None, 6):
         if seed is not None:
-            assert ours.seed(seed) == theirs.seed(seed) == [seed, seed + 1, seed + 2]
+            seeds = [seed, seed + 1, seed + 2]
+            assert ours.seed(seed) == seeds
+            assert theirs.seed(seed) == seeds
         assert same(ours.reset(), theirs.reset())
         for _ in range(30):
-            action = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape)).astype(np.float32)
+            drawn = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape))
+            action = drawn.astype(np.float32)
             result = ours.step(action)
             expected = theirs.step(action)
             assert same(timeless(result), timeless(expected))  # infos of plain values among them

@@ -88,7 +88,9 @@ def check_terms():
         for field, allowed in most.items():
             if field != "tip_pose":
                 right = np.array(expected[PAIRS[field]])
-                error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
+                size = max(np.abs(right).max(), 1e-9)
+                off = np.abs(getattr(found, field) - right)
+                error = off.max() / size
                 assert error < allowed, f"{field}: {error:.1e}"
         np.testing.assert_allclose(
             found.tip_pose[:3, 3], expected["tip_position"], atol=most["tip_pose"]

@@ -75,7 +75,10 @@ def end(model, start, *inputs):
 def differences(evaluate, step):
     """Derivatives of all that is evaluated so many steps off, that of the tip pose as a body
     twist."""
-    values = [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()]
+    values = []
+    for k, weight in FOURTH_ORDER.items():
+        reached = evaluate(k * step)
+        values.append((weight / step, reached))
     middle = evaluate(0.0)
     slopes = []
     for i in range(len(middle)):
@@ -164,7 +167,8 @@ def test_commands_act_in_a_period_from_when_they_arrive_on(delay):
     for unit in np.eye(3):
 
         def evaluate(change, unit=unit):
-            return end(model, start, start.q, start.q_dot, start.effects, command + change * unit)
+            changed = command + change * unit
+            return end(model, start, start.q, start.q_dot, start.effects, changed)
 
         by_state, *_ = differences(evaluate, 3e-3)
         slopes.append(by_state[:moving])

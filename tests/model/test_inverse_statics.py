@@ -96,8 +96,11 @@ def test_what_is_out_of_reach_is_approached():
         assert (found.tension >= 0.0).all()
         assert (found.tension <= 2.0).all()
         axes = [np.linspace(0.0, 2.0, 7)] * 3
-        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-        positions = [static_equilibrium(model, u).tip_pose[:3, 3] for u in grid]
+        grid = np.stack(np.meshgrid(*axes), axis=-1)
+        positions = []
+        for u in grid.reshape(-1, 3):
+            rest = static_equilibrium(model, u)
+            positions.append(rest.tip_pose[:3, 3])
         tips = np.array(positions)
         nearest = np.linalg.norm(tips - target, axis=1).min()
         assert found.position_error <= nearest + 1e-5
@@ -112,11 +115,11 @@ def test_a_start_next_to_the_strain_limit_is_answered():
     below = 44.0
     above = 45.0
     while below < (middle := 0.5 * (below + above)) < above:
-        below, above = (
-            (middle, above)
-            if static_equilibrium(model, [middle, 0.0, 0.0]).converged
-            else (below, middle)
-        )
+        rest = static_equilibrium(model, [middle, 0.0, 0.0])
+        if rest.converged:
+            below = middle
+        else:
+            above = middle
     for start in (below, below - 1e-7):
         found = tension_for_tip_position(model, [0.2, 0.1, 0.0], start=[start, 0.0, 0.0])
         assert not found.reachable
@@ -156,7 +159,8 @@ def test_derivatives_of_the_error_are_differences(angle_weight, changes):
     tip = static_equilibrium(model, u).tip_pose
     goal = search.pose
     error = search.error(u)
-    np.testing.assert_allclose(error[3:], goal[:3, 3] - tip[:3, 3], atol=1e-14)
+    way = goal[:3, 3] - tip[:3, 3]
+    np.testing.assert_allclose(error[3:], way, atol=1e-14)
     tip_rotation = tip[:3, :3]
     goal_rotation = goal[:3, :3]
     relative = tip_rotation.T @ goal_rotation
@@ -206,4 +210,5 @@ def test_errors_and_efforts_are_least_within_the_limits():
     assert (slope[is_slack] > -1e-3 * size).all()
     # less of the effort leaves less of the error
     looser = search._least_squares(u, 0.1 * mu, unit)
-    assert np.linalg.norm(search.error(looser)) < 0.5 * np.linalg.norm(search.error(u))
+    looser_error = np.linalg.norm(search.error(looser))
+    assert looser_error < 0.5 * np.linalg.norm(search.error(u))

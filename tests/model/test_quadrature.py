@@ -95,7 +95,9 @@ def searched(monkeypatch):
         def estimate(count):
             tried.append(count)
             found = excess(count)
-            problem = "too coarse" if found > 1.0 else ""
+            problem = ""
+            if found > 1.0:
+                problem = "too coarse"
             return QuadratureEstimate(count, found, problem, found)
 
         monkeypatch.setattr(test, "error_estimate", estimate)
@@ -270,7 +272,10 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
     worst = test.displacement(coarse, fine)
     shares = []
     for tension in test.tensions:
-        tips = [model.tip_pose(model.rest_coordinates(tension))[:3, 3] for model in (coarse, fine)]
+        tips = []
+        for model in (coarse, fine):
+            q = model.rest_coordinates(tension)
+            tips.append(model.tip_pose(q)[:3, 3])
         way = tips[1] - tips[0]
         shares.append(np.linalg.norm(way) / 0.3)
     assert worst.share == pytest.approx(max(shares), rel=1e-9)
@@ -304,7 +309,8 @@ def test_an_arm_that_falls_over_is_compared_where_it_is_bent_by_three_radians():
 def test_rods_that_turn_more_often_than_there_are_intervals_are_refused(share, is_refused):
     """Of two pieces, one of which ends with a tendon."""
     turns = share * 2 * MOST_INTERVALS
-    curvature = [0.0, 0.6 * turns * 2 * np.pi / 0.3, 0.8 * turns * 2 * np.pi / 0.3]
+    whole = turns * 2 * np.pi / 0.3
+    curvature = [0.0, 0.6 * whole, 0.8 * whole]
     scene = three_tendon(segments__0__curvature=curvature, tendons__0__end=0.2)
     refused = pytest.raises(ConfigurationError, match="finest quadrature tells")
     with refused if is_refused else contextlib.nullcontext():

@@ -71,16 +71,18 @@ def test_the_nearest_strain_is_that_of_the_model():
     """Of an arm whose tendons end at 0.2 m and at the tip."""
     fine = reference_model(TWO_PIECES, LEVELS[2])
     model = reference_model(TWO_PIECES, LEVELS[0])
-    q = 2.0 * model.coordinate_scale() * np.cos(np.arange(model.coordinate_count))
+    amplitude = 2.0 * model.coordinate_scale()
+    q = amplitude * np.cos(np.arange(model.coordinate_count))
     coordinates = nearest_strain(model, q, fine)
     places = [0.02, 0.05, 0.17, 0.23, 0.28]
-    expected = model.strain_at(q, places)[0]
-    strain = fine.strain_at(coordinates, places)[0]
+    expected, _ = model.strain_at(q, places)
+    strain, _ = fine.strain_at(coordinates, places)
     scale = np.abs(expected).max(axis=0)
     # between two points of either grid it is linear
     np.testing.assert_allclose(strain / scale, expected / scale, atol=0.02)
-    off = fine.tip_pose(coordinates)[:3, 3] - model.tip_pose(q)[:3, 3]
-    assert np.linalg.norm(off) < 1e-3 * model.length
+    way = fine.tip_pose(coordinates) - model.tip_pose(q)
+    off = np.linalg.norm(way[:3, 3])
+    assert off < 1e-3 * model.length
 
 
 class TipAt:
@@ -98,7 +100,9 @@ class TipAt:
         return pose
 
     def rest(self, *conditions):
-        return None if self.place is None else np.zeros(1)
+        if self.place is None:
+            return None
+        return np.zeros(1)
 
 
 @pytest.fixture

@@ -47,19 +47,24 @@ def differences(model, q, q_dot, tension):
     of_tensions = np.ones(tension.size)
     scale = np.concatenate([model.coordinate_scale()] * 2 + [of_tensions])
     steps = 1e-4 * np.diag(scale)
-    columns = [
-        after(simulation, *np.split(x + s, [n, 2 * n]))
-        - after(simulation, *np.split(x - s, [n, 2 * n]))
-        for s in steps
-    ]
-    return np.split(np.stack(columns, axis=1) / (2.0 * np.diag(steps)), [2 * n], axis=1)
+    borders = [n, 2 * n]
+    columns = []
+    for step in steps:
+        ahead = after(simulation, *np.split(x + step, borders))
+        behind = after(simulation, *np.split(x - step, borders))
+        columns.append(ahead - behind)
+    changes = np.stack(columns, axis=1)
+    slopes = changes / (2.0 * np.diag(steps))
+    return np.split(slopes, [2 * n], axis=1)
 
 
 def off(model, found, wanted, inputs=None):
     """Relative error of a Jacobian of coordinates and rates in `coordinate_scale`s, by these or by
     inputs in units of their own."""
     scale = np.tile(model.coordinate_scale(), 2)
-    unit = scale if inputs is None else inputs
+    unit = scale
+    if inputs is not None:
+        unit = inputs
     # both in units of outputs and inputs
     ratio = unit / scale[:, None]
     difference = (found - wanted) * ratio

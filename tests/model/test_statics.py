@@ -31,14 +31,16 @@ def model_of(name, **changes):
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
-    for u in np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size)):
+    tensions = np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size))
+    for u in tensions:
         found = static_equilibrium(model, u)
         terms = model.terms(found.q, np.zeros_like(found.q), u)
         assert found.converged
         assert found.residual <= RESIDUAL
         assert found.reason == ""
         force = terms.actuation @ u - terms.elastic_force + terms.external_force
-        assert np.abs(force).max() < 1e-8 * np.abs(terms.elastic_force).max()
+        largest = np.abs(terms.elastic_force).max()
+        assert np.abs(force).max() < 1e-8 * largest
         np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
 
 
@@ -49,7 +51,9 @@ def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
         "three_tendon",
         strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]},
     )
-    limit = 5e5 / 3 * np.pi * 0.01**4 / 2 / (3 * 0.008**2)
+    torsion = 5e5 / 3 * np.pi * 0.01**4 / 2
+    squares = 3 * 0.008**2
+    limit = torsion / squares
     assert static_equilibrium(model, np.full(3, -0.99 * limit)).converged
     found = static_equilibrium(model, np.full(3, -1.01 * limit))
     assert not found.converged
@@ -100,7 +104,8 @@ def test_what_redundant_tendons_leave_out_is_told():
         assert found.converged
         assert exact.converged
         assert exact.tip_error < 0.02 * found.tip_error
-        off = np.linalg.norm(found.tip_pose[:3, 3] - exact.tip_pose[:3, 3])
+        way = found.tip_pose - exact.tip_pose
+        off = np.linalg.norm(way[:3, 3])
         assert found.tip_error > 1e-4
         assert found.tip_error == pytest.approx(off, rel=0.02)
 
@@ -155,9 +160,11 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     np.testing.assert_allclose(tip, searched.tip_pose, atol=1e-8)
     np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
     small = 1e-4
-    moved = static_equilibrium(model, (1.0 + small) * u, near.q).q - near.q
+    beside = static_equilibrium(model, (1.0 + small) * u, near.q)
+    moved = beside.q - near.q
     predicted = small * near.answer @ u
-    assert np.linalg.norm(predicted - moved) < 1e-2 * np.linalg.norm(moved)
+    off = np.linalg.norm(predicted - moved)
+    assert off < 1e-2 * np.linalg.norm(moved)
 
 
 @pytest.mark.parametrize("weight", [0.0, -9.81])
@@ -209,4 +216,5 @@ def test_stability_is_the_part_of_the_stiffness_that_a_push_leaves():
         else:
             assert stability.least > 1.0
         assert angle == pytest.approx(1.0, rel=1e-6)
-        assert bending / length * angle**2 == pytest.approx(softest @ model.metric @ softest)
+        energy = softest @ model.metric @ softest
+        assert bending / length * angle**2 == pytest.approx(energy)

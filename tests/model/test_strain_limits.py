@@ -65,7 +65,9 @@ def test_the_tension_that_is_named_is_that_of_the_part_reached(build, reached):
     """Of all where nothing else is said."""
     model = build("three_tendon", {"quadrature.intervals": 4})
     q = model.rest_coordinates([0.0, 20.0, 5.0])
-    parts = [] if reached is None else [reached]
+    parts = []
+    if reached is not None:
+        parts.append(reached)
     limit = nearest_limit(model.arm, model.grid, q, model.packed_strain(q), *parts)
     named = 20.0 * (reached or 1.0)
     assert f"with {named:.4g} N" in limit

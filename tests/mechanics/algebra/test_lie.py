@@ -106,7 +106,12 @@ def evaluate_on_packs(Omegas, rates, xs):
 
 
 def mp_cross(a, b):
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    a_x, a_y, a_z = a
+    b_x, b_y, b_z = b
+    x = a_y * b_z - a_z * b_y
+    y = a_z * b_x - a_x * b_z
+    z = a_x * b_y - a_y * b_x
+    return [x, y, z]
 
 
 def mp_ad(a, x):
@@ -201,11 +206,16 @@ def pair(x):
 
 def matrix(function):
     """The 6x6 matrix of a function of twists."""
-    return np.array([np.ravel(function(pair(e))) for e in np.eye(6)]).T
+    columns = []
+    for unit in np.eye(6):
+        image = function(pair(unit))
+        columns.append(np.ravel(image))
+    return np.array(columns).T
 
 
 def skew(x):
-    return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+    a, b, c = x
+    return np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
 
 
 @pytest.fixture(params=range(2))
@@ -217,7 +227,8 @@ def test_ad_and_coad_are_the_matrices_of_appendix_A(two_twists):
     x = two_twists[0]
     k = skew(x[:3])
     p = skew(x[3:])
-    expected = np.block([[k, np.zeros((3, 3))], [p, k]])
+    nothing = np.zeros((3, 3))
+    expected = np.block([[k, nothing], [p, k]])
     ad = matrix(lambda y: ad_apply(pair(x), y))
     np.testing.assert_allclose(ad, expected, atol=1e-16)
     coad = matrix(lambda w: coad_apply(pair(x), w))

@@ -99,9 +99,11 @@ def random_cotangents(arms, names, parts=1):
     rng = np.random.default_rng(1)
     cotangents = arms.make_cotangents(parts)
     unit = arms.model.coordinate_scale()
+    units = {"q": unit, "q_dot": 30.0 * unit}
     for name in names:
         values = getattr(cotangents, name)
-        values[:] = rng.normal(size=values.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
+        drawn = rng.normal(size=values.shape)
+        values[:] = drawn / units.get(name, 1.0)
     return cotangents
 
 
@@ -216,9 +218,12 @@ def test_what_has_no_adjoint_is_named(build):
 
 def numbers_of(state):
     """Which of the internal state are numbers of tendons, of commands that there are."""
-    waiting = np.repeat(state[3:].reshape(-1, 4)[:, :1] < 1e20, 4, axis=1)
+    commands = state[3:].reshape(-1, 4)
+    is_there = commands[:, :1] < 1e20
+    waiting = np.repeat(is_there, 4, axis=1)
     waiting[:, 0] = False
-    return np.append(np.ones(3, dtype=bool), waiting.ravel())
+    tensions = np.ones(3, dtype=bool)
+    return np.append(tensions, waiting.ravel())
 
 
 @pytest.mark.parametrize("name", FILTERS)
