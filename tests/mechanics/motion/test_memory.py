@@ -1,0 +1,113 @@
+"""Internal states of effects within a step: what a stress remembers goes on from substep to substep
+in every row of the table, and from the motion's beginning to its end."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import EffectTable, adds_stress
+from soft_tendon_env.mechanics.motion.advance import Control, settle
+from soft_tendon_env.mechanics.motion.extrapolation import (
+    Demand,
+    Extrapolated,
+    extrapolated_step,
+)
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.scene.file import load_scene
+
+pytestmark = pytest.mark.no_jit
+
+H = 0.004  # [s]
+MODULUS = 0.5  # [N m^2 / s]
+TENSION = np.array([2.0, 0.5, 1.0])
+Q = np.array([1.0, 0.8, 0.3])
+RATES = np.array([20.0, -10.0, 5.0])
+BEFORE = 0.03  # [s / m] that is remembered to begin with
+MODES = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}]
+BENDING = {"strain": {"type": "explicit", "modes": MODES}}
+
+
+class Integral(Struct):
+    """A stress that is the integral of the strain over time."""
+
+    modulus: float
+
+
+@adds_stress(Integral)
+@kernel
+def _integral(effect, points):
+    for m in range(points.strain.size):
+        strained = points.strain[m] - points.reference[m]
+        points.state[m] += points.since * strained
+        points.stress[m] += effect.modulus * points.state[m]
+
+
+@pytest.fixture(scope="module")
+def bare():
+    return model_on(load_scene("three_tendon").replace(BENDING), 2)
+
+
+@pytest.fixture(scope="module")
+def arm(bare):
+    """The arm that remembers."""
+    state = np.full(bare.arm.rod.reference_strain.size, BEFORE)
+    effects = EffectTable((Integral(MODULUS),), (state,))
+    return bare.arm.replaced(effects=effects)
+
+
+def first_entry(model, count):
+    """Coordinates and rates after so many linearly implicit substeps, which remember the strain
+    where they begin."""
+    h = H / count
+    q = Q
+    v = RATES
+    remembered = np.full(3, BEFORE)
+    for number in range(count):
+        if number > 0:
+            remembered = remembered + h * q
+        terms = model.terms(q, v, TENSION)
+        drive = terms.actuation @ TENSION - terms.elastic_force - terms.damping @ v
+        force = drive - terms.bias - MODULUS * model.length * remembered
+        system = terms.mass + h * terms.damping + h**2 * terms.stiffness
+        v = v + np.linalg.solve(system, h * (force - h * terms.stiffness @ v))
+        q = q + h * v
+    return np.concatenate([q, v])
+
+
+def step_with(arm, bare, columns):
+    """The scratch after an extrapolated step, and the motion before it."""
+    method = Extrapolated(columns, columns, True, False, 1e-12)
+    scratch = make_scratch(arm, columns)
+    clock = np.zeros(1)
+    motion = Motion(Q.copy(), RATES.copy(), bare.packed_strain(Q), arm.effects.state.copy(), clock)
+    demand = Demand(1e300, columns, H)
+    attempt = extrapolated_step(arm, method, demand, TENSION, motion, H, scratch)
+    assert attempt.status == OK
+    return scratch, motion
+
+
+@pytest.mark.parametrize(("columns", "shares"), [(1, [1.0]), (2, [-1.0, 2.0]), (3, [0.5, -4, 4.5])])
+def test_substeps_remember_what_was_before_them(arm, bare, columns, shares):
+    """Extrapolated from 1, 2 and 3 substeps, each of which begins with the motion's memory."""
+    scratch, _ = step_with(arm, bare, columns)
+    entries = [first_entry(bare, count) for count in range(1, columns + 1)]
+    expected = shares @ np.array(entries)
+    np.testing.assert_allclose(scratch.q, expected[:3], rtol=1e-7)
+    np.testing.assert_allclose(scratch.v, expected[3:], rtol=1e-7, atol=1e-6)
+
+
+def test_a_step_that_is_accepted_is_remembered_once(arm, bare):
+    """From the motion to its end, at the strain there."""
+    scratch, motion = step_with(arm, bare, 3)
+    control = Control(H, 1e300, False, 0.5 * H)
+    status = settle(arm, TENSION, motion, H, False, control, scratch)
+    assert status == OK
+    np.testing.assert_array_equal(motion.q, scratch.q)
+    np.testing.assert_array_equal(motion.q_dot, scratch.v)
+    np.testing.assert_allclose(motion.xi, bare.packed_strain(motion.q), rtol=1e-9, atol=1e-12)
+    strained = motion.xi - arm.rod.reference_strain
+    np.testing.assert_allclose(motion.state, BEFORE + H * strained, rtol=1e-9, atol=1e-15)
+    assert scratch.work.inputs.since[0] == 0.0
