@@ -54,9 +54,10 @@ def kink_of(arm, scratch, parts, tensions, number=0):
     """Whether a substep that ends with these parts of tensions has a kink, of tendons that would
     have begun with `tensions` [N] without bounds."""
     scratch.ends.part[:] = parts
-    command = np.array(tensions) / STIFFNESS
+    shortening = np.array([0.01, -0.02, 0.03])
+    command = shortening + np.array(tensions) / STIFFNESS
     substep = Substep(H, number, number == 0, NEAR)
-    find_kink(arm.effects.transmission, command, np.zeros(3), substep, scratch)
+    find_kink(arm.effects.transmission, command, shortening, substep, scratch)
     return scratch.kink[0]
 
 

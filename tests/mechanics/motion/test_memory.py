@@ -22,6 +22,8 @@ pytestmark = pytest.mark.no_jit
 
 H = 0.004  # [s]
 MODULUS = 0.5  # [N m^2 / s]
+GROWTH = 0.3  # [N m / s]
+TIME = 0.2  # [s] of the motion
 TENSION = np.array([2.0, 0.5, 1.0])
 Q = np.array([1.0, 0.8, 0.3])
 RATES = np.array([20.0, -10.0, 5.0])
@@ -31,18 +33,20 @@ BENDING = {"strain": {"type": "explicit", "modes": MODES}}
 
 
 class Integral(Struct):
-    """A stress that is the integral of the strain over time."""
+    """A stress that is the integral of the strain over time, and another that grows with time."""
 
     modulus: float
+    growth: float
 
 
 @adds_stress(Integral)
 @kernel
 def _integral(effect, points):
     for m in range(points.strain.size):
-        strained = points.strain[m] - points.reference[m]
-        points.state[m] += points.since * strained
+        mean = 0.5 * (points.before[m] + points.strain[m])
+        points.state[m] += points.since * (mean - points.reference[m])
         points.stress[m] += effect.modulus * points.state[m]
+        points.stress[m] += effect.growth * points.time
 
 
 @pytest.fixture(scope="module")
@@ -54,23 +58,28 @@ def bare():
 def arm(bare):
     """The arm that remembers."""
     state = np.full(bare.arm.rod.reference_strain.size, BEFORE)
-    effects = EffectTable((Integral(MODULUS),), (state,))
+    effects = EffectTable((Integral(MODULUS, GROWTH),), (state,))
     return bare.arm.replaced(effects=effects)
 
 
 def first_entry(model, count):
-    """Coordinates and rates after so many linearly implicit substeps, which remember the strain
-    where they begin."""
+    """Coordinates and rates after so many linearly implicit substeps, which remember the mean
+    strain from where one begins to where the next one does."""
     h = H / count
     q = Q
     v = RATES
+    q_before = Q
     remembered = np.full(3, BEFORE)
     for number in range(count):
         if number > 0:
-            remembered = remembered + h * q
+            mean = 0.5 * (q_before + q)
+            remembered = remembered + h * mean
+        q_before = q
+        time = TIME + number * h
+        stress = MODULUS * remembered + GROWTH * time
         terms = model.terms(q, v, TENSION)
         drive = terms.actuation @ TENSION - terms.elastic_force - terms.damping @ v
-        force = drive - terms.bias - MODULUS * model.length * remembered
+        force = drive - terms.bias - model.length * stress
         system = terms.mass + h * terms.damping + h**2 * terms.stiffness
         v = v + np.linalg.solve(system, h * (force - h * terms.stiffness @ v))
         q = q + h * v
@@ -81,11 +90,12 @@ def step_with(arm, bare, columns):
     """The scratch after an extrapolated step, and the motion before it."""
     method = Extrapolated(columns, columns, True, False, 1e-12)
     scratch = make_scratch(arm, columns)
-    clock = np.zeros(1)
+    clock = np.array([TIME])
     motion = Motion(Q.copy(), RATES.copy(), bare.packed_strain(Q), arm.effects.state.copy(), clock)
     demand = Demand(1e300, columns, H)
     attempt = extrapolated_step(arm, method, demand, TENSION, motion, H, scratch)
     assert attempt.status == OK
+    assert scratch.work.inputs.since[0] == 0.0
     return scratch, motion
 
 
@@ -102,12 +112,13 @@ def test_substeps_remember_what_was_before_them(arm, bare, columns, shares):
 def test_a_step_that_is_accepted_is_remembered_once(arm, bare):
     """From the motion to its end, at the strain there."""
     scratch, motion = step_with(arm, bare, 3)
+    begun = motion.xi.copy()
     control = Control(H, 1e300, False, 0.5 * H)
     status = settle(arm, TENSION, motion, H, False, control, scratch)
     assert status == OK
     np.testing.assert_array_equal(motion.q, scratch.q)
     np.testing.assert_array_equal(motion.q_dot, scratch.v)
     np.testing.assert_allclose(motion.xi, bare.packed_strain(motion.q), rtol=1e-9, atol=1e-12)
-    strained = motion.xi - arm.rod.reference_strain
-    np.testing.assert_allclose(motion.state, BEFORE + H * strained, rtol=1e-9, atol=1e-15)
+    mean = 0.5 * (begun + motion.xi) - arm.rod.reference_strain
+    np.testing.assert_allclose(motion.state, BEFORE + H * mean, rtol=1e-9, atol=1e-15)
     assert scratch.work.inputs.since[0] == 0.0

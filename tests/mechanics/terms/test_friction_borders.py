@@ -30,10 +30,10 @@ RATES = np.array([5.0, 2.0, 4.0, 0.1, -0.2, 0.1])
 
 
 def rubbing(coefficient):
-    """An arm with six constant strains, in two packs of unequal intervals, whose tendons rub."""
+    """An arm with six constant strains, in four packs of intervals, whose tendons rub."""
     friction = {"coefficient": coefficient, "stiction_speed": SLOW}
     changes = {**SIX, **ENDS, "effects.tendon_friction": friction}
-    return model_on(load_scene("three_tendon").replace(changes), 2)
+    return model_on(load_scene("three_tendon").replace(changes), 5)
 
 
 def borders_of(model, work):
@@ -57,6 +57,8 @@ def test_rows_of_borders_are_what_slides_past_them(workspace_at):
     _, rows, turn = borders_of(model, work)
     B = model.terms(Q, RATES).actuation
     tendons = model.arm.tendons
+    np.testing.assert_array_equal(tendons.pack_begin, [0, 1, 0])
+    np.testing.assert_array_equal(tendons.pack_end, [3, 4, 4])
     first = tendons.pack_begin * 2 * LANES
     at_actuators = rows[range(3), first]
     np.testing.assert_allclose(at_actuators, B.T, rtol=1e-9, atol=1e-15)

@@ -8,7 +8,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable, adds_stress, adds_wrench
-from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate
+from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.external_forces import (
     filled_packs,
     place_base,
@@ -288,3 +288,26 @@ def test_bases_that_nothing_moves_are_where_the_scene_has_them(bare):
     rotation = base[:9].reshape(3, 3)
     np.testing.assert_allclose(rotation @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(base[9:12], [0.1, -0.2, 0.3])
+
+
+def test_an_evaluation_at_rest_is_that_of_no_rates(bare):
+    """With all matrices, whatever an evaluation in motion has left."""
+    model = with_effect(bare, Weight(0.1))
+    tension = np.array([2.0, 0.5, 1.0])
+    still = np.zeros(3)
+    work = make_workspace(model.arm)
+    work.strain.xi[:] = model.packed_strain(-Q)
+    assert evaluate(model.arm, still, -Q, RATES, 1e-12, work) == -1
+    assert evaluate_at_rest(model.arm, tension, Q, 1e-12, work) == -1
+    terms = model.terms(Q, still, tension)
+    expected = terms.actuation @ tension - terms.elastic_force
+    np.testing.assert_allclose(work.forces.drive, expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(work.forces.load, terms.external_force, rtol=1e-12)
+    np.testing.assert_array_equal(work.forces.bias, 0.0)
+    for found, of_terms in (
+        (work.matrices.M, terms.mass),
+        (work.matrices.D, terms.damping),
+        (work.matrices.G, terms.stiffness),
+    ):
+        size = np.abs(of_terms).max()
+        np.testing.assert_allclose(found, of_terms, rtol=1e-9, atol=1e-12 * size)
