@@ -450,3 +450,22 @@ def test_an_incompressible_rod_damps_by_three_times_its_viscosity_over_its_modul
     np.testing.assert_allclose(
         terms.damping, retardation * terms.stiffness, rtol=1e-9, atol=1e-12 * size
     )
+
+
+def test_a_border_is_on_the_side_of_the_piece_that_is_looked_at():
+    """Whichever piece a density gives the border itself to."""
+    _, grid = scene_and_grid("paper")
+
+    def first_has_it(places):
+        values = np.where(places <= 0.5, 1.0, 3.0)
+        return values[:, None]
+
+    def second_has_it(places):
+        values = np.where(places < 0.5, 1.0, 3.0)
+        return values[:, None]
+
+    total = over_nodes(grid, first_has_it)
+    same = over_nodes(grid, second_has_it)
+    np.testing.assert_allclose(total, same, rtol=1e-12)
+    share = 0.5 * newton_cotes(4)[0]
+    assert total[3, 0] == pytest.approx(share * 1.0 + share * 3.0)

@@ -282,6 +282,9 @@ def test_coordinates_and_rates_that_are_absurd_are_told(build):
         model.terms([1e200, 0.0], still)
     with pytest.raises(StrainLimitError, match="too large to place the rod"):
         model.tip_pose([-1e200, 0.0])
+    # a rod that is as long has a place, and an infinite mass
+    with pytest.raises(StrainLimitError, match="too large to place the rod, up to 1e\\+300"):
+        model.terms([0.0, 1e300], still)
     with pytest.raises(OverflowError, match="q_dot are too large to compute with, up to 1e\\+200"):
         model.terms(still, [-1e200, 0.0])
 

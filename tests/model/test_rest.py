@@ -24,8 +24,11 @@ PUSH = "effects.tip_load.force"
 def column(share):
     """The arm with one constant curvature under a share of its buckling load."""
     modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
-    changes = {"strain": {"type": "explicit", "modes": modes}, PUSH: [-share * CRITICAL, 0.0, 0.0]}
-    return model_on(load_scene("three_tendon").replace(changes), 4)
+    strain = {"type": "explicit", "modes": modes}
+    push = -share * CRITICAL
+    changes = {"strain": strain, PUSH: [push, 0.0, 0.0]}
+    scene = load_scene("three_tendon").replace(changes)
+    return model_on(scene, 4)
 
 
 @pytest.mark.parametrize("weight", [0.0, -9.81])
@@ -40,8 +43,10 @@ def test_a_simulation_that_begins_at_rest_stays(build, weight, tension):
     np.testing.assert_allclose(start.q, equilibrium.q, rtol=1e-9, atol=1e-12)
     assert not start.q_dot.any()
     simulation.step(tension, 0.1)
-    np.testing.assert_allclose(simulation.state.q, start.q, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(simulation.tip_pose, equilibrium.tip_pose, atol=1e-8)
+    later = simulation.state
+    tip = simulation.tip_pose
+    np.testing.assert_allclose(later.q, start.q, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(tip, equilibrium.tip_pose, atol=1e-8)
 
 
 def test_arms_that_rest_nowhere_begin_nowhere(build):
@@ -53,7 +58,9 @@ def test_arms_that_rest_nowhere_begin_nowhere(build):
         "segments.*.damping": 1e-3,
         "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
     }
-    simulation = Simulation(model_on(load_scene("three_tendon").replace(follower), 6))
+    scene = load_scene("three_tendon").replace(follower)
+    model = model_on(scene, 6)
+    simulation = Simulation(model)
     with pytest.raises(NoEquilibriumError, match="at rest nowhere .*flutter"):
         simulation.reset_at_rest()
 
@@ -77,20 +84,27 @@ def test_equilibria_are_stable_ones_where_that_is_asked():
 
 def test_a_diverged_simulation_is_at_its_last_good_state(build):
     """With its tip there, and the command that it could not follow; also from another process."""
-    simulation = Simulation(build("three_tendon", {"quadrature.intervals": 2}))
+    model = build("three_tendon", {"quadrature.intervals": 2})
+    simulation = Simulation(model)
     simulation.step(PULLED, 0.1)
+    begun = simulation.state
+    absurd = np.array([1e6, 0.0, 0.0])
+    table = [PULLED, absurd]
     with pytest.raises(SimulationDiverged) as raised:
-        ste.simulate(simulation.model, [PULLED, [1e6, 0.0, 0.0]], 0.2, 0.1, simulation.state)
+        ste.simulate(model, table, 0.2, 0.1, begun)
     error = raised.value
     assert error.state.time >= 0.2
-    np.testing.assert_array_equal(error.command, [1e6, 0.0, 0.0])
+    np.testing.assert_array_equal(error.command, absurd)
     with pytest.raises(SimulationDiverged) as raised:
-        simulation.step([1e6, 0.0, 0.0], 0.1)
-    last = raised.value.state
+        simulation.step(absurd, 0.1)
+    error = raised.value
+    last = error.state
+    tip = model.tip_pose(last.q)
     np.testing.assert_array_equal(simulation.state.q, last.q)
-    np.testing.assert_allclose(simulation.tip_pose, simulation.model.tip_pose(last.q), atol=1e-9)
-    copy = pickle.loads(pickle.dumps(raised.value))
-    assert str(copy) == str(raised.value)
+    np.testing.assert_allclose(simulation.tip_pose, tip, atol=1e-9)
+    text = pickle.dumps(error)
+    copy = pickle.loads(text)
+    assert str(copy) == str(error)
     assert "under tensions [1e+06, 0, 0] N: " in str(copy)
     np.testing.assert_array_equal(copy.state.q, last.q)
     displaced = SimulationDiverged(last, "stuck", PULLED, "m")

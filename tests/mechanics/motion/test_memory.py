@@ -51,14 +51,17 @@ def _integral(effect, points):
 
 @pytest.fixture(scope="module")
 def bare():
-    return model_on(load_scene("three_tendon").replace(BENDING), 2)
+    scene = load_scene("three_tendon").replace(BENDING)
+    return model_on(scene, 2)
 
 
 @pytest.fixture(scope="module")
 def arm(bare):
     """The arm that remembers."""
-    state = np.full(bare.arm.rod.reference_strain.size, BEFORE)
-    effects = EffectTable((Integral(MODULUS, GROWTH),), (state,))
+    size = bare.arm.rod.reference_strain.size
+    state = np.full(size, BEFORE)
+    integral = Integral(MODULUS, GROWTH)
+    effects = EffectTable((integral,), (state,))
     return bare.arm.replaced(effects=effects)
 
 
@@ -78,10 +81,15 @@ def first_entry(model, count):
         time = TIME + number * h
         stress = MODULUS * remembered + GROWTH * time
         terms = model.terms(q, v, TENSION)
-        drive = terms.actuation @ TENSION - terms.elastic_force - terms.damping @ v
-        force = drive - terms.bias - model.length * stress
-        system = terms.mass + h * terms.damping + h**2 * terms.stiffness
-        v = v + np.linalg.solve(system, h * (force - h * terms.stiffness @ v))
+        D = terms.damping
+        G = terms.stiffness
+        pulled = terms.actuation @ TENSION
+        resisted = terms.elastic_force + D @ v + terms.bias
+        force = pulled - resisted - model.length * stress
+        damped = terms.mass + h * D
+        system = damped + h**2 * G
+        impulse = h * (force - h * G @ v)
+        v = v + np.linalg.solve(system, impulse)
         q = q + h * v
     return np.concatenate([q, v])
 
@@ -91,7 +99,9 @@ def step_with(arm, bare, columns):
     method = Extrapolated(columns, columns, True, False, 1e-12)
     scratch = make_scratch(arm, columns)
     clock = np.array([TIME])
-    motion = Motion(Q.copy(), RATES.copy(), bare.packed_strain(Q), arm.effects.state.copy(), clock)
+    strain = bare.packed_strain(Q)
+    state = arm.effects.state.copy()
+    motion = Motion(Q.copy(), RATES.copy(), strain, state, clock)
     demand = Demand(1e300, columns, H)
     attempt = extrapolated_step(arm, method, demand, TENSION, motion, H, scratch)
     assert attempt.status == OK
@@ -118,7 +128,10 @@ def test_a_step_that_is_accepted_is_remembered_once(arm, bare):
     assert status == OK
     np.testing.assert_array_equal(motion.q, scratch.q)
     np.testing.assert_array_equal(motion.q_dot, scratch.v)
-    np.testing.assert_allclose(motion.xi, bare.packed_strain(motion.q), rtol=1e-9, atol=1e-12)
-    mean = 0.5 * (begun + motion.xi) - arm.rod.reference_strain
-    np.testing.assert_allclose(motion.state, BEFORE + H * mean, rtol=1e-9, atol=1e-15)
+    strain = bare.packed_strain(motion.q)
+    np.testing.assert_allclose(motion.xi, strain, rtol=1e-9, atol=1e-12)
+    mean = 0.5 * (begun + strain)
+    strained = mean - arm.rod.reference_strain
+    remembered = BEFORE + H * strained
+    np.testing.assert_allclose(motion.state, remembered, rtol=1e-9, atol=1e-15)
     assert scratch.work.inputs.since[0] == 0.0

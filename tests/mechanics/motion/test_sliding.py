@@ -29,15 +29,19 @@ def arm_that_rubs(friction=None):
     changes = {"strain": SIX, "tendons.0.end": 0.2}
     if friction:
         changes["effects.tendon_friction"] = friction
-    return model_on(load_scene("three_tendon").replace(changes), 2)
+    scene = load_scene("three_tendon").replace(changes)
+    return model_on(scene, 2)
 
 
 def attempt_at(model, rates, tension, scratch):
     """One implicit Euler step of length H."""
     strain = model.packed_strain(Q)
-    motion = Motion(Q.copy(), rates.copy(), strain, model.arm.effects.state.copy(), np.zeros(1))
+    state = model.arm.effects.state.copy()
+    clock = np.zeros(1)
+    motion = Motion(Q.copy(), rates.copy(), strain, state, clock)
     method = Extrapolated(1, 1, True, False, 1e-12)
-    return extrapolated_step(model.arm, method, Demand(1e300, 1, H), tension, motion, H, scratch)
+    demand = Demand(1e300, 1, H)
+    return extrapolated_step(model.arm, method, demand, tension, motion, H, scratch)
 
 
 @pytest.mark.parametrize("coefficient", [0.1, 0.8])
@@ -51,25 +55,38 @@ def test_rates_at_the_end_balance_their_own_friction(coefficient, speed):
     assert attempt.status == OK
     smooth = arm_that_rubs()
     terms = smooth.terms(Q, rates, TENSION)
-    pulled = terms.actuation @ TENSION - terms.elastic_force
-    force = pulled - terms.damping @ rates - terms.bias
+    M = terms.mass
+    D = terms.damping
+    G = terms.stiffness
+    pulled = terms.actuation @ TENSION
+    resisted = terms.elastic_force + D @ rates
+    force = pulled - resisted - terms.bias
     borders = scratch.first.borders
     turn = borders.turn.reshape(3, -1)
-    rows = borders.row.reshape(*turn.shape, -1)[..., :6]
+    filled = borders.row.reshape(*turn.shape, -1)
+    rows = filled[..., :6]
     sliding = rows @ scratch.v
-    turned = np.cumsum(turn * sliding / np.hypot(sliding, SLOW), axis=1)
-    left = TENSION[:, None] * np.exp(-turned)
-    lost = np.diff(left, axis=1, prepend=TENSION[:, None])
+    speeds = np.hypot(sliding, SLOW)
+    directions = sliding / speeds
+    turned = np.cumsum(turn * directions, axis=1)
+    at_actuators = TENSION[:, None]
+    left = at_actuators * np.exp(-turned)
+    lost = np.diff(left, axis=1, prepend=at_actuators)
     friction = np.einsum("ik,ikn->n", lost, rows)
     # the power of friction is never positive
     assert friction @ scratch.v < 0.0
-    system = terms.mass + H * terms.damping + H**2 * terms.stiffness
-    impulse = H * (force + friction - H * terms.stiffness @ rates)
-    v = rates + np.linalg.solve(system, impulse)
+    damped = M + H * D
+    system = damped + H**2 * G
+    stiffening = H * G @ rates
+    impulse = H * (force + friction - stiffening)
+    change = np.linalg.solve(system, impulse)
     scale = model.coordinate_scale()
-    size = np.abs(v / scale).max()
-    np.testing.assert_allclose(scratch.v / scale, v / scale, atol=1e-5 * size)
-    np.testing.assert_allclose(scratch.q, Q + H * scratch.v, rtol=1e-12)
+    expected = (rates + change) / scale
+    found = scratch.v / scale
+    atol = 1e-5 * np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, atol=atol)
+    moved = Q + H * scratch.v
+    np.testing.assert_allclose(scratch.q, moved, rtol=1e-12)
 
 
 def test_a_system_that_is_not_positive_has_no_rates():

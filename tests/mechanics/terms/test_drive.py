@@ -23,7 +23,9 @@ TENSION = np.array([2.0, 0.5, 1.0])
 @pytest.fixture(params=KINDS)
 def moving(request, random_state):
     """A model, and coordinates and rates of it."""
-    model = model_on(load_scene("three_tendon").replace({**UNEQUAL, **KINDS[request.param]}), 5)
+    changes = {**UNEQUAL, **KINDS[request.param]}
+    scene = load_scene("three_tendon").replace(changes)
+    model = model_on(scene, 5)
     assert model.grid.packs == 4
     return model, *random_state(model, 3)
 
@@ -33,22 +35,27 @@ def test_the_drive_is_what_tensions_leave_of_strain_and_damping(moving, workspac
     model, q, q_dot = moving
     work = workspace_at(model, q, q_dot, TENSION)
     terms = model.terms(q, q_dot, TENSION)
-    pulled = terms.actuation @ TENSION - terms.elastic_force
-    expected = pulled - terms.damping @ q_dot
-    size = np.abs(terms.actuation @ TENSION).max()
-    np.testing.assert_allclose(work.forces.drive, expected, rtol=1e-9, atol=1e-10 * size)
-    lengths = slopes(model.tendon_lengths, model, q)
-    np.testing.assert_allclose(terms.actuation, -lengths.T, atol=1e-6 * np.abs(lengths).max())
+    pulled = terms.actuation @ TENSION
+    damped = terms.damping @ q_dot
+    expected = pulled - terms.elastic_force - damped
+    drive = work.forces.drive
+    atol = 1e-10 * np.abs(pulled).max()
+    np.testing.assert_allclose(drive, expected, rtol=1e-9, atol=atol)
+    lengthening = slopes(model.tendon_lengths, model, q)
+    atol = 1e-6 * np.abs(lengthening).max()
+    np.testing.assert_allclose(terms.actuation, -lengthening.T, atol=atol)
 
 
 def slopes(function, model, q):
     """Derivatives (.., n) by central differences, in units of the coordinates."""
+    scale = model.coordinate_scale()
     columns = []
-    for i, unit in enumerate(model.coordinate_scale()):
-        way = 1e-4 * unit * np.eye(q.size)[i]
-        change = function(q + way) - function(q - way)
-        columns.append(change / (2e-4 * unit))
-    return np.stack(columns, axis=-1)
+    for way in np.diag(1e-4 * scale):
+        ahead = function(q + way)
+        behind = function(q - way)
+        columns.append(ahead - behind)
+    changes = np.stack(columns, axis=-1)
+    return changes / (2e-4 * scale)
 
 
 def test_strains_store_what_their_force_does(moving):
@@ -62,8 +69,10 @@ def test_strains_store_what_their_force_does(moving):
 
     expected = slopes(stored, model, q)
     scale = model.coordinate_scale()
-    size = np.abs(expected * scale).max()
-    np.testing.assert_allclose(terms.elastic_force * scale, expected * scale, atol=1e-6 * size)
+    work = terms.elastic_force * scale
+    expected_work = expected * scale
+    atol = 1e-6 * np.abs(expected_work).max()
+    np.testing.assert_allclose(work, expected_work, atol=atol)
 
 
 def test_damping_is_what_viscosity_loses(moving):
@@ -71,10 +80,12 @@ def test_damping_is_what_viscosity_loses(moving):
     model, q, q_dot = moving
     terms = model.terms(q, q_dot)
     h = 1e-5
-    _, ahead = model.strain(q + h * q_dot)
-    _, behind = model.strain(q - h * q_dot)
-    rate = (ahead - behind) / (2.0 * h)
-    grid = model.grid
-    viscosity = grid.unpacked(model.arm.rod.viscosity)
-    lost = (viscosity * rate**2).sum()
-    assert q_dot @ terms.damping @ q_dot == pytest.approx(lost, rel=1e-5)
+    way = h * q_dot
+    _, ahead = model.strain(q + way)
+    _, behind = model.strain(q - way)
+    change = ahead - behind
+    rate = change / (2.0 * h)
+    viscosity = model.grid.unpacked(model.arm.rod.viscosity)
+    lost = np.sum(viscosity * rate**2)
+    power = q_dot @ terms.damping @ q_dot
+    assert power == pytest.approx(lost, rel=1e-5)

@@ -68,9 +68,12 @@ class Memory(Struct):
 @adds_stress(Sleeve)
 @kernel
 def _sleeve(effect, points):
-    for m in range(effect.first * PER_PACK, effect.behind * PER_PACK):
+    first = effect.first * PER_PACK
+    behind = effect.behind * PER_PACK
+    for m in range(first, behind):
         strained = points.strain[m] - points.reference[m]
-        points.stress[m] += effect.stiffness * strained + effect.damping * points.rate[m]
+        points.stress[m] += effect.stiffness * strained
+        points.stress[m] += effect.damping * points.rate[m]
         points.stiffness[m] += effect.stiffness
         points.damping[m] += effect.damping
 
@@ -82,11 +85,14 @@ def _springs(effect, nodes):
         pose = node // LANES * 12 * LANES + node % LANES
         wrench = node // LANES * 6 * LANES + node % LANES
         for j in range(3):
+            component = wrench + (3 + j) * LANES
             for i in range(3):
                 place = effect.places[node] if i == 0 else 0.0
-                away = nodes.pose[pose + (9 + i) * LANES] - place
-                turned = nodes.pose[pose + (3 * i + j) * LANES]
-                nodes.wrench[wrench + (3 + j) * LANES] -= effect.stiffness * turned * away
+                position = pose + (9 + i) * LANES
+                entry = pose + (3 * i + j) * LANES
+                away = nodes.pose[position] - place
+                pull = effect.stiffness * away
+                nodes.wrench[component] -= nodes.pose[entry] * pull
 
 
 @adds_wrench(Drag, implicit=("twist",))
@@ -101,9 +107,11 @@ def _drag(effect, nodes):
 def _weight(effect, nodes):
     for pack in range(nodes.packs):
         for j in range(3):
+            last_row = (pack * 12 + 6 + j) * LANES
+            component = (pack * 6 + 3 + j) * LANES
             for lane in range(LANES):
-                turned = nodes.pose[(pack * 12 + 6 + j) * LANES + lane]
-                nodes.wrench[(pack * 6 + 3 + j) * LANES + lane] += effect.force * turned
+                turned = nodes.pose[last_row + lane]
+                nodes.wrench[component + lane] += effect.force * turned
 
 
 @adds_stress(Memory)
@@ -127,8 +135,10 @@ def bare():
 
 def with_effect(model, parameters, state=()):
     """The model with an effect that has these parameters and this internal state."""
-    effects = EffectTable((parameters,), [np.array(state)])
-    return Model(model.scene, model.grid, model.arm.replaced(effects=effects))
+    states = [np.array(state)]
+    effects = EffectTable((parameters,), states)
+    arm = model.arm.replaced(effects=effects)
+    return Model(model.scene, model.grid, arm)
 
 
 Q = np.array([1.0, 0.8, -2.0])
@@ -138,35 +148,47 @@ RATES = np.array([20.0, -10.0, 5.0])
 @pytest.mark.parametrize(("first", "behind"), [(0, 3), (1, 2), (2, 3)])
 def test_stresses_are_forces_along_the_strains_of_their_part(bare, first, behind):
     """(k q + c q_dot) l against curvatures over a length l, with the derivatives k l and c l."""
-    model = with_effect(bare, Sleeve(first, behind, STIFFNESS, DAMPING))
+    sleeve = Sleeve(first, behind, STIFFNESS, DAMPING)
+    model = with_effect(bare, sleeve)
     terms = model.terms(Q, RATES)
-    length = model.grid.length[first * LANES : behind * LANES].sum()
-    resisted = STIFFNESS * Q + DAMPING * RATES
-    np.testing.assert_allclose(terms.external_force, -length * resisted, rtol=1e-12)
+    own = slice(first * LANES, behind * LANES)
+    length = model.grid.length[own].sum()
+    elastic = STIFFNESS * Q
+    viscous = DAMPING * RATES
+    expected = -length * (elastic + viscous)
+    np.testing.assert_allclose(terms.external_force, expected, rtol=1e-12)
     unit = length * np.eye(3)
     size = 1e-12 * length
-    np.testing.assert_allclose(terms.external_stiffness, STIFFNESS * unit, atol=size)
-    np.testing.assert_allclose(terms.external_damping, DAMPING * unit, atol=size)
+    stiffness = STIFFNESS * unit
+    damping = DAMPING * unit
+    np.testing.assert_allclose(terms.external_stiffness, stiffness, atol=size)
+    np.testing.assert_allclose(terms.external_damping, damping, atol=size)
     # the rod's own are those without
-    np.testing.assert_array_equal(terms.stiffness, bare.terms(Q, RATES).stiffness)
+    without = bare.terms(Q, RATES)
+    np.testing.assert_array_equal(terms.stiffness, without.stiffness)
 
 
 def test_packs_with_entries_are_found():
-    field = np.zeros(5 * 2 * LANES)
-    assert filled_packs(field, 2 * LANES) == (0, 0)
-    field[2 * 2 * LANES - 1] = 1e-9
-    assert filled_packs(field, 2 * LANES) == (1, 2)
-    field[3 * 2 * LANES] = -1.0
-    assert filled_packs(field, 2 * LANES) == (1, 4)
+    per_pack = 2 * LANES
+    field = np.zeros(5 * per_pack)
+    assert filled_packs(field, per_pack) == (0, 0)
+    last_of_second = 2 * per_pack - 1
+    field[last_of_second] = 1e-9
+    assert filled_packs(field, per_pack) == (1, 2)
+    first_of_fourth = 3 * per_pack
+    field[first_of_fourth] = -1.0
+    assert filled_packs(field, per_pack) == (1, 4)
     field[0] = 2.0
-    assert filled_packs(field, 2 * LANES) == (0, 4)
+    assert filled_packs(field, per_pack) == (0, 4)
 
 
 def slopes_of(force, at, step):
-    """Derivatives (n, n) of -force by its arguments, by central differences."""
+    """Derivatives (.., n) of -force by its arguments, by central differences."""
     columns = []
     for way in step * np.eye(at.size):
-        change = force(at - way) - force(at + way)
+        before = force(at - way)
+        after = force(at + way)
+        change = before - after
         columns.append(change / (2.0 * step))
     return np.transpose(columns)
 
@@ -174,63 +196,82 @@ def slopes_of(force, at, step):
 def test_springs_of_the_nodes_stiffen_the_arm(bare):
     """By their derivative where they are at rest, and not by damping."""
     places = bare.grid.start + bare.grid.length
-    model = with_effect(bare, Springs(5.0, places))
+    springs = Springs(5.0, places)
+    model = with_effect(bare, springs)
     straight = np.zeros(3)
     terms = model.terms(straight, RATES)
     np.testing.assert_allclose(terms.external_force, 0.0, atol=1e-12)
-    expected = slopes_of(lambda q: model.terms(q, straight).external_force, straight, 1e-5)
+
+    def force(q):
+        return model.terms(q, straight).external_force
+
+    expected = slopes_of(force, straight, 1e-5)
     size = np.abs(expected).max()
     assert size > 0.01
-    np.testing.assert_allclose(terms.external_stiffness, expected, atol=1e-5 * size)
+    atol = 1e-5 * size
+    np.testing.assert_allclose(terms.external_stiffness, expected, atol=atol)
     np.testing.assert_array_equal(terms.external_damping, 0.0)
 
 
 def test_drag_of_the_nodes_damps_the_arm(bare):
     """By its derivative at any coordinates, and not by stiffness."""
-    model = with_effect(bare, Drag(0.3))
+    drag = Drag(0.3)
+    model = with_effect(bare, drag)
     terms = model.terms(Q, RATES)
-    expected = slopes_of(lambda v: model.terms(Q, v).external_force, RATES, 1e-3)
-    size = np.abs(expected).max()
-    np.testing.assert_allclose(terms.external_damping, expected, atol=1e-5 * size)
-    np.testing.assert_allclose(terms.external_force, -expected @ RATES, rtol=1e-6)
+
+    def force(rates):
+        return model.terms(Q, rates).external_force
+
+    expected = slopes_of(force, RATES, 1e-3)
+    atol = 1e-5 * np.abs(expected).max()
+    np.testing.assert_allclose(terms.external_damping, expected, atol=atol)
+    resisting = -expected @ RATES
+    np.testing.assert_allclose(terms.external_force, resisting, rtol=1e-6)
     np.testing.assert_array_equal(terms.external_stiffness, 0.0)
 
 
 def test_dead_forces_are_not_stiff(bare):
     """Their wrenches turn with the nodes, and that is not their stiffness."""
-    model = with_effect(bare, Weight(0.1))
+    weight = Weight(0.1)
+    model = with_effect(bare, weight)
     terms = model.terms(Q, RATES)
     nodes = model.grid.start + model.grid.length
 
-    def height(q):
-        return model.backbone_at(q, nodes)[:, 2, 3].sum()
+    def potential(q):
+        poses = model.backbone_at(q, nodes)
+        heights = poses[:, 2, 3]
+        return -0.1 * heights.sum()
 
-    h = 1e-5
-    work = [0.1 * (height(Q + way) - height(Q - way)) / (2 * h) for way in h * np.eye(3)]
-    np.testing.assert_allclose(terms.external_force, work, rtol=1e-6)
-    size = np.abs(terms.external_force).max()
-    np.testing.assert_allclose(terms.external_stiffness, 0.0, atol=1e-7 * size)
+    expected = slopes_of(potential, Q, 1e-5)
+    np.testing.assert_allclose(terms.external_force, expected, rtol=1e-6)
+    atol = 1e-7 * np.abs(expected).max()
+    np.testing.assert_allclose(terms.external_stiffness, 0.0, atol=atol)
 
 
 def remembering(model, value):
     """The model with a memory, all of whose states have a value."""
     size = model.arm.rod.reference_strain.size
-    return with_effect(model, Memory(STIFFNESS), np.full(size, value))
+    memory = Memory(STIFFNESS)
+    state = np.full(size, value)
+    return with_effect(model, memory, state)
 
 
 def test_memories_of_an_arm_at_rest_are_those_of_its_strain(bare):
     model = remembering(bare, 7.0)
-    work = make_workspace(model.arm)
+    arm = model.arm
+    work = make_workspace(arm)
     work.strain.xi[:] = model.packed_strain(Q)
-    rest_states(model.arm, np.zeros(3), work.inputs, work.strain, work.loads)
-    expected = work.strain.xi - model.arm.rod.reference_strain
+    slack = np.zeros(3)
+    rest_states(arm, slack, work.inputs, work.strain, work.loads)
+    expected = work.strain.xi - arm.rod.reference_strain
     np.testing.assert_array_equal(work.inputs.state, expected)
     assert work.inputs.since[0] == 0.0
     # an evaluation leaves them
-    failed = evaluate(model.arm, np.zeros(3), Q, RATES, 1e-12, work)
+    failed = evaluate(arm, slack, Q, RATES, 1e-12, work)
     assert failed == -1
     np.testing.assert_array_equal(work.inputs.state, expected)
-    np.testing.assert_allclose(work.forces.load, -STIFFNESS * 0.3 * Q, rtol=1e-12)
+    force = -STIFFNESS * model.length * Q
+    np.testing.assert_allclose(work.forces.load, force, rtol=1e-12)
 
 
 def test_the_balance_at_rest_is_that_of_memories_at_rest(bare):
@@ -239,19 +280,21 @@ def test_the_balance_at_rest_is_that_of_memories_at_rest(bare):
     work = make_workspace(model.arm)
     work.kinematics.base[12:] = 1.0
     work.strain.xi[:] = model.packed_strain(Q)
-    failed = balance_at_rest(model.arm, np.zeros(3), Q, 1e-12, work)
+    slack = np.zeros(3)
+    failed = balance_at_rest(model.arm, slack, Q, 1e-12, work)
     assert failed == -1
-    np.testing.assert_allclose(work.forces.load, -STIFFNESS * 0.3 * Q, rtol=1e-12)
+    force = -STIFFNESS * model.length * Q
+    np.testing.assert_allclose(work.forces.load, force, rtol=1e-12)
     assert work.inputs.since[0] == 0.0
     assert not work.kinematics.base[12:].any()
     # without effects there is no load, whatever stood there
     work = make_workspace(bare.arm)
     work.forces.load[:] = 3.0
     work.strain.xi[:] = bare.packed_strain(Q)
-    balance_at_rest(bare.arm, np.zeros(3), Q, 1e-12, work)
+    balance_at_rest(bare.arm, slack, Q, 1e-12, work)
     assert not work.forces.load.any()
     work.forces.load[:] = 3.0
-    evaluate(bare.arm, np.zeros(3), Q, RATES, 1e-12, work)
+    evaluate(bare.arm, slack, Q, RATES, 1e-12, work)
     assert not work.forces.load.any()
 
 
@@ -268,26 +311,37 @@ def test_effects_add_up_each_with_its_own_state(bare):
         (Drag(0.3), nothing),
     ]
     states = [state for _, state in parts]
-    table = EffectTable([parameters for parameters, _ in parts], states)
-    together = Model(bare.scene, bare.grid, bare.arm.replaced(effects=table))
-    alone = [with_effect(bare, *part).terms(Q, RATES) for part in parts]
+    every_parameters = [parameters for parameters, _ in parts]
+    table = EffectTable(every_parameters, states)
+    arm = bare.arm.replaced(effects=table)
+    together = Model(bare.scene, bare.grid, arm)
+    alone = []
+    for part in parts:
+        model = with_effect(bare, *part)
+        alone.append(model.terms(Q, RATES))
     # an evaluation, and another one in the same workspace
-    for found in (together.terms(Q, RATES), together.terms(Q, RATES)):
+    for _ in range(2):
+        found = together.terms(Q, RATES)
         for field in ("external_force", "external_stiffness", "external_damping"):
-            expected = sum(getattr(terms, field) for terms in alone)
+            shares = [getattr(terms, field) for terms in alone]
+            expected = sum(shares)
             atol = 1e-6 * np.abs(expected).max()
-            np.testing.assert_allclose(getattr(found, field), expected, atol=atol)
+            of_all = getattr(found, field)
+            np.testing.assert_allclose(of_all, expected, atol=atol)
 
 
 def test_bases_that_nothing_moves_are_where_the_scene_has_them(bare):
     """Whatever stood there before."""
     upright = {"base.position": [0.1, -0.2, 0.3], "base.rotation": [0.0, -90.0, 0.0]}
-    model = bare.with_scene(bare.scene.replace(upright))
+    scene = bare.scene.replace(upright)
+    arm = bare.with_scene(scene).arm
     base = np.full(24, 9.0)
-    place_base(model.arm, 0.0, base)
+    place_base(arm, 0.0, base)
     rotation = base[:9].reshape(3, 3)
-    np.testing.assert_allclose(rotation @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(base[9:12], [0.1, -0.2, 0.3])
+    axis = rotation[:, 0]
+    position = base[9:12]
+    np.testing.assert_allclose(axis, [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(position, [0.1, -0.2, 0.3])
 
 
 def test_an_evaluation_at_rest_is_that_of_no_rates(bare):
@@ -297,17 +351,19 @@ def test_an_evaluation_at_rest_is_that_of_no_rates(bare):
     still = np.zeros(3)
     work = make_workspace(model.arm)
     work.strain.xi[:] = model.packed_strain(-Q)
-    assert evaluate(model.arm, still, -Q, RATES, 1e-12, work) == -1
-    assert evaluate_at_rest(model.arm, tension, Q, 1e-12, work) == -1
+    moving = evaluate(model.arm, still, -Q, RATES, 1e-12, work)
+    assert moving == -1
+    resting = evaluate_at_rest(model.arm, tension, Q, 1e-12, work)
+    assert resting == -1
     terms = model.terms(Q, still, tension)
-    expected = terms.actuation @ tension - terms.elastic_force
-    np.testing.assert_allclose(work.forces.drive, expected, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(work.forces.load, terms.external_force, rtol=1e-12)
-    np.testing.assert_array_equal(work.forces.bias, 0.0)
-    for found, of_terms in (
-        (work.matrices.M, terms.mass),
-        (work.matrices.D, terms.damping),
-        (work.matrices.G, terms.stiffness),
-    ):
-        size = np.abs(of_terms).max()
-        np.testing.assert_allclose(found, of_terms, rtol=1e-9, atol=1e-12 * size)
+    pulled = terms.actuation @ tension
+    expected = pulled - terms.elastic_force
+    forces = work.forces
+    np.testing.assert_allclose(forces.drive, expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(forces.load, terms.external_force, rtol=1e-12)
+    np.testing.assert_array_equal(forces.bias, 0.0)
+    of_terms = {"M": terms.mass, "D": terms.damping, "G": terms.stiffness}
+    for name, matrix in of_terms.items():
+        found = getattr(work.matrices, name)
+        atol = 1e-12 * np.abs(matrix).max()
+        np.testing.assert_allclose(found, matrix, rtol=1e-9, atol=atol)
