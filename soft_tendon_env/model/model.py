@@ -579,7 +579,9 @@ class Model:
         block, reached, placed = equation_of_motion(
             self.arm, tension, q, q_dot, has_states, TOLERANCE, work, out
         )
-        self._check(q, work, block, reached, placed != TOO_LARGE)
+        # without rates it is the mass that is infinite
+        is_too_large = placed == TOO_LARGE or (placed == TOO_FAST and not q_dot.any())
+        self._check(q, work, block, reached, not is_too_large)
         if placed == TOO_FAST:
             raise OverflowError(
                 f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, Simulation, build_model, load_scene
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import _slopes
 
 PERIOD = 0.02
@@ -236,3 +237,44 @@ def test_slopes_are_central_but_beside_jumps():
     slopes = _slopes(np.vstack([middle, to_right, to_left]), step)
     expected = [2.0, 1.0, 3.0, 1.0, 2.0]
     np.testing.assert_allclose(slopes, np.stack([expected, expected], axis=1))
+
+
+def test_memories_of_strain_have_derivatives_too():
+    """Along random changes of coordinates, rates, what is remembered, and commands."""
+    modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    scene = load_scene("three_tendon").replace({"strain": strain, **MEMORY})
+    model = model_on(scene, 2)
+    simulation, command = in_motion(model)
+    start = simulation.state
+    found = simulation.linearize(command, PERIOD)
+    derivatives = np.hstack([found.state, found.command])
+    here = [start.q, start.q_dot, start.effects, command]
+    inputs = np.concatenate(here)
+    borders = np.cumsum([part.size for part in here])
+    scale = model.coordinate_scale()
+    memory = np.full(start.effects.size, np.abs(start.effects).max())
+    unit = np.concatenate([scale, 10.0 * scale, memory, np.ones(3)])
+    rng = np.random.default_rng(0)
+    sides = rng.normal(size=(3, inputs.size))
+    is_memory = np.arange(inputs.size) >= borders[1]
+    is_memory &= np.arange(inputs.size) < borders[2]
+    # the memory alone besides
+    sides[-1, ~is_memory] = 0.0
+    for way in unit * sides:
+
+        def evaluate(change, way=way):
+            return end(model, start, *np.split(inputs + change * way, borders[:-1]))
+
+        by_state, by_pose, _ = differences(evaluate, 1e-3)
+        for rows in np.split(np.arange(borders[2]), borders[:2]):
+            assert_close(derivatives[rows] @ way, by_state[rows])
+        assert_close(found.tip @ way, by_pose)
+
+
+def test_periods_of_too_many_steps_have_no_linearisation():
+    scene = load_scene("three_tendon").replace({"integrator.step": 1e-6})
+    simulation = Simulation(model_on(scene, 2))
+    with pytest.raises(ValueError, match="at most 4096 integrator steps, not 4100"):
+        simulation.linearize(np.zeros(3), 4.1e-3)
+    assert simulation.state.time == 0.0

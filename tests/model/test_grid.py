@@ -22,6 +22,7 @@ from soft_tendon_env.model.grid import (
     over_nodes,
     screw_matrices,
 )
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.scene.strain import Modes, mode_fields
@@ -368,3 +369,106 @@ def test_columns_of_actuation_are_what_strains_shorten_tendons_by():
     np.testing.assert_allclose(column, np.negative(slopes), atol=1e-8)
     absent = geometry * [1.0, 1.0, 1.0, 1.0, 0.0]
     assert not actuation_columns(absent, strain[:3], strain[3:]).any()
+
+
+def test_gravity_pulls_at_rod_payload_and_discs_alone(build):
+    """m g along the columns of the tip, by virtual work."""
+    g = np.array([1.0, -4.0, -9.0])
+    gravity = {"effects.gravity.acceleration": g.tolist(), "quadrature.intervals": 2}
+    bare = build("three_tendon", gravity)
+    loaded = build("three_tendon", {**gravity, "effects.tip_load.mass": 0.02})
+    q = bare.rest_coordinates([1.0, 0.2, 0.5])
+    still = np.zeros(3)
+    terms = bare.terms(q, still)
+    change = loaded.terms(q, still).external_force - terms.external_force
+    in_tip = terms.tip_pose[:3, :3].T @ g
+    expected = 0.02 * terms.tip_jacobian[3:].T @ in_tip
+    np.testing.assert_allclose(change, expected, rtol=1e-9)
+    rod = bare.arm.rod
+    np.testing.assert_allclose(rod.node_mass.sum(), rod.mass)
+    discs = {"mass": 0.003, "radius": 0.015, "places": [0.15, 0.3]}
+    spaced = build("three_tendon", {**gravity, "segments.0.discs": discs})
+    added = spaced.arm.rod.node_mass - rod.node_mass
+    # there the intervals end, the last one and empty ones at the tip
+    by_place = np.unique(np.round(added, 12))
+    np.testing.assert_allclose(by_place, [0.0, 0.003])
+    assert added.sum() == pytest.approx(0.006)
+
+
+def test_paths_along_a_bent_rod_are_shorter_inside_and_turn_with_it():
+    """L (1 - k y) of a tendon at y beside a rod with the curvature k about z, which turns by k per
+    length of the rod from the first point to the last."""
+    curvature = 5.0
+    scene = load_scene("three_tendon")
+    bent = scene.replace({"segments.0.curvature": [0.0, 0.0, curvature]})
+    grid = make_grid(bent, 5)
+    rod = at_points(bent, grid).rod
+    y = [tendon.routing.offset[0] for tendon in bent.tendons]
+    expected = 0.3 * (1.0 - curvature * np.array(y))
+    np.testing.assert_allclose(rod.tendon_length, expected, rtol=1e-12)
+    points = grid.points[grid.real]
+    turned = curvature * (points.max() - points.min())
+    np.testing.assert_allclose(rod.tendon_turn, turned, rtol=1e-9)
+
+
+def test_coordinates_are_present_where_their_tendons_are():
+    """An independent tension on its tendon, a combination on all of its tendons."""
+    scene, grid = grid_of("paper", 8)
+    stress_free = at_points(scene, grid)
+    strain = make_strain(scene, grid, stress_free)
+    tendons = stress_free.tendons
+    assert (tendons.pack_end < grid.packs).any()
+    np.testing.assert_array_equal(strain.pack_begin, tendons.pack_begin)
+    np.testing.assert_array_equal(strain.pack_end, tendons.pack_end)
+    # two that strain alike up to 0.1 m, where both end
+    twins = load_scene("three_tendon").replace(
+        {
+            "tendons.1.routing": load_scene("three_tendon").tendons[0].routing,
+            "tendons.0.end": 0.1,
+            "tendons.1.end": 0.1,
+        }
+    )
+    grid = make_grid(twins, 8)
+    mixed = make_strain(twins, grid, at_points(twins, grid))
+    assert mixed.active == 2
+    assert mixed.mixed
+    assert sorted(mixed.pack_end.tolist()) == [grid.packs // 2, grid.packs]
+
+
+def test_an_incompressible_rod_damps_by_three_times_its_viscosity_over_its_modulus():
+    """Upsilon = eta diag(Jx, 3 Iy, 3 Iz, 3 A, k A, k A) beside E and G = E / 3: D = 3 eta / E G of
+    the straight arm, 3 eta I L of one constant curvature."""
+    viscosity = 300.0  # [Pa s]
+    young = 5e5  # [Pa]
+    modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
+    scene = load_scene("three_tendon").replace({"segments.0.damping": viscosity})
+    explicit = scene.replace({"strain": {"type": "explicit", "modes": modes}})
+    damping = model_on(explicit, 3).terms([0.0], [0.0]).damping
+    second_moment = np.pi * 0.01**4 / 4
+    assert damping.item() == pytest.approx(3.0 * viscosity * second_moment * 0.3)
+    still = np.zeros(3)
+    terms = model_on(scene, 3).terms(still, still)
+    retardation = 3.0 * viscosity / young
+    size = np.abs(terms.damping).max()
+    np.testing.assert_allclose(
+        terms.damping, retardation * terms.stiffness, rtol=1e-9, atol=1e-12 * size
+    )
+
+
+def test_a_border_is_on_the_side_of_the_piece_that_is_looked_at():
+    """Whichever piece a density gives the border itself to."""
+    _, grid = scene_and_grid("paper")
+
+    def first_has_it(places):
+        values = np.where(places <= 0.5, 1.0, 3.0)
+        return values[:, None]
+
+    def second_has_it(places):
+        values = np.where(places < 0.5, 1.0, 3.0)
+        return values[:, None]
+
+    total = over_nodes(grid, first_has_it)
+    same = over_nodes(grid, second_has_it)
+    np.testing.assert_allclose(total, same, rtol=1e-12)
+    share = 0.5 * newton_cotes(4)[0]
+    assert total[3, 0] == pytest.approx(share * 1.0 + share * 3.0)

@@ -4,7 +4,7 @@ that is singular."""
 import numpy as np
 import pytest
 
-from soft_tendon_env import StrainLimitError, load_scene
+from soft_tendon_env import ConfigurationError, StrainLimitError, load_scene
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import is_singular, model_on
 from soft_tendon_env.model.simulation import Simulation
@@ -225,3 +225,80 @@ def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_o
     np.testing.assert_allclose(equilibrium.q, q, rtol=1e-5)
     stiff = build("three_tendon")
     np.testing.assert_array_equal(stiff.command(tension, q), tension)
+
+
+def test_each_of_many_places_has_to_be_on_the_rod(bent):
+    for places in ([0.1, 0.31], [-0.01, 0.2], [0.31, 0.1, 0.2]):
+        with pytest.raises(ValueError, match="arc_length should lie between 0 and 0.3"):
+            bent.backbone_at([0.0, 0.0], places)
+        with pytest.raises(ValueError, match="arc_length should lie between 0 and 0.3"):
+            bent.strain_at([0.0, 0.0], places)
+
+
+def test_the_elastic_force_of_fields_is_their_own_whatever_pulls(build):
+    """q . K is twice the energy stored, also where tendons that pull soften the sheared arm."""
+    modes = [{"strains": ["bend_z", "shear_y"], "order": 0, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    model = build("three_tendon", {"quadrature.intervals": 2, "strain": strain})
+    q = np.array([1.0, 0.1])
+    still = np.zeros(2)
+    pulled = model.terms(q, still, [3.0, 0.0, 1.0])
+    stored = model.energy(q, still).elastic
+    assert q @ pulled.elastic_force == pytest.approx(2.0 * stored)
+    slack = model.terms(q, still)
+    np.testing.assert_array_equal(pulled.elastic_force, slack.elastic_force)
+    softening = slack.stiffness - pulled.stiffness
+    assert np.abs(softening).max() > 1e-3 * np.abs(slack.stiffness).max()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]},
+        {"effects.gravity.acceleration": [0.0, 0.0, -9.81]},
+    ],
+    ids=["memory", "gravity"],
+)
+def test_models_with_other_scenes_are_those_that_are_built(build, changes):
+    """What an evaluation needs is as large as their own effects say."""
+    bare = build("three_tendon", {"quadrature.intervals": 2})
+    q = bare.rest_coordinates([2.0, 0.0, 1.0])
+    q_dot = np.array([3.0, -1.0, 2.0])
+    bare.terms(q, q_dot)
+    other = bare.with_scene(bare.scene.replace(changes))
+    built = build("three_tendon", {"quadrature.intervals": 2, **changes})
+    assert other.misfit(built) == ""
+    for found, expected in zip(other.terms(q, q_dot), built.terms(q, q_dot), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    back = other.with_scene(bare.scene)
+    np.testing.assert_array_equal(back.terms(q, q_dot).mass, bare.terms(q, q_dot).mass)
+
+
+def test_coordinates_and_rates_that_are_absurd_are_told(build):
+    """No rod can be placed there, or no energy be computed."""
+    modes = [{"strains": ["bend_y", "stretch"], "order": 0, "span": "rod"}]
+    strain = {"type": "explicit", "modes": modes}
+    model = build("three_tendon", {"quadrature.intervals": 2, "strain": strain})
+    still = np.zeros(2)
+    with pytest.raises(StrainLimitError, match="too large to place the rod, up to 1e\\+200"):
+        model.terms([1e200, 0.0], still)
+    with pytest.raises(StrainLimitError, match="too large to place the rod"):
+        model.tip_pose([-1e200, 0.0])
+    # a rod that is as long has a place, and an infinite mass
+    with pytest.raises(StrainLimitError, match="too large to place the rod, up to 1e\\+300"):
+        model.terms([0.0, 1e300], still)
+    with pytest.raises(OverflowError, match="q_dot are too large to compute with, up to 1e\\+200"):
+        model.terms(still, [-1e200, 0.0])
+
+
+def test_loads_inside_of_a_strain_need_a_base_that_stands_still():
+    """Whatever else acts."""
+    changes = {
+        "strain.include_loads": True,
+        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        "effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0},
+        "effects.fluid.density": 1000.0,
+    }
+    scene = load_scene("three_tendon").replace(changes)
+    with pytest.raises(ConfigurationError, match="loads inside of a strain have to stand still"):
+        model_on(scene, 2)

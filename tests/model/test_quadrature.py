@@ -7,7 +7,13 @@ import warnings
 import numpy as np
 import pytest
 
-from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
+from soft_tendon_env import (
+    ConfigurationError,
+    StrainLimitError,
+    load_scene,
+    static_equilibrium,
+)
+from soft_tendon_env.model import quadrature
 from soft_tendon_env.model.build import QuadratureWarning, _check_turns, build_model
 from soft_tendon_env.model.coordinates import resolving_intervals
 from soft_tendon_env.model.model import model_on
@@ -15,8 +21,10 @@ from soft_tendon_env.model.quadrature import (
     CORNERS,
     QuadratureEstimate,
     QuadratureTest,
+    _response,
     _share_at_rest,
     _tensions_to_try,
+    _unloaded_share,
     inertia_kept,
 )
 from soft_tendon_env.scene.scene import MOST_INTERVALS
@@ -315,3 +323,80 @@ def test_rods_that_turn_more_often_than_there_are_intervals_are_refused(share, i
     refused = pytest.raises(ConfigurationError, match="finest quadrature tells")
     with refused if is_refused else contextlib.nullcontext():
         _check_turns(scene)
+
+
+@pytest.mark.parametrize(
+    ("error", "mass", "kept", "excess", "problem"),
+    [
+        (0.8, 0.0, 1.0, 0.8, ""),
+        (3.0, 0.03, 1.0, 3.0, "the tip is off"),
+        (0.1, 0.03, 1.0, 1.5, "the moment of the rod's mass is off by 3 %"),
+        (0.1, 0.0, 0.05, 2.0, "a combination of coordinates keeps 5 % of its inertia"),
+        (0.1, 0.0, 0.0, 1e3, "keeps 0 % of its inertia"),
+        (0.1, 0.019, 0.11, 0.95, ""),
+    ],
+)
+def test_the_worst_of_the_errors_says_what_is_too_coarse(
+    monkeypatch, error, mass, kept, excess, problem
+):
+    """Of the tip, by the scene's tolerance; of the mass, by 2 %; of the inertia, a tenth of which
+    has to be left."""
+    test = QuadratureTest(three_tendon(quadrature__tolerance=1e-3))
+    monkeypatch.setattr(test, "_at_rest", lambda *models: (1e-3 * error, kept, "the tip is off"))
+    monkeypatch.setattr(quadrature, "_mass_error", lambda *models: mass)
+    estimate = test.error_estimate(4)
+    assert estimate.excess == pytest.approx(excess)
+    assert estimate.error == pytest.approx(1e-3 * error)
+    assert problem in estimate.problem
+    assert bool(estimate.problem) == bool(problem)
+
+
+def test_tensions_that_no_strain_balances_are_halved_until_one_does():
+    """On both quadratures; their tips are no farther away than two lengths."""
+    scene = helices(2)
+    test = QuadratureTest(scene)
+    models = (test.model(6), test.model(24))
+    responses = tuple(_response(model) for model in models)
+    absurd = np.array([4e3, 0.0, 0.0])
+    found = _unloaded_share(*models, responses, absurd)
+
+    def share_under(tension):
+        tips = [model.tip_pose(model.rest_coordinates(tension))[:3, 3] for model in models]
+        way = tips[1] - tips[0]
+        return np.linalg.norm(way) / 0.3
+
+    tension = absurd
+    while True:
+        with contextlib.suppress(StrainLimitError):
+            expected = share_under(tension)
+            break
+        tension = 0.5 * tension
+    assert tension[0] < absurd[0]
+    assert found == pytest.approx(expected)
+
+
+def test_loaded_arms_are_compared_slack_tense_and_half_way():
+    """And under the worst tensions of the unloaded arm: no share there is larger."""
+    scene = helices(2).replace(LOADS)
+    test = QuadratureTest(scene)
+    coarse = test.model(5)
+    fine = test.model(16)
+    worst = test.displacement(coarse, fine)
+    full = test.limits[:, 1]
+    for tension in (test.slack, 0.5 * full, full):
+        guess = static_equilibrium(coarse, tension).q
+        share, _ = _share_at_rest(coarse, fine, tension, guess)
+        assert share <= worst.share * (1.0 + 1e-6)
+    found = static_equilibrium(coarse, worst.tension)
+    exact = static_equilibrium(fine, worst.tension, found.q)
+    way = exact.tip_pose - found.tip_pose
+    off = np.linalg.norm(way[:3, 3])
+    assert worst.share == pytest.approx(off / 0.3, rel=1e-5)
+
+
+def test_fields_that_strain_a_rod_alike_are_refused():
+    """At the points of one interval a quadratic field is a constant one."""
+    strain = {"type": "explicit", "modes": [{"strains": ANGULAR, "order": 2, "span": "rod"}]}
+    coarse = three_tendon(strain=strain, quadrature__intervals=1)
+    with pytest.raises(ConfigurationError, match="9 coordinates of which some strain the rod"):
+        build_model(coarse)

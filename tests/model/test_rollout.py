@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.model.step_control import linear_rate
 
 PERIOD = 0.02
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -141,3 +142,50 @@ def test_internal_states_of_effects_go_on_as_the_simulation_s(build):
         expected = simulation.state.effects
         np.testing.assert_allclose(found.effects[k], expected, rtol=1e-5, atol=1e-6 * size)
         simulation.step(commands[min(k, 2)], PERIOD)
+
+
+def test_forces_of_tendons_are_tensions(build):
+    """The derivatives by forces along the columns of actuation are those by tensions, of whatever
+    forces were played before; their default steps resolve the slowest vibration."""
+    model = build("three_tendon", GRAVITY)
+    simulation = Simulation(model)
+    simulation.step([1.0, 0.2, 0.0], 0.1)
+    state = simulation.state
+    B = model.terms(state.q, state.q_dot).actuation
+    commands = np.array([[0.5, 0.3, 0.8]])
+    first = simulation.rollout(commands, PERIOD, forces=np.eye(3))
+    found = simulation.rollout(commands, PERIOD, forces=B)
+    np.testing.assert_allclose(found.by_force, found.by_tension, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(first.by_force @ B, found.by_force, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(first.by_tension, found.by_tension)
+    np.testing.assert_array_equal(first.by_state, found.by_state)
+    assert found.by_force.shape == (1, 6, 3)
+    assert simulation.rollout(commands, PERIOD).by_force.shape == (1, 6, 0)
+    for duration in (PERIOD, 10.0 * PERIOD):
+        steps = int(np.ceil(duration * linear_rate(model)))
+        given = simulation.rollout(commands, duration, steps=steps)
+        default = simulation.rollout(commands, duration)
+        np.testing.assert_array_equal(default.by_state, given.by_state)
+    assert steps > 1
+
+
+def test_parts_of_a_period_are_one_under_the_same_command(build):
+    """A period of two halves, as of one."""
+    simulation = Simulation(build("three_tendon"))
+    simulation.step([1.0, 0.2, 0.0], 0.1)
+    command = np.array([0.5, 0.3, 0.8])
+    whole = simulation.rollout(command[None], PERIOD, steps=2)
+    halves = simulation.rollout(np.tile(command, (1, 2, 1)), [0.5 * PERIOD] * 2, steps=2)
+    np.testing.assert_allclose(halves.q[-1], whole.q[-1], rtol=1e-3, atol=1e-4)
+    error = off(simulation.model, halves.by_state[0], whole.by_state[0])
+    assert error < 0.05
+    error = off(simulation.model, halves.by_tension[0], whole.by_tension[0], np.ones(3))
+    assert error < 0.05
+
+
+def test_the_command_that_no_motion_follows_is_named(build):
+    simulation = Simulation(build("three_tendon"))
+    commands = [[1.0, 0.0, 0.0], [0.0, 1e6, 0.0], [0.0, 0.0, 2.0]]
+    with pytest.raises(SimulationDiverged) as raised:
+        simulation.rollout(commands, PERIOD)
+    np.testing.assert_array_equal(raised.value.command, commands[1])

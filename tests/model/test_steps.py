@@ -181,3 +181,39 @@ def test_trajectories_have_a_sample_at_every_period_from_the_start_on(model_with
     still = ste.simulate(model, command, 0.0, 0.04, initial=start)
     assert still.time.tolist() == [2.0]
     assert still.steps == 0
+
+
+@pytest.mark.no_jit
+def test_functions_of_time_are_asked_in_the_middles_of_steps_and_at_a_gauss_point(model_with):
+    """Of every step, 1 / (2 sqrt(3)) of it later; of one step alone in its middle."""
+    asked = []
+
+    def command(time):
+        asked.append(time)
+        return [0.0, 0.0, 0.0]
+
+    table_of(model_with(), command, samples=2, per_sample=2)
+    middles = 1.0 + 0.01 * np.array([0.5, 1.5, 2.5, 3.5])
+    gauss_point = 0.01 / (2.0 * np.sqrt(3.0))
+    expected = [*middles, *(middles + gauss_point)]
+    np.testing.assert_allclose(asked, expected, rtol=1e-14)
+    asked.clear()
+    table_of(model_with(), command, samples=1, per_sample=1)
+    np.testing.assert_allclose(asked, [1.005], rtol=1e-14)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize(("share", "is_missed"), [(0.045, False), (0.055, True)])
+def test_changes_within_steps_may_be_a_twentieth_of_the_range(
+    model_with, recwarn, share, is_missed
+):
+    """Of what a command does from step to step, a jump of 1 at a border."""
+
+    def command(time):
+        place = time / 0.01 % 1.0
+        is_late = place > 0.6
+        return [float(time > 1.02) + share * is_late, 0.0, 0.0]
+
+    table_of(model_with(), command)
+    told = [warning for warning in recwarn if warning.category is CommandWarning]
+    assert len(told) == is_missed

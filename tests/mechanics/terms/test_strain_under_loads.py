@@ -210,3 +210,20 @@ def test_coordinates_near_buckling_have_no_margin():
         assert (
             strain_has_margin(model.arm, q, TOLERANCE, work.strain, work.kinematics) == has_margin
         )
+
+
+@pytest.mark.parametrize("load", [EULER, GREENHILL], ids=["Euler", "own weight"])
+def test_a_column_of_all_strains_buckles_beyond_its_critical_load(load):
+    """Shear and stretch change it little."""
+    key, critical = load
+    for share, is_held in ((0.98, True), (1.02, False)):
+        pull = {key: [-share * critical, 0.0, 0.0]}
+        model = on_few_intervals("three_tendon", {**INSIDE, **pull, "quadrature.intervals": 8})
+        work = make_workspace(model.arm)
+        q = np.zeros(model.coordinate_count)
+        block, reached = configure(model.arm, q, TOLERANCE, work)
+        assert (block == -1) == is_held
+        if not is_held:
+            # one past the blocks of points: the arm as a whole
+            assert block == 2 * model.grid.packs
+            assert 0.95 < reached < 1.0
