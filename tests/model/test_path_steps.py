@@ -5,20 +5,17 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.equilibrium_residual import Balance
-from soft_tendon_env.model.load_continuation import (
-    CORRECTION,
-    LEAST_LOAD,
-    SHORTEST,
-    SOFT,
-    SOFTEST,
-    STRAY,
-    LoadPath,
-    _flow,
-)
+from soft_tendon_env.model.load_continuation import LoadPath, _flow
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
 
 TENSION = np.array([2.0, 0.5, 1.0])  # [N]
+STRAY = 0.1  # [rad] that the middle of a step may be off
+CORRECTION = 0.5  # [rad] that an equilibrium may be off what is predicted
+SOFT = 0.3  # of the unloaded arm's stiffness, below which both shrink with it
+SOFTEST = 1e-2  # of them, what is left at least
+SHORTEST = 2e-5  # of the load reached, the shortest step
+LEAST_LOAD = 1e-7  # of the full load, likewise
 
 
 @pytest.fixture
@@ -38,8 +35,11 @@ def begin(path):
     return path.equilibrium(np.zeros(2), 0.4)
 
 
-def test_steps_that_fail_are_halved_to_the_shortest(path, begin, monkeypatch):
-    """As a share of the load reached; then the last equilibrium is the end, and why is told."""
+@pytest.mark.parametrize("reached", [0.4, 1e-3])
+def test_steps_that_fail_are_halved_to_the_shortest(path, monkeypatch, reached):
+    """As a share of the load reached; then the last equilibrium is the end, and why is told. The
+    first one moves the arm by an angle of 3 at most, to first order."""
+    begin = path.equilibrium(np.zeros(2), reached)
     aims = []
 
     def fail(point, aim):
@@ -49,13 +49,16 @@ def test_steps_that_fail_are_halved_to_the_shortest(path, begin, monkeypatch):
 
     monkeypatch.setattr(path, "step", fail)
     end, reason = path.follow(begin)
-    steps = np.array(aims) - 0.4
-    assert aims[0] == 1.0
-    np.testing.assert_allclose(steps[1:] / steps[:-1], 0.5)
-    shortest = max(0.4 * SHORTEST, LEAST_LOAD)
-    assert shortest <= steps[-1] < 2.0 * shortest
+    steps = np.array(aims) - reached
+    way = path.balance.angle(begin.tangent)
+    assert (way > 3.0) == (reached < 0.1)
+    first = min(1.0 - reached, 3.0 / way)
+    shortest = max(reached * SHORTEST, LEAST_LOAD)
+    expected = first * 0.5 ** np.arange(len(aims))
+    np.testing.assert_allclose(steps, expected, rtol=1e-6)
+    assert 0.5 * steps[-1] < shortest <= steps[-1]
     assert end is begin
-    assert reason == "beyond 40 % of the load: nothing goes on"
+    assert reason == f"beyond {100 * reached:g} % of the load: nothing goes on"
 
 
 def test_steps_that_succeed_are_doubled(path, begin, monkeypatch):

@@ -4,6 +4,8 @@ as implicit steps give them."""
 import numpy as np
 import pytest
 
+from soft_tendon_env.mechanics.motion import status
+from soft_tendon_env.model import simulation as simulation_module
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 from soft_tendon_env.model.step_control import linear_rate
 
@@ -186,6 +188,17 @@ def test_parts_of_a_period_are_one_under_the_same_command(build):
 def test_the_command_that_no_motion_follows_is_named(build):
     simulation = Simulation(build("three_tendon"))
     commands = [[1.0, 0.0, 0.0], [0.0, 1e6, 0.0], [0.0, 0.0, 2.0]]
+    with pytest.raises(SimulationDiverged) as raised:
+        simulation.rollout(commands, PERIOD)
+    np.testing.assert_array_equal(raised.value.command, commands[1])
+
+
+def test_a_motion_that_ends_where_nothing_is_evaluated_has_the_last_command(build, monkeypatch):
+    """Which still acts there."""
+    ended = (status.NOT_FINITE, 2)
+    monkeypatch.setattr(simulation_module, "linearised_rollout", lambda *plan: ended)
+    simulation = Simulation(build("three_tendon"))
+    commands = [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
     with pytest.raises(SimulationDiverged) as raised:
         simulation.rollout(commands, PERIOD)
     np.testing.assert_array_equal(raised.value.command, commands[1])

@@ -217,3 +217,20 @@ def test_changes_within_steps_may_be_a_twentieth_of_the_range(
     table_of(model_with(), command)
     told = [warning for warning in recwarn if warning.category is CommandWarning]
     assert len(told) == is_missed
+
+
+@pytest.mark.no_jit
+def test_numbers_of_steps_are_those_that_are_documented(model_with):
+    """A fixed step errs by a twentieth of the length at most, the strain of one with a tolerance by
+    twice its share and no more than 3e-6; vibrations have a phase of 0.3 rad in a linearised
+    one."""
+    assert step_control(model_with(), 0.1).tolerance == pytest.approx(0.05 * LENGTH)
+    tight = step_method(model_with({"columns": 4, "tolerance": 2e-7}))
+    assert tight.strain_tolerance == pytest.approx(2.0 * 2e-7 / LENGTH)
+    loose = step_method(model_with({"columns": 4, "tolerance": 1e-4}))
+    assert loose.strain_tolerance == 3e-6
+    model = model_with()
+    still = np.zeros(3)
+    terms = model.terms(still, still)
+    squared_rates = np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real
+    assert linear_rate(model) == pytest.approx(np.sqrt(squared_rates.min()) / 0.3)

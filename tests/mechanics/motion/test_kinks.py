@@ -144,6 +144,15 @@ def test_effects_that_limit_nothing_allow_the_longest_step():
         scratch.work.collision.before_step.pose, scratch.work.kinematics.pose
     )
     assert first_limits(model.arm, motion, control, scratch) == (np.inf, False)
+    # poses are kept for the next step, unless something was met that nobody had foreseen
+    before_step = scratch.work.collision.before_step
+    for unforeseen, q in ((False, [1.0, 0.5, 0.0]), (True, [-1.0, 0.0, 2.0])):
+        kept = before_step.pose.copy()
+        scratch.work.strain.xi[:] = model.packed_strain(q)
+        find_longest(model.arm, motion, motion.q_dot, H, unforeseen, control, scratch)
+        if not unforeseen:
+            kept = scratch.work.kinematics.pose
+        np.testing.assert_array_equal(before_step.pose, kept)
 
 
 @pytest.mark.parametrize(("share", "is_bent"), [(0.9, True), (1.1, False)])

@@ -7,7 +7,7 @@ import pytest
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable, adds_stress
-from soft_tendon_env.mechanics.motion.advance import Control, settle
+from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme, advance, settle
 from soft_tendon_env.mechanics.motion.extrapolation import (
     Demand,
     Extrapolated,
@@ -135,3 +135,30 @@ def test_a_step_that_is_accepted_is_remembered_once(arm, bare):
     remembered = BEFORE + H * strained
     np.testing.assert_allclose(motion.state, remembered, rtol=1e-9, atol=1e-15)
     assert scratch.work.inputs.since[0] == 0.0
+
+
+def end_after(arm, bare, durations):
+    """The motion after a command that is held for these durations, in steps of length H."""
+    clock = np.array([TIME])
+    strain = bare.packed_strain(Q)
+    state = arm.effects.state.copy()
+    motion = Motion(Q.copy(), RATES.copy(), strain, state, clock)
+    scheme = Scheme(Extrapolated(2, 2, True, False, 1e-12), Control(H, 1e300, False, 0.5 * H))
+    rows = len(durations)
+    commands = np.tile(TENSION, (rows, 1))
+    nothing = Record(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4, 4)))
+    scratch = make_scratch(arm, 2)
+    progress = advance(arm, scheme, commands, np.array(durations), motion, H, scratch, nothing)
+    assert progress.status == OK
+    assert progress.steps == 3
+    return motion
+
+
+def test_time_and_memory_go_on_from_step_to_step(arm, bare):
+    """Within a command as from one to the next."""
+    together = end_after(arm, bare, [3.0 * H])
+    one_by_one = end_after(arm, bare, [H, H, H])
+    assert together.clock[0] == pytest.approx(TIME + 3.0 * H)
+    np.testing.assert_allclose(together.q, one_by_one.q, rtol=1e-9)
+    np.testing.assert_allclose(together.q_dot, one_by_one.q_dot, rtol=1e-8)
+    np.testing.assert_allclose(together.state, one_by_one.state, rtol=1e-9, atol=1e-15)
