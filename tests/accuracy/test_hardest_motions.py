@@ -76,7 +76,8 @@ def test_an_arm_that_rests_nowhere_has_the_first_draw(monkeypatch):
     monkeypatch.setattr(module, "start_at_rest", lambda model: None)
     scene = arm(4e3)
     hardest = HardestMotions(scene).hardest("redrawn", 3, 0.2)
-    np.testing.assert_array_equal(hardest, motion_tensions(scene, "redrawn", 3, 0.2))
+    expected_hardest = motion_tensions(scene, "redrawn", 3, 0.2)
+    np.testing.assert_array_equal(hardest, expected_hardest)
 
 
 def test_commands_of_stiff_tendons_are_tensions():

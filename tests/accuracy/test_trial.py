@@ -954,7 +954,8 @@ def test_a_motion_ends_where_it_is_too_far(monkeypatch):
     models = CaseModels(trial.cases, model)
     (test, *_) = [test for test in trial.tests if not test.reference.is_equilibrium]
     path = models.path(test)
-    np.testing.assert_array_equal(path, tip_path(model, test.commands))
+    expected_path = tip_path(model, test.commands)
+    np.testing.assert_array_equal(path, expected_path)
     away = distance(path, test.reference.tips)
     assert models.path(test, 1.001 * away) is not None
     assert models.path(test, 0.999 * away) is None

@@ -78,7 +78,8 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
                 StaticFeedforward(model, limits, PERIOD, objective), model, [target] * 20
             )[-1]
         )
-        assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
+        distance = np.linalg.norm(tip[:3, 3] - pose[:3, 3])
+        assert distance < 1e-3 * model.length
         if isinstance(objective, TipPose):
             assert found.reachable
             np.testing.assert_allclose(tip, found.tip_pose, atol=5e-3 * max(model.length, 1.0))
@@ -140,7 +141,8 @@ def test_of_tensions_that_do_the_same_the_least_are_taken(build, limits_of):
     for _ in range(60):
         decision = controller.act(now, memory)
         memory = decision.memory
-    assert np.linalg.norm(memory.tip_pose[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
+    distance = np.linalg.norm(memory.tip_pose[:3, 3] - pose[:3, 3])
+    assert distance < 1e-3 * model.length
     alternating = np.array([1.0, -1.0, 1.0, -1.0])
     assert alternating @ tight == 0.5
     assert alternating @ decision.tension == pytest.approx(0.0, abs=0.02)
@@ -204,7 +206,8 @@ def test_a_governor_moves_what_is_out_of_reach_by_as_much_as_that(build, limits_
     np.testing.assert_array_equal(told.tension, nearest.tension)
     way = told.tip_position[0] - nearest.tip_pose[:3, 3]
     assert np.linalg.norm(way) == pytest.approx(margin, rel=1e-6)
-    np.testing.assert_allclose(way / margin, (FAR - nearest.tip_pose[:3, 3]) / distance, atol=1e-6)
+    expected = (FAR - nearest.tip_pose[:3, 3]) / distance
+    np.testing.assert_allclose(way / margin, expected, atol=1e-6)
     governor.act(input_for(model, far), decision.memory)
     assert listener.memory == "memory"
 

@@ -179,7 +179,8 @@ def test_a_load_is_told_by_the_sag_that_it_makes(model):
     total += terms.actuation @ estimate.input_error.offset
     assert np.linalg.norm(total - needed) < 0.1 * np.linalg.norm(needed)
     scale = model.coordinate_scale()
-    np.testing.assert_allclose(estimate.q / scale, simulation.state.q / scale, atol=0.01)
+    expected = simulation.state.q / scale
+    np.testing.assert_allclose(estimate.q / scale, expected, atol=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -331,7 +332,8 @@ def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, model):
     mean[found.space.layout.v] = 1e9
     lost = good._replace(memory=belief._replace(mean=mean))
     estimate = found.estimate(told, lost)
-    np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * np.abs(q).max())
+    largest = np.abs(q).max()
+    np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * largest)
 
 
 def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(model):

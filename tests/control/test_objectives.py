@@ -121,7 +121,8 @@ def test_the_bias_is_the_acceleration_that_no_coordinate_makes(model, random_sta
     if isinstance(objective, TipPosition):
         difference = model.tip_pose(q)[:3, :3].T @ difference
     bias = aim_from(model, objective, target, q, q_dot).bias
-    np.testing.assert_allclose(bias, difference, atol=1e-4 * np.abs(difference).max())
+    largest_difference = np.abs(difference).max()
+    np.testing.assert_allclose(bias, difference, atol=1e-4 * largest_difference)
 
 
 def test_shapes_have_no_bias(model, random_state):
@@ -174,7 +175,8 @@ def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state
     at_start = aim_from(model, objective, target, start)
     np.testing.assert_allclose(away.velocity, at_start.velocity, rtol=1e-9)
     rates = (end - start) / PERIOD
-    np.testing.assert_allclose(away.velocity, away.jacobian @ rates, rtol=1e-9)
+    expected_velocity = away.jacobian @ rates
+    np.testing.assert_allclose(away.velocity, expected_velocity, rtol=1e-9)
 
 
 def test_a_radian_is_worth_a_tenth_of_the_rod(model):
@@ -246,7 +248,8 @@ def test_a_target_that_is_moved_back_leaves_its_share_of_the_error(
     moved = objective.moved_back(target, pose, 0.1, share)
     before = objective.error(nearest, pose, target, 0.1)
     after = objective.error(nearest, pose, moved, 0.1)
-    np.testing.assert_allclose(after, (1.0 - share) * before, atol=1e-12)
+    expected_after = (1.0 - share) * before
+    np.testing.assert_allclose(after, expected_after, atol=1e-12)
     steps = [pose_error(a, b) for a, b in zip(target.tip_pose, moved.tip_pose, strict=True)]
     if isinstance(objective, TipPosition):
         steps = moved.tip_position - target.tip_position

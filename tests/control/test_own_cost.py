@@ -110,7 +110,8 @@ def test_the_gradient_of_the_square_is_that_of_differences(model, random_state, 
         (half_square(q + step) - half_square(q - step)) / (2.0 * step.sum()) for step in steps
     ]
     tolerance = 5e-3 if kind == "pose" else 1e-5
-    np.testing.assert_allclose(gradient, slopes, atol=tolerance * np.abs(slopes).max())
+    largest_slopes = np.abs(slopes).max()
+    np.testing.assert_allclose(gradient, slopes, atol=tolerance * largest_slopes)
 
 
 @pytest.mark.parametrize("kind", OBJECTIVES)
@@ -136,7 +137,8 @@ def test_objectives_of_feedback_are_those_of_plans(model, random_state, kind):
     np.testing.assert_array_equal(
         linear.error, objective.error(q, posture.tip_pose, reference, 0.0)
     )
-    np.testing.assert_array_equal(linear.jacobian, objective.jacobian(posture.tip_jacobian))
+    expected_jacobian = objective.jacobian(posture.tip_jacobian)
+    np.testing.assert_array_equal(linear.jacobian, expected_jacobian)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 2.5, np.pi])

@@ -237,7 +237,8 @@ def test_a_plan_goes_on_by_a_period_a_period(model, hold, expected):
     response = np.zeros((10, 10))
     memory = Plan(tension, multipliers, 0.0 * alike, response, None, None)
     continued = controller._continued(alike, memory)
-    np.testing.assert_allclose(continued, np.outer(expected, alike))
+    expected_continued = np.outer(expected, alike)
+    np.testing.assert_allclose(continued, expected_continued)
     assert tuning.looks_ahead == 3 * hold + 1
 
 
@@ -270,7 +271,8 @@ def test_the_observer_takes_a_share_of_what_tensions_explain(model, random_state
     rates = q_dot + response @ unknown
     now = ControllerInput(q, rates, model.tip_pose(q), np.zeros(10), reference)
     disturbance = controller._observe(memory, now)
-    np.testing.assert_allclose(disturbance, before + 0.4 * unknown, rtol=1e-6)
+    expected_disturbance = before + 0.4 * unknown
+    np.testing.assert_allclose(disturbance, expected_disturbance, rtol=1e-6)
     unpredicted = memory._replace(rates=None)
     kept = controller._observe(unpredicted, now)
     np.testing.assert_array_equal(kept, before)

@@ -55,7 +55,8 @@ def test_moves_are_exponentials_on_the_right_and_errors_undo_them(seed):
     pose = random_pose(seed)
     twist, _ = random_twists(seed)
     moved = moved_pose(pose, twist)
-    np.testing.assert_allclose(moved, pose @ expm(hat(twist)), atol=1e-13)
+    expected_moved = pose @ expm(hat(twist))
+    np.testing.assert_allclose(moved, expected_moved, atol=1e-13)
     np.testing.assert_allclose(pose_error(pose, moved), twist, rtol=1e-12, atol=1e-14)
 
 
@@ -116,7 +117,8 @@ def test_poses_move_along_the_screw_between_instants(poses, first, share):
     start, end = poses[first : first + 2]
     time = (1.0 - share) * AHEAD[first] + share * AHEAD[first + 1]
     way = pose_error(start, pose_at(AHEAD, poses, time))
-    np.testing.assert_allclose(way, share * pose_error(start, end), atol=1e-12)
+    expected_way = share * pose_error(start, end)
+    np.testing.assert_allclose(way, expected_way, atol=1e-12)
 
 
 def test_values_are_linear_between_instants_and_held_beyond():

@@ -239,7 +239,8 @@ def test_the_law_holds_over_the_period(model, moving, monkeypatch, objective, in
     gains = tracking.gains
     feedback = gains.kp * aim.error + gains.kd * (target_velocity - present) + gains.ki * integral
     expected = present + PERIOD * (acceleration + feedback)
-    np.testing.assert_allclose(velocity, expected, atol=1e-4 * np.abs(expected - present).max())
+    largest = np.abs(expected - present).max()
+    np.testing.assert_allclose(velocity, expected, atol=1e-4 * largest)
     assert output.report["singular"] == 0.0
     # nothing is refused: the integral is that of the error
     np.testing.assert_allclose(
@@ -261,7 +262,8 @@ def test_the_integral_waits_for_what_limits_refuse(model, near):
             memory = tracking.act(now, memory).memory
         integrals[greatest] = memory.integral
     error = TipPose(0.1).error(q, now.tip_pose, near, 0.0)
-    np.testing.assert_allclose(integrals[1e6], 50 * PERIOD * error, rtol=0.05, atol=1e-4)
+    expected_integrals = 50 * PERIOD * error
+    np.testing.assert_allclose(integrals[1e6], expected_integrals, rtol=0.05, atol=1e-4)
     assert np.linalg.norm(integrals[0.01]) < 0.3 * np.linalg.norm(integrals[1e6])
 
 

@@ -229,10 +229,12 @@ def test_actuators_of_elastic_tendons_are_as_strong_as_the_tension_limits_unless
         elastic = scene.replace({"effects.tendon_elasticity": table})
         path = model_on(elastic, 2).arm.effects.transmission
         np.testing.assert_array_equal(path.stiffness, 200.0)
-        np.testing.assert_array_equal(path.strength, np.broadcast_to(strength, 3))
+        expected_strength = np.broadcast_to(strength, 3)
+        np.testing.assert_array_equal(path.strength, expected_strength)
         np.testing.assert_allclose(path.length, 0.3 + slack)
         limits = elastic.effects.command_limits(np.zeros((3, 2)))
-        np.testing.assert_array_equal(limits, [[-0.01, 0.03]] * 3)
+        expected_limits = [[-0.01, 0.03]] * 3
+        np.testing.assert_array_equal(limits, expected_limits)
         assert elastic.effects.command_unit == "m"
     tensions = np.array([[0.0, 5.0]] * 3)
     np.testing.assert_array_equal(scene.effects.command_limits(tensions), tensions)
@@ -289,7 +291,8 @@ def test_hysteresis_of_a_slow_cycle(uniform):
     per = round(period / 0.05)
     cycle_before = q[per : 2 * per + 1]
     bound = 1e-3 * np.abs(q).max()
-    assert np.abs(q[2 * per :] - cycle_before).max() < bound, "closed"
+    difference = q[2 * per :] - cycle_before
+    assert np.abs(difference).max() < bound, "closed"
     least = bending(model, 0.5, -1.0)
     most = bending(model, 3.5, 1.0)
 

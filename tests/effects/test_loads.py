@@ -54,7 +54,8 @@ def test_a_wrench_at_the_tip_has_its_virtual_work(frame):
     else:
         R = np.eye(3)
     wrench = np.concatenate([R.T @ MOMENT, R.T @ FORCE])
-    np.testing.assert_allclose(terms.external_force, terms.tip_jacobian.T @ wrench, rtol=1e-10)
+    expected_external_force = terms.tip_jacobian.T @ wrench
+    np.testing.assert_allclose(terms.external_force, expected_external_force, rtol=1e-10)
     dead = model.scene.effects.dead_loads()
     if frame == "world":
         expected = FORCE, MOMENT

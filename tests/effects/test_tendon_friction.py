@@ -262,7 +262,8 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
             simulation.step([before + (pull - before) * (i + 1) / 40], 0.05)
         before = pull
         angles.append(angle() - start)
-    np.testing.assert_allclose(angles, coulomb_angles(coefficient, turn, pulls), rtol=0.02)
+    expected_angles = coulomb_angles(coefficient, turn, pulls)
+    np.testing.assert_allclose(angles, expected_angles, rtol=0.02)
 
 
 MOTIONS_BY_FIXED_STEPS = [

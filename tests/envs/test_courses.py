@@ -50,7 +50,8 @@ def test_the_closed_spline_is_the_uniform_cubic_b_spline_of_its_points():
     np.testing.assert_allclose(tension, expected, atol=1e-12)
     later = spline(times + 4.8)[0]
     np.testing.assert_allclose(later, tension, atol=1e-12)
-    np.testing.assert_allclose(spline.knots, 0.4 * np.arange(7.0))
+    expected_knots = 0.4 * np.arange(7.0)
+    np.testing.assert_allclose(spline.knots, expected_knots)
     inner = times + 0.013
     np.testing.assert_allclose(spline(inner)[1], rates_by_differences(spline, inner), atol=1e-6)
 
@@ -237,7 +238,8 @@ def test_equilibria_far_from_where_they_are_expected_are_reached_by_halves(monke
 
         def recorded(tension, shorter=8):
             shares.append(tension[0] / aim[0])
-            np.testing.assert_allclose(tension, shares[-1] * aim)
+            expected_tension = shares[-1] * aim
+            np.testing.assert_allclose(tension, expected_tension)
             return move(tension, shorter)
 
         monkeypatch.setattr(path, "_move", recorded)

@@ -227,7 +227,8 @@ def test_goals_lie_within_two_lengths_of_where_the_base_may_be():
     drawn = {"base.position": [(-0.1, 0.1), (-0.5, 0.0), 0.0]}
     for randomize, away in (({}, 0.2), (drawn, 0.5)):
         env = ReachEnv(scene=scene, fidelity="fast", randomize=randomize)
-        assert env.episodes.goal_bound == pytest.approx(2.0 * 0.3 + away)
+        expected_goal_bound = 2.0 * 0.3 + away
+        assert env.episodes.goal_bound == pytest.approx(expected_goal_bound)
     assert env.episodes.threshold == pytest.approx(0.003)
     positions = np.array([[9.0, -9.0, 0.1]])
     goal = env.episodes._goal(positions)

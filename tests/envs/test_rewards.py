@@ -91,7 +91,8 @@ def test_terms_are_what_they_say():
     env = TipPoseEnv(**SMALL, action="tension")
     env.reset(seed=0)
     _, _, _, _, info = env.step([1.0, 0.0, -1.0])  # 5, 2.5 and 0 of 5 N
-    assert info["reward_effort"] == pytest.approx(1 - (1 + 0.25) / 3)
+    expected_reward_effort = 1 - (1 + 0.25) / 3
+    assert info["reward_effort"] == pytest.approx(expected_reward_effort)
     assert info["reward_smoothness"] == pytest.approx(
         1 - (1 + 0.25) / 3
     )  # from -1, -1, -1; a change of 2 counts as 1

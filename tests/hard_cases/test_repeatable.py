@@ -89,7 +89,8 @@ def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
     for row in tensions:
         steps += simulation.step(row, period).steps
         samples.append(simulation.state.q)
-    np.testing.assert_allclose(samples, whole.q[1:], rtol=1e-12, atol=1e-12 * np.abs(whole.q).max())
+    largest = np.abs(whole.q).max()
+    np.testing.assert_allclose(samples, whole.q[1:], rtol=1e-12, atol=1e-12 * largest)
     assert steps == whole.steps
     return whole
 

@@ -140,7 +140,8 @@ def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(
     )
     policy = load_policy(str(tmp_path / "last"), gym.make(IDS[task], **chosen.options))
     action, _ = policy.predict(observation, None, np.ones(64, dtype=bool))
-    np.testing.assert_allclose(action, np.clip(mean.numpy(), -1.0, 1.0), atol=1e-6)
+    expected_action = np.clip(mean.numpy(), -1.0, 1.0)
+    np.testing.assert_allclose(action, expected_action, atol=1e-6)
     more, before = (
         training(task=task, steps=384),
         {name: value.clone() for name, value in done.network().state_dict().items()},

@@ -81,7 +81,8 @@ def test_a_stiff_arm_is_pushed_by_what_bends_it_while_nobody_can_react():
     after = arm_units(stiffer, {})
     # it swings twice as far as to its rest within a tenth of a second
     at_rest = 0.05
-    assert after["force"] == pytest.approx(100.0 * at_rest * before["force"])
+    expected_force = 100.0 * at_rest * before["force"]
+    assert after["force"] == pytest.approx(expected_force)
 
 
 def test_pace_is_a_second_or_half_a_period_of_a_slower_arm():
@@ -90,7 +91,8 @@ def test_pace_is_a_second_or_half_a_period_of_a_slower_arm():
     before = arm_units(scene, {})
     after = arm_units(slower, {})
     assert before["pace"] == 1.0
-    assert after["speed"] == pytest.approx(0.2 * before["speed"])
+    expected_speed = 0.2 * before["speed"]
+    assert after["speed"] == pytest.approx(expected_speed)
     period = 2.0 * np.pi * after["length"] / after["speed"]
     assert after["pace"] == pytest.approx(0.5 * period, rel=0.05)
     heavy = slower.replace({"effects.tip_load.mass": after["mass"]})

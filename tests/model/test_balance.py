@@ -61,11 +61,13 @@ def test_the_residual_is_the_angle_that_the_force_bends_by(bent):
     answer = np.linalg.solve(found.G, found.force)
     unbalanced = found.force @ answer
     stored = BENDING / LENGTH + q @ found.G @ q
-    assert found.residual == pytest.approx(np.sqrt(unbalanced / stored))
+    expected_residual = np.sqrt(unbalanced / stored)
+    assert found.residual == pytest.approx(expected_residual)
     turned = bent.angle(answer)
     metric = BENDING * LENGTH
     squared = metric * (answer @ answer)
-    assert turned == pytest.approx(np.sqrt(squared * LENGTH / BENDING))
+    expected_turned = np.sqrt(squared * LENGTH / BENDING)
+    assert turned == pytest.approx(expected_turned)
 
 
 def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
@@ -138,8 +140,10 @@ def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
     mass = terms.mass[0, 0]
     damping = terms.damping[0, 0]
     stiffness = BENDING * LENGTH
-    np.testing.assert_allclose(terms.mass, mass * np.eye(2), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(terms.damping, damping * np.eye(2), rtol=1e-9, atol=1e-12)
+    expected_mass = mass * np.eye(2)
+    np.testing.assert_allclose(terms.mass, expected_mass, rtol=1e-9, atol=1e-12)
+    expected_damping = damping * np.eye(2)
+    np.testing.assert_allclose(terms.damping, expected_damping, rtol=1e-9, atol=1e-12)
     circulation = share * damping * np.sqrt(stiffness / mass)
     turning = circulation * np.array([[0.0, 1.0], [-1.0, 0.0]])
     stability = with_stiffness(bent, stiffness * np.eye(2) + turning).stability
@@ -172,7 +176,8 @@ def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
     stiff = BENDING * LENGTH * np.outer(direction, direction)
     compliance = bent._inverse(stiff)
     expected = np.outer(direction, direction) / (BENDING * LENGTH)
-    np.testing.assert_allclose(compliance, expected, atol=1e-9 * np.abs(expected).max())
+    largest_expected = np.abs(expected).max()
+    np.testing.assert_allclose(compliance, expected, atol=1e-9 * largest_expected)
     singular = np.array([[1.0, 1.0], [0.0, 0.0]])
     assert bent._inverse(BENDING * LENGTH * singular) is None
     assert "gives way without further load" in bent.obstacle

@@ -67,7 +67,8 @@ def test_forces_are_sums_over_samples_along_the_arm(lying):
     np.testing.assert_allclose(contact.position, positions, atol=1e-12)
     up = contact.sample_force[0, :, 2]
     assert (up > 0.0).all()
-    np.testing.assert_allclose(contact.force[0], [0.0, 0.0, up.sum()], atol=1e-12)
+    expected_force = [0.0, 0.0, up.sum()]
+    np.testing.assert_allclose(contact.force[0], expected_force, atol=1e-12)
     np.testing.assert_array_equal(contact.force[1], 0.0)
 
 

@@ -236,7 +236,8 @@ def test_slopes_are_central_but_beside_jumps():
     )
     slopes = _slopes(np.vstack([middle, to_right, to_left]), step)
     expected = [2.0, 1.0, 3.0, 1.0, 2.0]
-    np.testing.assert_allclose(slopes, np.stack([expected, expected], axis=1))
+    expected_slopes = np.stack([expected, expected], axis=1)
+    np.testing.assert_allclose(slopes, expected_slopes)
 
 
 def test_memories_of_strain_have_derivatives_too():

@@ -109,7 +109,8 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     by_interval = grid.at_points(packed, 6)
     empty = by_interval[..., ~grid.real, :, :]
     last = strain[..., None, -1:, :]
-    np.testing.assert_array_equal(empty, np.broadcast_to(last, empty.shape))
+    expected_empty = np.broadcast_to(last, empty.shape)
+    np.testing.assert_array_equal(empty, expected_empty)
 
 
 def scene_and_grid(name, **changes):
@@ -445,7 +446,8 @@ def test_an_incompressible_rod_damps_by_three_times_its_viscosity_over_its_modul
     explicit = scene.replace({"strain": {"type": "explicit", "modes": modes}})
     damping = model_on(explicit, 3).terms([0.0], [0.0]).damping
     second_moment = np.pi * 0.01**4 / 4
-    assert damping.item() == pytest.approx(3.0 * viscosity * second_moment * 0.3)
+    expected_damping = 3.0 * viscosity * second_moment * 0.3
+    assert damping.item() == pytest.approx(expected_damping)
     still = np.zeros(3)
     terms = model_on(scene, 3).terms(still, still)
     retardation = 3.0 * viscosity / young
@@ -471,4 +473,5 @@ def test_a_border_is_on_the_side_of_the_piece_that_is_looked_at():
     same = over_nodes(grid, second_has_it)
     np.testing.assert_allclose(total, same, rtol=1e-12)
     share = 0.5 * newton_cotes(4)[0]
-    assert total[3, 0] == pytest.approx(share * 1.0 + share * 3.0)
+    expected_total = share * 1.0 + share * 3.0
+    assert total[3, 0] == pytest.approx(expected_total)

@@ -219,7 +219,8 @@ def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_o
     way = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
     assert way.max() > 1e-3
     command = model.command(tension, q)
-    np.testing.assert_allclose(command, tension / 800.0 + way, rtol=1e-12)
+    expected_command = tension / 800.0 + way
+    np.testing.assert_allclose(command, expected_command, rtol=1e-12)
     equilibrium, held = commanded_equilibrium(model, command)
     np.testing.assert_allclose(held, tension, rtol=1e-6)
     np.testing.assert_allclose(equilibrium.q, q, rtol=1e-5)

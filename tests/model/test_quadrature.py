@@ -310,7 +310,8 @@ def test_an_arm_that_falls_over_is_compared_where_it_is_bent_by_three_radians():
     way = fine.tip_pose(q) - coarse.tip_pose(q)
     displacement = np.linalg.norm(way[:3, 3])
     assert displacement > 0.0
-    assert share == pytest.approx(2.0 * displacement / length)
+    expected_share = 2.0 * displacement / length
+    assert share == pytest.approx(expected_share)
 
 
 @pytest.mark.parametrize(("share", "is_refused"), [(0.99, False), (1.01, True)])

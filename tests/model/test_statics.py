@@ -41,7 +41,8 @@ def test_every_scene_balances_the_forces(name):
         force = terms.actuation @ u - terms.elastic_force + terms.external_force
         largest = np.abs(terms.elastic_force).max()
         assert np.abs(force).max() < 1e-8 * largest
-        np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
+        expected_tip_pose = model.tip_pose(found.q)
+        np.testing.assert_array_equal(found.tip_pose, expected_tip_pose)
 
 
 def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
@@ -182,7 +183,8 @@ def test_elastic_tendons_pull_by_their_stretch_within_what_drives_hold(weight):
     pull = 800.0 * (command - shortening)
     assert pull[1] < 0.0
     assert 0.0 < pull[0] < 4.0 < pull[2]
-    np.testing.assert_allclose(tension, np.clip(pull, 0.0, 4.0), rtol=1e-7)
+    expected_tension = np.clip(pull, 0.0, 4.0)
+    np.testing.assert_allclose(tension, expected_tension, rtol=1e-7)
     assert static_equilibrium(model, tension, found.q).residual <= RESIDUAL
     # Newton's method needs a few tensions, each with a few linearisations of the balance
     assert found.iterations < 30

@@ -70,7 +70,8 @@ def test_the_method_follows_tolerance_and_inertia(model_with):
     assert fixed == (4, 4, True, False, STEP_TOLERANCE)
     tight = step_method(model_with({"columns": 4, "tolerance": 2e-7}))
     assert tight[:4] == (4, 2, True, True)
-    assert tight.strain_tolerance == pytest.approx(STRAIN_SHARE * 2e-7 / LENGTH)
+    expected_strain_tolerance = STRAIN_SHARE * 2e-7 / LENGTH
+    assert tight.strain_tolerance == pytest.approx(expected_strain_tolerance)
     assert STEP_TOLERANCE < tight.strain_tolerance < LOOSEST_STRAIN
     loose = step_method(model_with({"columns": 4, "tolerance": 1e-3}))
     assert loose.strain_tolerance == LOOSEST_STRAIN
@@ -114,7 +115,8 @@ def test_commands_are_held_over_steps(model_with):
     model = model_with()
     values = [1.0, 2.0, 3.0]
     constant = table_of(model, values)
-    np.testing.assert_array_equal(constant, np.broadcast_to(values, (4, 3, 3)))
+    expected_constant = np.broadcast_to(values, (4, 3, 3))
+    np.testing.assert_array_equal(constant, expected_constant)
     rows = np.random.default_rng(0).uniform(size=(4, 3))
     held = np.repeat(rows[:, None], 3, axis=1)
     np.testing.assert_array_equal(table_of(model, rows), held)
@@ -166,7 +168,8 @@ def test_trajectories_have_a_sample_at_every_period_from_the_start_on(model_with
         state = simulation.state
         np.testing.assert_allclose(motion.q[sample], state.q, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(motion.q_dot[sample], state.q_dot, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(motion.tip_pose[sample], model.tip_pose(state.q), atol=1e-12)
+        expected_tip_pose = model.tip_pose(state.q)
+        np.testing.assert_allclose(motion.tip_pose[sample], expected_tip_pose, atol=1e-12)
         for held in motion.command[min(sample, 2)]:
             single = simulation.step(held, 0.02)
             if sample < 3:

@@ -33,7 +33,8 @@ def test_poses_are_those_of_position_and_two_columns():
     poses = _tip_poses(observed(ROTATIONS))
     np.testing.assert_allclose(poses[:, :3, :3], ROTATIONS, atol=1e-12)
     np.testing.assert_array_equal(poses[:, :3, 3], POSITIONS)
-    np.testing.assert_array_equal(poses[:, 3], [[0, 0, 0, 1]] * 2)
+    expected_poses = [[0, 0, 0, 1]] * 2
+    np.testing.assert_array_equal(poses[:, 3], expected_poses)
 
 
 def test_rounded_columns_are_made_orthonormal_again():
@@ -45,7 +46,8 @@ def test_rounded_columns_are_made_orthonormal_again():
         R = pose[:3, :3]
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
-        np.testing.assert_allclose(R[:, 0], x / np.linalg.norm(x), atol=1e-12)
+        expected_r = x / np.linalg.norm(x)
+        np.testing.assert_allclose(R[:, 0], expected_r, atol=1e-12)
         volume = np.cross(x, y) @ R[:, 1]
         assert volume == pytest.approx(0.0, abs=1e-12)
 

@@ -187,7 +187,8 @@ def test_scales_are_those_of_a_cantilever():
     assert scales.bending == pytest.approx(BENDING)
     assert scales.rate == pytest.approx(rate, rel=1e-3)
     # viscosity 3 eta I beside E I: a retardation time, and half of it times omega
-    assert scales.damping_ratio == pytest.approx(0.5 * rate * 3.0 * 3e3 / MODULUS, rel=1e-3)
+    expected_damping_ratio = 0.5 * rate * 3.0 * 3e3 / MODULUS
+    assert scales.damping_ratio == pytest.approx(expected_damping_ratio, rel=1e-3)
     assert scales.modulus == pytest.approx(MODULUS)
     assert scales.pull == 6.0
     assert (scales.length, scales.radius) == (LENGTH, RADIUS)

@@ -97,5 +97,6 @@ def test_blocks_of_fields_are_loaded_and_stored():
     copy_blocks(twists, matrices, twists_out, matrices_out)
     for field, out in ((twists, twists_out), (matrices, matrices_out)):
         first, second = np.split(out, 2)
-        np.testing.assert_array_equal(first, np.split(field, 2)[1])
+        expected_first = np.split(field, 2)[1]
+        np.testing.assert_array_equal(first, expected_first)
         np.testing.assert_array_equal(second, 0.0)

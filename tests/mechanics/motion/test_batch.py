@@ -31,7 +31,8 @@ def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
         atol=10 * atol * max(1.0, np.abs(q_dot).max()),
     )
     np.testing.assert_allclose(reading.tendon_length[row], model.tendon_lengths(q), atol=atol)
-    np.testing.assert_allclose(reading.backbone[row], model.backbone_at(q, STATIONS), atol=atol)
+    expected_backbone = model.backbone_at(q, STATIONS)
+    np.testing.assert_allclose(reading.backbone[row], expected_backbone, atol=atol)
 
 
 def test_a_failed_step_keeps_the_last_good_motion(build):

@@ -247,7 +247,8 @@ def test_tendons_that_rub_fall_by_the_rates_of_a_step_s_end(changes, push):
     v = rates_after(matrices, force + friction)
     atol = 1e-5 * np.abs(v).max()
     np.testing.assert_allclose(scratch.v, v, rtol=1e-5, atol=atol)
-    np.testing.assert_allclose(scratch.q, Q + H * scratch.v, rtol=1e-12)
+    expected_q = Q + H * scratch.v
+    np.testing.assert_allclose(scratch.q, expected_q, rtol=1e-12)
 
 
 def test_elastic_tendons_that_rub_have_their_tensions_at_a_step_s_end():
@@ -288,7 +289,8 @@ def test_a_decay_is_the_exponential(most):
     exponents[:] = most, 1e-9, -0.3 * most, -most
     found = aligned_zeros(LANES)
     decays_of(exponents, most, found)
-    np.testing.assert_allclose(found, np.exp(-exponents), rtol=1e-12)
+    expected = np.exp(-exponents)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])

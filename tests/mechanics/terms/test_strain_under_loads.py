@@ -134,7 +134,8 @@ def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, ra
     assert model.arm.strain.has_potential
     scale = np.sqrt(np.diag(terms.stiffness))
     G = terms.stiffness / np.outer(scale, scale)
-    assert np.abs(G - G.T).max() < 1e-12
+    difference = G - G.T
+    assert np.abs(difference).max() < 1e-12
     assert np.linalg.eigvalsh(G)[0] > 0.0
     if model.arm.strain.is_tensions:
         np.testing.assert_allclose(

@@ -76,7 +76,8 @@ def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
     points = model.grid.points[model.grid.real].ravel()
     angles = np.cumsum(turns_of(model, work))
     turned = angles[: points.size]
-    np.testing.assert_allclose(turned, MU * curvature * points, rtol=1e-12)
+    expected_turned = MU * curvature * points
+    np.testing.assert_allclose(turned, expected_turned, rtol=1e-12)
 
 
 def test_a_helix_turns_by_its_curvature_over_its_length(workspace_at):

@@ -83,12 +83,14 @@ def test_stresses_of_tendons_and_rates_of_tendons_are_transposes(bent):
     tangent = work.strain.tangent
     add_tendon_stress(model.arm.rod, model.arm.tendons, force, tangent, stress)
     generalised_force = force_of(model, work, stress)
-    np.testing.assert_allclose(generalised_force, -B @ force, atol=1e-14)
+    expected_generalised_force = -B @ force
+    np.testing.assert_allclose(generalised_force, expected_generalised_force, atol=1e-14)
     size = 3 * work.strain.xi.size
     share = np.ones(size // 6)
     rates = np.empty(3)
     tendon_forces(model.arm.rod, model.arm.tendons, share, tangent, work.strain.xi_dot, rates)
-    np.testing.assert_allclose(rates, B.T @ q_dot, atol=1e-13)
+    expected_rates = B.T @ q_dot
+    np.testing.assert_allclose(rates, expected_rates, atol=1e-13)
     h = 1e-6
     ahead = model.tendon_lengths(q + h * q_dot)
     behind = model.tendon_lengths(q - h * q_dot)
