@@ -36,7 +36,8 @@ def test_a_model_of_other_coordinates_errs_most_in_the_hardest_draw(kind, dampin
     modes = {"strains": list(scene.strain.free), "order": 6, "span": "rod"}
     steps = {"tolerance": 1e-5, "max_halvings": 16}
     strain = {"type": "statics_based", "passive": [moments]}
-    model = build_model(scene.replace({"strain": strain, "integrator": steps}))
+    changes = {"strain": strain, "integrator": steps}
+    model = build_model(scene.replace(changes))
     explicit = {"type": "explicit", "modes": [modes]}
     exact = build_model(scene.replace({"strain": explicit, "integrator": steps}))
 
