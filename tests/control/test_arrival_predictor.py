@@ -34,7 +34,8 @@ def moving(model, random_state):
     simulation = Simulation(model)
     simulation.reset(q, q_dot, time=0.7)
     reference = Reference(np.array([0.0, 0.1]))
-    now = ControllerInput(q, q_dot, model.tip_pose(q), SENT[-1], reference, time=0.7)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, q_dot, tip_pose, SENT[-1], reference, time=0.7)
     return now, simulation
 
 

@@ -68,7 +68,8 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
     """To a thousandth of the length, as inverse statics do."""
     model = build(*ARMS[arm])
     limits = limits_of(model)
-    tension = share * limits[:, 1] * np.random.default_rng(1).random(model.tendon_count)
+    rng = np.random.default_rng(1)
+    tension = share * limits[:, 1] * rng.random(model.tendon_count)
     pose = static_equilibrium(model, tension).tip_pose
     found = tension_for_tip_pose(model, pose)
     target = Reference(np.zeros(1), pose[None], pose[None, :3, 3])
@@ -124,7 +125,8 @@ def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
     decision = controller.act(input_for(model, target))
     at_rest = model.rest_coordinates(decision.tension)
     np.testing.assert_allclose(at_rest, decision.memory.q, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(decision.memory.tip_pose, model.tip_pose(at_rest), atol=1e-6)
+    tip_pose = model.tip_pose(at_rest)
+    np.testing.assert_allclose(decision.memory.tip_pose, tip_pose, atol=1e-6)
     np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)
 
 
@@ -176,7 +178,8 @@ def test_every_step_lowers_errors_and_efforts(build, limits_of, far):
     assert costs[0] == pytest.approx(expected, rel=1e-12)
     for _ in range(5):
         memory = controller.act(input_for(model, far), memory).memory
-        errors.append(np.linalg.norm(controller.error(memory, far)))
+        error = np.linalg.norm(controller.error(memory, far))
+        errors.append(error)
     assert (np.diff(errors) <= 1e-9).all()
 
 

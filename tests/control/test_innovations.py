@@ -114,8 +114,8 @@ def test_jacobians_are_the_slopes_of_what_is_expected(model, sensor_model, mean)
     # a displaced tip turns the frame in which the model's is seen: to first order in it
     allowed = 0.1 * np.abs(slopes[:6]).max(axis=0)
     assert (np.abs(jacobian[:6] - slopes[:6]) <= allowed + 1e-9).all()
-    largest_slopes = np.abs(slopes).max()
-    np.testing.assert_allclose(jacobian[6:], slopes[6:], atol=1e-5 * largest_slopes)
+    largest_slope = np.abs(slopes).max()
+    np.testing.assert_allclose(jacobian[6:], slopes[6:], atol=1e-5 * largest_slope)
 
 
 def test_variances_add_those_of_sensors_to_those_of_the_model(model):
@@ -140,7 +140,8 @@ def test_variances_add_those_of_sensors_to_those_of_the_model(model):
 def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
     """Curvatures by its length, lengths in shares of it; a rod four times as long."""
     longer = build("three_tendon", {"quadrature.intervals": 4, "segments.0.length": 1.2})
-    assert longer.length == pytest.approx(4.0 * model.length)
+    expected_length = 4.0 * model.length
+    assert longer.length == pytest.approx(expected_length)
     of_short = noise_variances(model, SensorNoise(), 1)
     of_long = noise_variances(longer, SensorNoise(), 1)
     ratio = {}

@@ -66,7 +66,8 @@ def test_the_error_is_that_of_the_aim(model, random_state, objective):
     second, _ = random_state(model, 2)
     target = target_through(model, [first, second], (0.0, 0.1))
     for time in (0.0, 0.04, 0.1):
-        error = objective.error(q, model.tip_pose(q), target, time)
+        tip_pose = model.tip_pose(q)
+        error = objective.error(q, tip_pose, target, time)
         aim = aim_from(model, objective, target, q, time=time)
         np.testing.assert_allclose(aim.error, error, atol=1e-14)
 
@@ -186,7 +187,8 @@ def test_a_radian_is_worth_a_tenth_of_the_rod(model):
     target = Reference(np.zeros(1), turned[None])
     objective = tip_pose_objective(model)
     error = objective.error(np.zeros(3), tip_pose, target, 0.0)
-    assert np.linalg.norm(error) == pytest.approx(0.03 * model.length)
+    expected = 0.03 * model.length
+    assert np.linalg.norm(error) == pytest.approx(expected)
 
 
 def test_positions_are_those_of_poses_where_these_are_told(model, random_state):
@@ -269,7 +271,8 @@ def test_bending_by_an_angle_counts_as_half_of_the_length_times_the_angle(model)
     target = Reference(np.zeros(1), q=q[None])
     straight = np.eye(4)
     error = Shape(model).error(np.zeros(3), straight, target, 0.0)
-    way = pose_error(straight, model.tip_pose(q))
+    tip_pose = model.tip_pose(q)
+    way = pose_error(straight, tip_pose)
     angle = np.linalg.norm(way[:3])
     expected = 0.5 * model.length * angle
     assert np.linalg.norm(error) == pytest.approx(expected, rel=1e-4)

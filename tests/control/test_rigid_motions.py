@@ -37,7 +37,8 @@ def random_pose(seed):
 
 def random_twists(seed):
     """Two that turn by less than half a turn."""
-    return np.random.default_rng(100 + seed).uniform(-1.5, 1.5, (2, 6))
+    rng = np.random.default_rng(100 + seed)
+    return rng.uniform(-1.5, 1.5, (2, 6))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,8 @@ def test_poses_that_are_not_contiguous_are_taken():
     pose = random_pose(0)
     target = random_pose(1)
     transposed = pose_error(np.asfortranarray(pose), np.asfortranarray(target))
-    np.testing.assert_array_equal(transposed, pose_error(pose, target))
+    expected_transposed = pose_error(pose, target)
+    np.testing.assert_array_equal(transposed, expected_transposed)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -92,7 +94,8 @@ def test_the_adjoint_of_a_twist_is_the_bracket(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_skew_matrix_is_the_cross_product(seed):
-    x, y = np.random.default_rng(seed).normal(size=(2, 3))
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, 3))
     np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-14)
 
 
