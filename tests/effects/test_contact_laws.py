@@ -119,7 +119,8 @@ SHAPES = [
 def test_distances_are_those_of_the_shapes(obstacle, expected):
     """Also of one that has moved, and from the nearest point of the surface, which is 0."""
     contact = Contact(obstacles=[{**obstacle, "velocity": [0.3, -0.2, 0.1]}])
-    places = np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3))
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-0.4, 0.4, (40, 3))
     x = PLACE + places
     out = np.empty((1, 40))
     nearest = np.empty((1, 40, 3))
@@ -129,7 +130,8 @@ def test_distances_are_those_of_the_shapes(obstacle, expected):
     surface = nearest[0]
     np.testing.assert_allclose(contact.distances(surface)[0], 0.0, atol=1e-14)
     ways = np.linalg.norm(x - surface, axis=1)
-    np.testing.assert_allclose(ways, np.abs(exact), atol=1e-14)
+    expected_ways = np.abs(exact)
+    np.testing.assert_allclose(ways, expected_ways, atol=1e-14)
     # two seconds later
     direction = np.array([0.3, -0.2, 0.1])
     moved = x + 2.0 * direction
@@ -354,7 +356,8 @@ def sliding(request, rod, arc):
         obstacles=[{**plane, "velocity": belt.tolist()}], friction=MU, dissipation=DISSIPATION
     )
     parameters = contact.parameters(rod)
-    draws = np.random.default_rng(0).normal(size=(rod.node.size, 6))
+    rng = np.random.default_rng(0)
+    draws = rng.normal(size=(rod.node.size, 6))
     sizes = np.repeat([2.0, 0.1], 3)
     twists = draws * sizes
     velocity = surface_velocities(parameters, arc, twists, normal)

@@ -160,8 +160,8 @@ def test_the_base_carries_the_arm_to_where_its_motion_leads(build, time):
     angle = 3.0 * time + 0.4 * swing
     turn = Rotation.from_rotvec(angle * axis).as_matrix()
     g, _, _ = tip_at(model, q, time)
-    expected_g = turn @ rest[:3, :3]
-    np.testing.assert_allclose(g[:3, :3], expected_g, atol=1e-12)
+    expected_rotation = turn @ rest[:3, :3]
+    np.testing.assert_allclose(g[:3, :3], expected_rotation, atol=1e-12)
     base = np.array(model.scene.base.position)
     from_base = rest[:3, 3] - base
     expected = base + way + turn @ from_base

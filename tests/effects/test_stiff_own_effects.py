@@ -55,7 +55,8 @@ def stiff(forgotten):
             def parameters(self, rod):
                 return parameters
 
-        bare = at_fidelity(ste.load_scene("three_tendon"), "standard")
+        scene = ste.load_scene("three_tendon")
+        bare = at_fidelity(scene, "standard")
         return ste.build_model(bare.replace({"effects.stiff": {}}), "scene")
 
     return make
