@@ -62,7 +62,8 @@ def acting_tensions(env, actions, seed=0):
             else durations[0]
         )
         assert abs(ends[-1] - 0.02) < 1e-15
-        tensions.append(commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))])
+        tension = commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))]
+        tensions.append(tension)
         return commands, durations
 
     episodes.actuation.apply = noted
