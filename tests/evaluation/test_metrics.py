@@ -247,7 +247,8 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
     assert interquartile_mean([5.0, 100.0, 3.0, -100.0, 4.0]) == 4.0, (
         "a quarter of 5 is 1.25, so one at either end"
     )
-    values = np.random.default_rng(count).normal(size=(3, count, 2))
+    rng = np.random.default_rng(count)
+    values = rng.normal(size=(3, count, 2))
     np.testing.assert_allclose(
         interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15
     )
