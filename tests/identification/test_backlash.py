@@ -46,7 +46,8 @@ def plants(arm):
     placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
     asked = ["commands.backlash", "commands.1.gain"]
     parameters = read_parameters(asked, driven, placed)
-    return Plants(driven, build_model(driven), placed, parameters)
+    model = build_model(driven)
+    return Plants(driven, model, placed, parameters)
 
 
 def test_backlash_is_one_for_all_tendons_and_a_share_of_their_range(plants):
