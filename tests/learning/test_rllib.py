@@ -94,7 +94,8 @@ def test_runners_have_the_rows_of_one_environment_each_its_own(training):
     np.testing.assert_array_equal(
         np.concatenate([env.reset(seed=100)[0] for env in envs]), expected
     )
-    actions = np.random.default_rng(0).uniform(-1, 1, (4, 3)).astype(np.float32)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (4, 3)).astype(np.float32)
     for _ in range(22):  # past the end of an episode
         results, expected = (
             [env.step(part) for env, part in zip(envs, np.split(actions, 2), strict=True)],
