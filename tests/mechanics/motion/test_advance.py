@@ -29,7 +29,8 @@ HOPELESS = 1e-30  # [m]
 def model():
     modes = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"strain": {"type": "explicit", "modes": modes}}
-    return model_on(load_scene("three_tendon").replace(strain), 2)
+    scene = load_scene("three_tendon").replace(strain)
+    return model_on(scene, 2)
 
 
 class Run:

@@ -139,7 +139,8 @@ def delayed(build):
 def test_commands_act_a_delay_after_they_were_given(delayed):
     """And the next step ends where another one arrives: against a list of all of them."""
     effects, state, arrival = delayed
-    commands = np.random.default_rng(0).uniform(0.0, 5.0, (12, 3))
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(0.0, 5.0, (12, 3))
     commands[5] = commands[4]  # what repeats the one before it ends no step
     commands[7] = commands[6]
     given = [(-math.inf, np.full(3, 9.0))]
@@ -198,7 +199,8 @@ def test_what_has_arrived_leaves_the_table_in_order(delayed):
 
 def test_a_lag_follows_what_has_arrived(build):
     actuators = {"time_constant": 0.05, "rate_limit": 20.0}
-    arm = build("three_tendon", {"quadrature.intervals": 2, "effects.actuators": actuators}).arm
+    changes = {"quadrature.intervals": 2, "effects.actuators": actuators}
+    arm = build("three_tendon", changes).arm
     state = arm.effects.state.copy()
     out = np.empty(3)
     rest_filter(arm.effects, np.array([1.0, 2.0, 3.0]), state)

@@ -50,7 +50,8 @@ HELIX = {
 
 
 def arm_with(changes, intervals=5):
-    return model_on(load_scene("three_tendon").replace({**BENDING, **changes}), intervals)
+    scene = load_scene("three_tendon").replace({**BENDING, **changes})
+    return model_on(scene, intervals)
 
 
 def over_points(model, field):
