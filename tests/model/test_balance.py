@@ -112,7 +112,8 @@ def test_steps_off_their_path_are_not_taken(bent, monkeypatch, stray, is_taken):
 @pytest.mark.parametrize(("share", "is_continuous"), [(0.5, True), (1.5, False)])
 def test_strains_break_where_pushes_outweigh_the_shear_stiffness(share, is_continuous):
     """T / |t| = G A of a straight tendon that pushes; what broke is said, and nothing else."""
-    model = model_on(load_scene("three_tendon"), 4)
+    scene = load_scene("three_tendon")
+    model = model_on(scene, 4)
     with model.workspace() as work:
         balance = Balance(model, np.zeros(3), work)
         stiffness = 5e5 / 3.0 * np.pi * 0.01**2
@@ -176,8 +177,8 @@ def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
     stiff = BENDING * LENGTH * np.outer(direction, direction)
     compliance = bent._inverse(stiff)
     expected = np.outer(direction, direction) / (BENDING * LENGTH)
-    largest_expected = np.abs(expected).max()
-    np.testing.assert_allclose(compliance, expected, atol=1e-9 * largest_expected)
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(compliance, expected, atol=1e-9 * largest)
     singular = np.array([[1.0, 1.0], [0.0, 0.0]])
     assert bent._inverse(BENDING * LENGTH * singular) is None
     assert "gives way without further load" in bent.obstacle
@@ -242,7 +243,8 @@ def test_loads_that_flutter_leave_nowhere_to_settle():
         "segments.*.damping": 1e-3,
         "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
     }
-    model = model_on(load_scene("three_tendon").replace(follower), 6)
+    scene = load_scene("three_tendon").replace(follower)
+    model = model_on(scene, 6)
     found = static_equilibrium(model, np.zeros(3))
     assert not found.converged
     assert "flutter" in found.reason

@@ -48,7 +48,8 @@ def test_the_clearance_is_that_of_the_nearest_place(build):
     normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
     below = [0.0, 0.0, -0.1]
     plane = {"type": "plane", "position": below, "axis": normal.tolist()}
-    model = build("three_tendon", {"effects.contact.obstacles": [plane]})
+    changes = {"effects.contact.obstacles": [plane]}
+    model = build("three_tendon", changes)
     contact = contact_forces(model, Simulation(model).state)
     distance = (contact.position - below) @ normal
     np.testing.assert_allclose(contact.gap[0], distance - RADIUS, atol=2e-3)

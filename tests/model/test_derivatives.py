@@ -244,7 +244,8 @@ def test_memories_of_strain_have_derivatives_too():
     """Along random changes of coordinates, rates, what is remembered, and commands."""
     modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
-    scene = load_scene("three_tendon").replace({"strain": strain, **MEMORY})
+    changes = {"strain": strain, **MEMORY}
+    scene = load_scene("three_tendon").replace(changes)
     model = model_on(scene, 2)
     simulation, command = in_motion(model)
     start = simulation.state

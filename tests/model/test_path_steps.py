@@ -27,7 +27,9 @@ def path():
     modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
     gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    model = model_on(load_scene("three_tendon").replace({"strain": strain, **gravity}), 4)
+    changes = {"strain": strain, **gravity}
+    scene = load_scene("three_tendon").replace(changes)
+    model = model_on(scene, 4)
     with model.workspace() as work:
         yield LoadPath(Balance(model, TENSION, work))
 

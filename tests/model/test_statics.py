@@ -31,7 +31,8 @@ def model_of(name, **changes):
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
-    tensions = np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size))
+    rng = np.random.default_rng(0)
+    tensions = rng.uniform(0.0, 0.5 * greatest, (3, greatest.size))
     for u in tensions:
         found = static_equilibrium(model, u)
         terms = model.terms(found.q, np.zeros_like(found.q), u)
@@ -88,7 +89,8 @@ HELICES = [
 def test_what_redundant_tendons_leave_out_is_told():
     """Four helices: one of four combinations of tensions strains the bent arm alone. With all of
     them the rod rests as full physics."""
-    helices = load_scene("four_tendon").replace({"tendons": HELICES, "quadrature.intervals": 32})
+    changes = {"tendons": HELICES, "quadrature.intervals": 32}
+    helices = load_scene("four_tendon").replace(changes)
     modes = [
         {
             "strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
@@ -125,7 +127,8 @@ def test_redundant_tendons_are_warned_of_where_the_tip_is_off(recwarn, tension, 
     none of them."""
     strains = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
     modes = [{"strains": strains, "order": 8, "span": "rod"}]
-    helices = load_scene("four_tendon").replace({"tendons": [*HELICES, STRAIGHT]})
+    changes = {"tendons": [*HELICES, STRAIGHT]}
+    helices = load_scene("four_tendon").replace(changes)
     model = model_on(helices, 32)
     explicit = helices.replace({"strain": {"type": "explicit", "modes": modes}})
     u = [tension, 0.0, 0.0, 0.0, 1.0]
@@ -159,7 +162,8 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     q, tip = near.at(neighbour)
     searched = static_equilibrium(model, neighbour)
     np.testing.assert_allclose(tip, searched.tip_pose, atol=1e-8)
-    np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
+    tip_pose = model.tip_pose(q)
+    np.testing.assert_allclose(tip_pose, tip, atol=1e-12)
     small = 1e-4
     beside = static_equilibrium(model, (1.0 + small) * u, near.q)
     moved = beside.q - near.q

@@ -45,7 +45,8 @@ def test_steps_are_equal_and_at_most_as_long_as_the_scene_s(model_with, duration
     assert count * control.step == pytest.approx(duration, rel=1e-12)
     assert control.step <= 0.02 * (1 + 1e-9)
     assert (count - 1) * 0.02 < duration
-    assert control.smallest == pytest.approx(control.step / 8.0)
+    expected_smallest = control.step / 8.0
+    assert control.smallest == pytest.approx(expected_smallest)
 
 
 @pytest.mark.no_jit
@@ -86,7 +87,8 @@ def test_the_method_follows_tolerance_and_inertia(model_with):
 def test_the_linear_rate_resolves_the_slowest_vibration(build):
     """omega / RESOLVED, with omega^2 = K / M of an arm with one constant curvature."""
     modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
-    model = build("three_tendon", {**COARSE, "strain": {"type": "explicit", "modes": modes}})
+    changes = {**COARSE, "strain": {"type": "explicit", "modes": modes}}
+    model = build("three_tendon", changes)
     terms = model.terms([0.0], [0.0])
     omega = np.sqrt(terms.stiffness / terms.mass).item()
     assert linear_rate(model) == pytest.approx(omega / RESOLVED)
@@ -117,7 +119,8 @@ def test_commands_are_held_over_steps(model_with):
     constant = table_of(model, values)
     expected_constant = np.broadcast_to(values, (4, 3, 3))
     np.testing.assert_array_equal(constant, expected_constant)
-    rows = np.random.default_rng(0).uniform(size=(4, 3))
+    rng = np.random.default_rng(0)
+    rows = rng.uniform(size=(4, 3))
     held = np.repeat(rows[:, None], 3, axis=1)
     np.testing.assert_array_equal(table_of(model, rows), held)
     table = table_of(model, lambda time: [time, 2.0 * time, 0.0])
