@@ -74,7 +74,8 @@ def test_activations_are_their_formulas_in_single_precision(name):
 
 
 def draw(*shape):
-    return np.random.default_rng(sum(shape)).normal(size=shape).astype(np.float32)
+    rng = np.random.default_rng(sum(shape))
+    return rng.normal(size=shape).astype(np.float32)
 
 
 def test_layers_are_their_formulas():
