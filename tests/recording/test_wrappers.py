@@ -138,7 +138,8 @@ def env():
 
 
 def actions(seed=0):
-    return iter(np.random.default_rng(seed).uniform(-1.0, 0.0, (100, 10)).astype(np.float32))
+    rng = np.random.default_rng(seed)
+    return iter(rng.uniform(-1.0, 0.0, (100, 10)).astype(np.float32))
 
 
 def test_an_episode_is_collected_as_it_happened(env):
