@@ -301,5 +301,6 @@ def test_motion_is_told_from_noise():
     ):
         position = np.stack([motion, 0.0 * time, np.full_like(time, 7.0)], axis=1)
         assert speed_of(position, 0.01) == pytest.approx(expected, rel=0.01)
-        noisy = position + np.random.default_rng(1).normal(scale=1e-3, size=position.shape)
+        rng = np.random.default_rng(1)
+        noisy = position + rng.normal(scale=1e-3, size=position.shape)
         assert speed_of(noisy, 0.01) == pytest.approx(expected, rel=0.03)
