@@ -156,7 +156,8 @@ def test_the_arm_itself_and_scenes_that_ship_get_none():
     assert words_of({**silicone_arm(), **with_stiffness()}) == ""
     assert words_of({**silicone_arm(), "segments": [{**SOLID, "discs": DISCS}]}) == ""
     for name in scene_names():
-        assert not [*implausible(load_scene(name))]
+        scene = load_scene(name)
+        assert not [*implausible(scene)]
 
 
 @pytest.mark.parametrize("size", [0.05, 1.0, 20.0])
